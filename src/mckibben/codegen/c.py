@@ -58,7 +58,11 @@ class _Writing:
         """Header and source."""
         functions = [self._defaults(), self._prepare(), *map(self._function, self._module.functions)]
         helpers = sorted(self._writer.helpers)
-        source = [f'{self._comment}#include "{self._name}.h"\n\n#include <math.h>\n', *helpers, *functions]
+        source = [
+            f'{self._comment}#include "{self._name}.h"\n\n#include <math.h>\n#include <string.h>\n',
+            *helpers,
+            *functions,
+        ]
         return Sources(self._header(), "\n".join(source))
 
     def _header(self) -> str:

@@ -30,7 +30,8 @@ class Value:
     kind: Kind
     arguments: tuple[Value, ...]
     scope: Scope
-    data: Any = None  # number of a constant, name of an input, `Carried`, or `Element`
+    data: Any = None  # of a constant, an input, ... : number, name, `Carried`, `Element`, or a `Branch` and a place
+    uniform: bool = True  # whether it is the same in all lanes of a program for many runs
 
     @property
     def constant(self) -> Any:
@@ -43,13 +44,17 @@ class Scope:
     """A block of statements."""
 
     parent: Scope | None = None
-    statements: list[Value | ForLoop | StoredArray] = field(default_factory=list)
+    statements: list[Value | ForLoop | Branch | StoredArray] = field(default_factory=list)
     known: dict[Any, Value] = field(default_factory=dict)
     depth: int = 0
+    floor: Scope | None = None  # outside of which nothing is moved: the innermost branch
 
-    def inner(self) -> Scope:
+    def inner(self, *, branch: bool = False) -> Scope:
         """A new block inside."""
-        return Scope(self, depth=self.depth + 1)
+        scope = Scope(self, depth=self.depth + 1, floor=self.floor)
+        if branch:
+            scope.floor = scope
+        return scope
 
 
 @dataclass(eq=False, slots=True)
@@ -74,18 +79,31 @@ class ForLoop:
 
 
 @dataclass(eq=False, slots=True)
+class Branch:
+    """Two blocks, of which one runs."""
+
+    condition: Value
+    scopes: tuple[Scope, Scope]
+    values: tuple[list[Value], list[Value]]  # where the condition holds, and where not
+    chosen: list[Value] = field(default_factory=list)  # their data are the branch, and the place in `values`
+
+
+@dataclass(eq=False, slots=True)
 class StoredArray:
-    """Elements in memory, so that a loop can index them: given ones, or rows that a loop stores."""
+    """Elements in memory, so that a loop can index them: given ones, those of an input, or rows that a loop stores."""
 
     kind: Kind
     size: int
-    elements: list[Value]  # all, or those of one row
+    elements: list[Value]  # all, none of an input, or those of one row
     loop: ForLoop | None = None
+    name: str = ""  # of an input
+    uniform: bool = True
 
     @property
     def constant(self) -> bool:
         """Whether all elements are known numbers."""
-        return self.loop is None and all(element.operation == "constant" for element in self.elements)
+        given = self.loop is None and not self.name
+        return given and all(element.operation == "constant" for element in self.elements)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,55 +156,79 @@ _FOLDED: dict[str, Callable[..., Any]] = {
     "cbrt": np.cbrt,
     "sign": np.sign,
     "rem": np.fmod,
+    "shift_left": lambda x, y: x << y,
+    "shift_right": lambda x, y: x >> y,
     "is_finite": np.isfinite,
+    "single": np.float32,
     "real": lambda x: x,
     "integer": int,
     "boolean": bool,
 }
-OPERATIONS = frozenset(_FOLDED) | {"select"}
-"""Names of the operations, with arguments in this order; `select` has the condition, then both values."""
+OPERATIONS = frozenset(_FOLDED) | {"select", "bits", "from_bits", "from_bits_32"}
+"""Names of the operations.
+
+`select` has the condition, then both values; `bits` are those of a real number as an integer, `from_bits` the reverse;
+`single` is the nearest number of 32 bits.
+"""
 
 
 class Graph:
     """Statements in scopes; `scope` is the current one."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, lanes: bool = False) -> None:
         self.root = Scope()
         self.scope = self.root
+        self.exact_single = True  # whether numbers of 32 bits are rounded where others have 64
+        self.lanes = lanes  # whether the program is for many runs side by side
+        self._kept: list[Value] = []  # expressions are told apart by the identities of values
 
     def constant(self, number: Any, kind: Kind) -> Value:
         """A known number."""
         number = {Kind.REAL: float, Kind.INTEGER: int, Kind.BOOLEAN: bool}[kind](number)
+        if kind is Kind.INTEGER:
+            number = (number + 2**63) % 2**64 - 2**63  # 64 bits
         key = ("constant", kind, repr(number))
         if key not in self.root.known:
             self.root.known[key] = Value("constant", kind, (), self.root, number)
         return self.root.known[key]
 
-    def input(self, name: str, kind: Kind) -> Value:
+    def input(self, name: str, kind: Kind, *, uniform: bool = True) -> Value:
         """A number that is given under a name, in the current scope."""
-        return self._known(("input", name), self.scope, lambda: Value("input", kind, (), self.scope, name))
+        return self._known(("input", name), self.scope, lambda: Value("input", kind, (), self.scope, name, uniform))
 
     def operation(self, name: str, kind: Kind, *arguments: Value) -> Value:
         """The result of an operation."""
         if (simple := self._simplified(name, kind, arguments)) is not None:
             return simple
-        scope = max((argument.scope for argument in arguments), key=lambda scope: scope.depth)
+        scope = self._place(arguments)
         key = (name, kind, *map(id, arguments))
-        return self._known(key, scope, lambda: Value(name, kind, arguments, scope))
+        uniform = all(argument.uniform for argument in arguments)
+        return self._known(key, scope, lambda: Value(name, kind, arguments, scope, None, uniform))
+
+    def _place(self, arguments: Sequence[Value]) -> Scope:
+        """The outermost scope that knows all arguments, within the innermost branch."""
+        scopes = [argument.scope for argument in arguments]
+        if self.scope.floor is not None:
+            scopes.append(self.scope.floor)
+        return max(scopes, key=lambda scope: scope.depth)
 
     def element(self, array: StoredArray, row: Value | None, stride: int, offset: int, scope: Scope) -> Value:
         """An element of an array; without a row the one at `offset`."""
         place = Element(array, stride, offset)
         arguments = () if row is None else (row,)
         key = ("element", place, *map(id, arguments))
-        return self._known(key, scope, lambda: Value("element", array.kind, arguments, scope, place))
+        return self._known(key, scope, lambda: Value("element", array.kind, arguments, scope, place, array.uniform))
 
     def _known(self, key: Any, scope: Scope, make: Callable[[], Value]) -> Value:
-        """The value of a key in a scope, made and added to its statements if there is none."""
-        if key not in scope.known:
-            scope.known[key] = value = make()
-            scope.statements.append(value)
-        return scope.known[key]
+        """The value of a key in a scope or around it, made and added to its statements if there is none."""
+        outer: Scope | None = scope
+        while outer is not None:
+            if key in outer.known:
+                return outer.known[key]
+            outer = outer.parent
+        scope.known[key] = value = make()
+        scope.statements.append(value)
+        return value
 
     def _simplified(self, name: str, kind: Kind, arguments: tuple[Value, ...]) -> Value | None:
         """A constant, or one of the arguments, where the result is that."""
@@ -196,7 +238,7 @@ class Graph:
             if yes is no:
                 return yes
             return None if known[0] is None else yes if known[0] else no
-        if all(number is not None for number in known):
+        if all(number is not None for number in known) and name in _FOLDED:
             with np.errstate(all="ignore"):
                 return self.constant(_FOLDED[name](*known), kind)
         first = arguments[0]
@@ -206,7 +248,7 @@ class Graph:
             for number, other in ((known[0], arguments[1]), (known[1], first)):
                 if number is not None:
                     return other if number is (name == "and") else self.constant(number, kind)
-        neutral = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0}.get(name)
+        neutral = {"add": 0, "sub": 0, "mul": 1, "div": 1}.get(name)
         if neutral is None:
             return None
         if known[1] == neutral:
@@ -234,7 +276,8 @@ class Graph:
             places = [Element(array, 0, begin + place) for place in range(len(elements))]
             if all(one.operation == "element" and one.data == at for one, at in zip(elements, places, strict=True)):
                 return array, begin
-        array = StoredArray(first.kind, len(elements), list(elements))
+        uniform = all(one.uniform for one in elements)
+        array = StoredArray(first.kind, len(elements), list(elements), uniform=uniform)
         self.scope.statements.append(array)
         return array, 0
 
@@ -251,22 +294,43 @@ class Graph:
         loop.row = row
         rows = body(loop)
         self.scope = outer
-        loop.arrays = [StoredArray(one[0].kind, length * len(one), list(one), loop) for one in rows]
+        loop.arrays = [
+            StoredArray(one[0].kind, length * len(one), list(one), loop, uniform=not self.lanes) for one in rows
+        ]
         outer.statements.append(loop)
         return loop
 
     def carry(self, loop: ForLoop, initial: Value) -> Value:
         """A variable of a loop, as its body sees it."""
         loop.carried.append(Carried(loop, initial))
-        return Value("carried", initial.kind, (), loop.scope, loop.carried[-1])
+        return Value("carried", initial.kind, (), loop.scope, loop.carried[-1], not self.lanes)
 
     def after(self, carried: Carried) -> Value:
         """The last value of a variable of a loop, in the scope around it."""
-        return Value("carried", carried.initial.kind, (), self.scope, carried)
+        value = Value("carried", carried.initial.kind, (), self.scope, carried, not self.lanes)
+        self._kept.append(value)
+        return value
+
+    def branch(self, condition: Value, bodies: Sequence[Callable[[], Sequence[Value]]]) -> list[Value]:
+        """Values of the first body where a condition holds, else of the second; each is a scope of its own."""
+        outer, scopes, found = self.scope, [], []
+        for body in bodies:
+            self.scope = outer.inner(branch=True)
+            scopes.append(self.scope)
+            found.append(list(body()))
+        self.scope = outer
+        branch = Branch(condition, (scopes[0], scopes[1]), (found[0], found[1]))
+        outer.statements.append(branch)
+        results = []
+        for place, (yes, no) in enumerate(zip(*found, strict=True)):
+            if yes is not no:
+                branch.chosen.append(Value("chosen", yes.kind, (), outer, (branch, place), not self.lanes))
+            results.append(yes if yes is no else branch.chosen[-1])
+        return results
 
 
-def needed(results: Sequence[Value]) -> set[int]:
-    """Identities of the values, loops and arrays that results depend on."""
+def needed(results: Sequence[Value | StoredArray]) -> set[int]:
+    """Identities of the values, loops, branches and arrays that results depend on."""
     found: set[int] = set()
     waiting: list[Any] = list(results)
     while waiting:
@@ -276,12 +340,17 @@ def needed(results: Sequence[Value]) -> set[int]:
         found.add(id(one))
         if isinstance(one, ForLoop):
             continue
+        if isinstance(one, StoredArray):
+            waiting += one.elements if one.loop is None else [*one.elements, one.loop, one.loop.row]
+            continue
         waiting += one.arguments
         if one.operation == "carried":
             found.add(id(one.data))
             waiting += [one.data.initial, one.data.following, one.data.loop]
         elif one.operation == "element":
-            array = one.data.array
-            found.add(id(array))
-            waiting += array.elements if array.loop is None else [*array.elements, array.loop, array.loop.row]
+            waiting.append(one.data.array)
+        elif one.operation == "chosen":
+            branch, place = one.data
+            found.add(id(branch))
+            waiting += [branch.condition, branch.values[0][place], branch.values[1][place]]
     return found

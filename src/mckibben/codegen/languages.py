@@ -54,11 +54,27 @@ def c_language(real: str = "double") -> Language:
             "round": "rint" + suffix,
             "rem": "fmod" + suffix,
             "is_finite": "isfinite",
+            "bits": "bits",
+            "from_bits": "from_bits",
+            "from_bits_32": "from_bits_32",
+            "single": "single",
             **{
                 name: f"{helper}{suffix}" for name, helper in (("max", "maximum"), ("min", "minimum"), ("sign", "sign"))
             },
         },
         helpers={
+            "bits": (
+                "static int64_t bits(double x)\n{\n    int64_t i;\n    memcpy(&i, &x, sizeof i);\n    return i;\n}\n"
+            ),
+            "from_bits": (
+                "static double from_bits(int64_t i)\n{\n    double x;\n    memcpy(&x, &i, sizeof x);\n"
+                "    return x;\n}\n"
+            ),
+            "from_bits_32": (
+                "static double from_bits_32(int64_t i)\n{\n    const uint32_t word = (uint32_t)i;\n    float x;\n"
+                "    memcpy(&x, &word, sizeof x);\n    return x;\n}\n"
+            ),
+            "single": "static double single(double x)\n{\n    return (float)x;\n}\n",
             # NaN where one is NaN, unlike fmax
             f"maximum{suffix}": function("maximum", "x, y", "x > y || x != x ? x : y"),
             f"minimum{suffix}": function("minimum", "x, y", "x < y || x != x ? x : y"),

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -10,8 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
-from mckibben.codegen.graph import ForLoop, Graph, Kind, Value
+from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
+from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
 from mckibben.errors import ExportError
+from mckibben.numerics import elementary
 
 _UNROLLED = 300  # equations: loops of fewer in all passes are written out
 _RENAMED = {"add_any": "add"}
@@ -21,12 +26,36 @@ _UNARY = {
 }  # fmt: skip
 _BINARY = {
     "add", "sub", "mul", "div", "max", "min", "pow", "atan2", "rem", "lt", "le", "gt", "ge", "eq", "ne", "and", "or",
-    "xor",
+    "xor", "shift_left",
 }  # fmt: skip
+_RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
+_WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier", "reduce_precision"}
 _CALLS = {"jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call"}
 _RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`: the libraries' are called
-Array = np.ndarray[Any, Any]  # of values
+_TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
+_LARGEST = 50_000  # elements of an array that is not in memory
+Array = Any  # an array of values, or `Stored`
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """An array in memory, from a place on; without one the numbers 0, 1, 2, ... of a kind."""
+
+    shape: tuple[int, ...]
+    kind: Kind
+    array: StoredArray | None = None
+    begin: int = 0
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return math.prod(self.shape)
+
+    @property
+    def dtype(self) -> Any:
+        """As of arrays of values."""
+        return np.dtype(object)
 
 
 def kind_of(dtype: Any) -> Kind:
@@ -35,6 +64,29 @@ def kind_of(dtype: Any) -> Kind:
     if letter == "b":
         return Kind.BOOLEAN
     return Kind.INTEGER if letter in "iu" else Kind.REAL
+
+
+def _tanh(x: Any) -> Any:
+    """Hyperbolic tangent, right to an absolute 2e-16."""
+    power = elementary.exp(-2 * jnp.abs(x))
+    return jnp.sign(x) * ((1 - power) / (1 + power))
+
+
+def _erf_inv(x: Any) -> Any:
+    """Inverse error function (Giles 2012, single precision), right to 3e-7."""
+    w = -jnp.log1p(-x * x)
+    near, far = w - 2.5, jnp.sqrt(w) - 3.0
+    p, q = (functools.reduce(lambda sum_, c: sum_ * y + c, cs) for y, cs in ((near, _NEAR), (far, _FAR)))
+    return jnp.where(w < 5.0, p, q) * x
+
+
+_NEAR = (2.81022636e-08, 3.43273939e-07, -3.5233877e-06, -4.39150654e-06, 0.00021858087, -0.00125372503, -0.00417768164,
+         0.246640727, 1.50140941)  # fmt: skip
+_FAR = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613, 0.00943887047,
+        1.00167406, 2.83297682)  # fmt: skip
+_EVERYWHERE = {"erf_inv": _erf_inv}
+_FOR_LANES = {"tanh": _tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
+"""Polynomials in place of calls of the libraries, which have no vectors."""
 
 
 class Lowering:
@@ -63,9 +115,28 @@ class Lowering:
         known.update(zip(jaxpr.constvars, constants, strict=True))
         known.update(zip(jaxpr.invars, arguments, strict=True))
         for equation in jaxpr.eqns:
-            results = self._equation(equation, [read(one) for one in equation.invars])
+            given = [read(one) for one in equation.invars]
+            if equation.primitive.name not in _TAKE_STORED:
+                given = [self.expanded(one) if isinstance(one, Stored) else one for one in given]
+            results = self._equation(equation, given)
             known.update(zip(equation.outvars, results, strict=True))
         return [read(one) for one in jaxpr.outvars]
+
+    def expanded(self, stored: Stored) -> Array:
+        """The elements of an array in memory as values."""
+        if stored.size > _LARGEST:
+            raise ExportError(
+                f"an array of {stored.size} numbers is used as a whole",
+                value=stored.size,
+                upper=_LARGEST,
+                remedy="use its elements one after the other in a loop (jax.lax.scan)",
+            )
+        if stored.array is None:
+            values = [self._graph.constant(place, stored.kind) for place in range(stored.size)]
+        else:
+            places = range(stored.begin, stored.begin + stored.size)
+            values = [self._graph.element(stored.array, None, 0, place, self._graph.scope) for place in places]
+        return np.array([*values, None], object)[:-1].reshape(stored.shape)
 
     def literal(self, number: Any) -> Array:
         """Constants of the shape of a number or array."""
@@ -77,24 +148,26 @@ class Lowering:
         """Results of one equation."""
         name, parameters = equation.primitive.name, equation.params
         aval = equation.outvars[0].aval
-        if any(_is_key(one.dtype) for one in (aval, *arguments)) or (name in ("jit", "pjit") and _known(arguments)):
-            return self._evaluated(equation, arguments)
-        if np.dtype(aval.dtype).kind == "u":
-            raise _cannot(equation)  # it wraps around
+        if name in _RANDOM:
+            return self._random(name, parameters, aval, arguments, equation)
         kind = kind_of(aval.dtype)
         name = _RENAMED.get(name, name)
+        if name in _EVERYWHERE and aval.dtype == np.float32:
+            closed = jax.make_jaxpr(_EVERYWHERE[name])(jnp.zeros(aval.shape, aval.dtype))
+            return self._closed(closed, arguments)
+        if name in _FOR_LANES and not all(one.uniform for x in arguments for one in x.flat):
+            closed = jax.make_jaxpr(_FOR_LANES[name])(jnp.zeros(aval.shape, aval.dtype))
+            return self._closed(closed, arguments)
         if name in _UNARY | _BINARY:
-            return [self._elementwise(lambda *xs: self._graph.operation(name, kind, *xs), *arguments)]
+            return [self._elementwise(lambda *xs: self._operation(name, aval.dtype, *xs), *arguments)]
         if name in _SAME:
             return arguments
         if name in _CALLS:
             inner = parameters.get("jaxpr") or parameters["call_jaxpr"]
-            rule = (
-                _RULES.get(str(getattr(inner.jaxpr.debug_info, "func_name", ""))) if name == "custom_jvp_call" else None
-            )
-            if rule:
-                (x,) = arguments
-                return [self._elementwise(lambda x, n=one: self._graph.operation(n, kind, x), x) for one in rule]
+            if rule := self._rule(name, inner, arguments):
+                return [
+                    self._elementwise(lambda x, n=one: self._graph.operation(n, kind, x), *arguments) for one in rule
+                ]
             return self._closed(inner, arguments)
         handler = getattr(self, f"_{name}", None)
         found = None if handler is None else handler(parameters, kind, aval.shape, *arguments)
@@ -102,18 +175,39 @@ class Lowering:
             raise _cannot(equation)
         return found if isinstance(found, list) else [found]
 
-    def _evaluated(self, equation: Any, arguments: list[Array]) -> list[Any]:
-        """Results of an equation of known numbers, such as random keys."""
-        if not _known(arguments):
+    def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
+        """Result of an operation, of 32 bits where its type has no more."""
+        result = self._graph.operation(name, kind_of(dtype), *arguments)
+        if dtype == np.float32 and self._graph.exact_single:
+            return self._graph.operation("single", Kind.REAL, result)
+        if dtype == np.uint32 and name in _WRAPPING:
+            return self._graph.operation("and", Kind.INTEGER, result, self._graph.constant(MASK, Kind.INTEGER))
+        return result
+
+    def _random(self, name: str, parameters: Any, aval: Any, arguments: list[Array], equation: Any) -> list[Array]:
+        """Random keys, which are two words each, and bits drawn from them."""
+        if (
+            (aval.ndim and name != "random_bits")
+            or not is_supported()
+            or "fry" not in str(arguments[0].dtype) + str(parameters.get("impl", "fry"))
+        ):
             raise _cannot(equation)
-        variables = [one.aval for one in equation.invars]
-        known = [
-            jnp.asarray([x.data for x in one.flat], aval.dtype).reshape(one.shape) if one.dtype == object else one
-            for one, aval in zip(arguments, variables, strict=True)
-        ]
-        found = equation.primitive.bind(*known, **equation.params)
-        found = found if equation.primitive.multiple_results else [found]
-        return [one if _is_key(one.dtype) else self.literal(one) for one in found]
+        first = arguments[0]
+        if name == "random_seed":
+            return [np.array([*seed_key(self._graph, first.item()), None], object)[:-1]]
+        key = first[0], first[1]
+        if name == "random_fold_in":
+            return [np.array([*fold_in(self._graph, key, arguments[1].item()), None], object)[:-1]]
+        if name != "random_bits" or parameters["bit_width"] not in (32, 64):
+            return [first]
+        places = np.arange(math.prod(aval.shape)).reshape(aval.shape)
+        return [_array(aval.shape, lambda at: random_bits(self._graph, key, int(places[at]), parameters["bit_width"]))]
+
+    def _rule(self, name: str, inner: Any, arguments: list[Array]) -> tuple[str, ...]:
+        """Operations in place of a polynomial of the project, but where all lanes are computed side by side."""
+        if name != "custom_jvp_call" or not all(one.uniform for x in arguments for one in x.flat):
+            return ()
+        return _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
 
     def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
         arrays = np.broadcast_arrays(*arrays)
@@ -164,7 +258,29 @@ class Lowering:
         return self._elementwise(within, low, x, high)
 
     def _convert_element_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._elementwise(lambda x: self._graph.operation(kind.value, kind, x), x)
+        def convert(x: Value) -> Value:
+            result = self._graph.operation(kind.value, kind, x)
+            if np.dtype(parameters["new_dtype"]) == np.uint32 and x.kind is not Kind.BOOLEAN:
+                result = self._graph.operation("and", kind, result, self._graph.constant(MASK, kind))
+            return result
+
+        return self._elementwise(convert, x)
+
+    def _bitcast_convert_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
+        name = {"f8": "from_bits", "f4": "from_bits_32", "i8": "bits"}.get(np.dtype(parameters["new_dtype"]).str[1:])
+        if name is None:
+            return None
+        return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
+
+    def _shift_right_logical(self, parameters: Any, kind: Kind, shape: Any, x: Array, places: Array) -> Array:
+        def shifted(x: Value, places: Value) -> Value:
+            result = self._graph.operation("shift_right", kind, x, places)
+            if places.constant is None:
+                return result
+            rest = self._graph.constant((1 << (64 - places.constant)) - 1, kind)  # of a word of 64 bits
+            return self._graph.operation("and", kind, result, rest)
+
+        return self._elementwise(shifted, x, places)
 
     # Shapes
 
@@ -175,7 +291,7 @@ class Lowering:
         return np.broadcast_to(x.reshape(axes), shape)
 
     def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return x.reshape(shape)
+        return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
 
     _squeeze = _expand_dims = _reshape
 
@@ -212,6 +328,8 @@ class Lowering:
         return result
 
     def _iota(self, parameters: Any, kind: Kind, shape: Any) -> Array:
+        if len(shape) == 1:
+            return Stored(tuple(shape), kind)
         return self.literal(jax.lax.broadcasted_iota(parameters["dtype"], shape, parameters["dimension"]))
 
     # Reductions
@@ -254,32 +372,44 @@ class Lowering:
     # Control flow
 
     def _cond(self, parameters: Any, kind: Kind, shape: Any, which: Array, *arguments: Array) -> list[Array]:
-        """All branches are computed: they are pure, and few."""
-        index = which.item()
+        """One of two branches runs where all lanes take the same one; else all are computed: they are pure, and few."""
+        index, branches = which.item(), parameters["branches"]
         if index.constant is not None:
-            return self._closed(parameters["branches"][int(index.constant)], arguments)
-        cases = [self._closed(branch, arguments) for branch in parameters["branches"]]
+            return self._closed(branches[int(index.constant)], arguments)
+        if index.uniform and len(branches) == 2:
+            condition = self._graph.operation("boolean", Kind.BOOLEAN, index)
+            found: list[list[Array]] = []
+
+            def body(branch: Any) -> list[Value]:
+                found.append([np.asarray(self.plain(one), object) for one in self._closed(branch, arguments)])
+                return [value for one in found[-1] for value in one.flat]
+
+            chosen = iter(self._graph.branch(condition, [lambda one=one: body(one) for one in reversed(branches)]))
+            return [_array(one.shape, lambda _: next(chosen)) for one in found[0]]
+        cases = [list(map(self.plain, self._closed(branch, arguments))) for branch in branches]
         return [
             self._select_n(None, kind_of_values(results[0]), None, which, *results)
             for results in zip(*cases, strict=True)
         ]
 
+    def plain(self, array: Array) -> Array:
+        """An array of values, in memory or not."""
+        return self.expanded(array) if isinstance(array, Stored) else array
+
     def _scan(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
         count, carries, length = parameters["num_consts"], parameters["num_carry"], parameters["length"]
         body, reverse = parameters["jaxpr"], parameters["reverse"]
-        constants, carry, columns = arguments[:count], arguments[count : count + carries], arguments[count + carries :]
+        constants, columns = arguments[:count], arguments[count + carries :]
+        carry = [self.plain(one) for one in arguments[count : count + carries]]
         if length * _equations(body.jaxpr) <= _UNROLLED or length <= 1:
-            return self._unrolled(body, length, reverse, constants, carry, columns)
-        arrays = [self._graph.array(list(column.reshape(-1))) for column in columns]
+            return self._unrolled(body, length, reverse, constants, carry, list(map(self.plain, columns)))
+        columns = [one if isinstance(one, Stored) else self._stored(one) for one in columns]
         inner: list[Array] = []
 
         def passes(loop: ForLoop) -> list[list[Value]]:
             inner.extend(_array(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry)
-            rows = [
-                self._row(loop, array, begin, column.shape[1:])
-                for (array, begin), column in zip(arrays, columns, strict=True)
-            ]
-            results = self._closed(body, [*constants, *inner, *rows])
+            rows = [self._row(loop, column) for column in columns]
+            results = list(map(self.plain, self._closed(body, [*constants, *inner, *rows])))
             following = [value for one in results[:carries] for value in one.flat]
             for carried, value in zip(loop.carried, following, strict=True):
                 carried.following = value
@@ -289,16 +419,30 @@ class Lowering:
         loop = self._graph.loop(length, passes, reverse=reverse)
         last = iter([self._graph.after(one) for one in loop.carried])
         results = [_array(one.shape, lambda _: next(last)) for one in carry]
-        for array, row in zip(loop.arrays, inner[carries:], strict=True):
-            stored = [self._graph.element(array, None, 0, place, self._graph.scope) for place in range(array.size)]
-            results.append(np.array([*stored, None], object)[:-1].reshape(length, *row.shape))
-        return results
+        rows = inner[carries:]
+        return results + [
+            Stored((length, *row.shape), array.kind, array) for array, row in zip(loop.arrays, rows, strict=True)
+        ]
 
-    def _row(self, loop: ForLoop, array: Any, begin: int, shape: tuple[int, ...]) -> Array:
+    def _stored(self, array: Array) -> Stored:
+        """An array with its values in memory."""
+        stored, begin = self._graph.array(list(array.reshape(-1)))
+        return Stored(array.shape, stored.kind, stored, begin)
+
+    def _row(self, loop: ForLoop, column: Stored) -> Array:
         """The row of an array at the index of a loop."""
-        size = int(np.prod(shape))
-        places = iter(range(begin, begin + size))
-        return _array(shape, lambda _: self._graph.element(array, loop.row, size, next(places), loop.scope))
+        array, shape = column.array, column.shape[1:]
+        size = math.prod(shape)
+        places = iter(range(column.begin, column.begin + size))
+        if array is not None:
+            return _array(shape, lambda _: self._graph.element(array, loop.row, size, next(places), loop.scope))
+        operation, integer = self._graph.operation, Kind.INTEGER
+        start = operation("mul", integer, loop.row, self._graph.constant(size, integer))
+
+        def number(place: int) -> Value:
+            return operation("add", integer, start, self._graph.constant(place, integer))
+
+        return _array(shape, lambda _: operation(column.kind.value, column.kind, number(next(places))))
 
     def _unrolled(
         self, body: Any, length: int, reverse: bool, constants: Any, carry: Sequence[Array], columns: Any
@@ -337,16 +481,6 @@ def _inner(equation: Any) -> Iterator[Any]:
         inner = getattr(value, "jaxpr", value)
         if hasattr(inner, "eqns"):
             yield inner
-
-
-def _known(arrays: Sequence[Any]) -> bool:
-    """Whether all values are constants, or random keys."""
-    return all(one.dtype != object or all(x.constant is not None for x in one.flat) for one in arrays)
-
-
-def _is_key(dtype: Any) -> bool:
-    """Whether arrays of a type are of random keys."""
-    return jnp.issubdtype(dtype, jax.dtypes.extended)
 
 
 def _cannot(equation: Any) -> ExportError:

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from mckibben.codegen.graph import Graph, Kind, Scope, Value
-from mckibben.codegen.lowering import Lowering, kind_of
+from mckibben.codegen.lowering import Lowering, Stored, kind_of
 
 _RESERVED = frozenset(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
@@ -88,6 +88,7 @@ class SourceModule:
             (self.parameters, *arguments.values()),
             inputs,
         )
+        results = jax.tree.map(self._lowering.plain, results, is_leaf=lambda x: isinstance(x, Stored))
         found, values = {}, {}
         for result, tree in results.items():
             leaves = jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, np.ndarray))

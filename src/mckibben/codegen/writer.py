@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mckibben.codegen.graph import ForLoop, Kind, Scope, StoredArray, Value, needed
+from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Value, needed
 
 _LONGEST = 100  # characters of an expression that is not given a name
 _ATOM, _PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
@@ -25,6 +25,8 @@ _INFIX = {
     "and": ("&&", _AND),
     "or": ("||", _OR),
     "xor": ("!=", _COMPARISON),
+    "shift_left": ("<<", _COMPARISON),
+    "shift_right": (">>", _COMPARISON),
 }
 _BITWISE = {"and": "&", "or": "|", "xor": "^"}
 Text = tuple[str, int]
@@ -51,7 +53,7 @@ class Writer:
         self,
         scopes: Sequence[Scope],
         language: Language,
-        results: Sequence[Value],
+        results: Sequence[Value | StoredArray],
         wide: Collection[int] = (),  # identities of values that are in another precision
         wide_language: Language | None = None,
     ) -> None:
@@ -78,6 +80,10 @@ class Writer:
         """Text of a value that has been written."""
         return self._text(value)[0]
 
+    def name_array(self, array: StoredArray, text: str) -> None:
+        """Say that an array is declared elsewhere under a name."""
+        self._arrays[id(array)] = text
+
     def constant(self, value: Value) -> str:
         """Type of the declaration of a value."""
         return self._language(value).constants[value.kind]
@@ -95,6 +101,8 @@ class Writer:
         for statement in scope.statements:
             if isinstance(statement, ForLoop):
                 lines += self._loop(statement, indent)
+            elif isinstance(statement, Branch):
+                lines += self._branch(statement, indent)
             elif id(statement) not in self._needed or id(statement) in self._texts:
                 continue
             elif isinstance(statement, StoredArray):
@@ -123,11 +131,12 @@ class Writer:
             return []
         lines = []
         for array in arrays:
-            lines += self._array(array, None, indent)
+            if id(array) not in self._arrays:
+                lines += self._array(array, None, indent)
         for one in carried:
             self._carried[id(one)] = self._new("x")
-            kind = self.language.types[one.initial.kind]
-            lines.append(f"{indent}{kind} {self._carried[id(one)]} = {self.text(one.initial)};")
+            initial = self.converted(one.initial)
+            lines.append(f"{indent}{self.variable(one.initial.kind)} {self._carried[id(one)]} = {initial};")
         index, inside = self._new("i"), indent + "    "
         self.name(loop.index, index)
         lines.append(
@@ -137,19 +146,49 @@ class Writer:
         for array in arrays:
             for place, element in enumerate(array.elements):
                 at = self._place(loop.row, len(array.elements), place)
-                lines.append(f"{inside}{self._arrays[id(array)]}[{at}] = {self.text(element)};")
+                lines.append(f"{inside}{self.store(array, at, element)};")
         updates = [(self._carried[id(one)], one.following) for one in carried]
         swapped = {}
         for target, following in updates:
             if following.operation == "carried" and self.text(following) != target:
                 swapped[target] = self._new("t")
-                declared = f"{self.language.constants[following.kind]} {swapped[target]}"
-                lines.append(f"{inside}{declared} = {self.text(following)};")
+                lines.append(f"{inside}{self.variable(following.kind)} {swapped[target]} = {self.text(following)};")
         for target, following in updates:
-            text = swapped.get(target, self.text(following))
+            text = swapped.get(target, self.converted(following))
             if text != target:
                 lines.append(f"{inside}{target} = {text};")
         return [*lines, f"{indent}}}"]
+
+    def _branch(self, branch: Branch, indent: str) -> list[str]:
+        chosen = [one for one in branch.chosen if id(one) in self._needed]
+        if not chosen:
+            return []
+        lines = []
+        for one in chosen:
+            self.name(one, self._new("y"))
+            lines.append(f"{indent}{self.variable(one.kind)} {self.text(one)};")
+        for head, scope, values in zip(("if ({}) {{", "}} else {{"), branch.scopes, branch.values, strict=True):
+            lines.append(indent + head.format(self.text(branch.condition)))
+            lines += self.scope(scope, indent + "    ")
+            for one in chosen:
+                lines.append(f"{indent}    {self.text(one)} = {self.converted(values[one.data[1]])};")
+        return [*lines, f"{indent}}}"]
+
+    def variable(self, kind: Kind) -> str:
+        """Type of the declaration of what changes."""
+        return self.language.types[kind]
+
+    def converted(self, value: Value) -> str:
+        """Text of a value as it is assigned to a variable."""
+        return self.text(value)
+
+    def store(self, array: StoredArray, place: str, value: Value) -> str:
+        """Text of the assignment to an element of an array."""
+        return f"{self._arrays[id(array)]}[{place}] = {self.text(value)}"
+
+    def element(self, array: StoredArray, place: str) -> str:
+        """Text of an element of an array."""
+        return f"{self._arrays[id(array)]}[{place}]"
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
         name = self._arrays[id(array)] = self._new("a")
@@ -176,12 +215,14 @@ class Writer:
         return literal, _PREFIX if literal.startswith("-") else _ATOM
 
     def _expression(self, value: Value) -> Text:
-        """Text of an operation, from those of its arguments."""
+        """Text of an operation, from those of its arguments, or of an element."""
+        if value.operation == "element":
+            place = self._place(value.arguments[0] if value.arguments else None, value.data.stride, value.data.offset)
+            return self.element(value.data.array, place), _ATOM
+        return self._operation(value)
+
+    def _operation(self, value: Value) -> Text:
         name, kind, arguments = value.operation, value.kind, value.arguments
-        if name == "element":
-            row = arguments[0] if arguments else None
-            place = self._place(row, value.data.stride, value.data.offset)
-            return f"{self._arrays[id(value.data.array)]}[{place}]", _ATOM
         texts = [self._argument(value, one) for one in arguments]
         if name == "select":
             condition, yes, no = texts
@@ -230,6 +271,14 @@ class Writer:
                         self._use(array.elements, statement.scope)
                 self._use([statement.row] * 2, statement.scope)
                 self._count(statement.scope)
+            elif isinstance(statement, Branch):
+                if id(statement) in self._needed:
+                    self._use([statement.condition], scope)
+                for inside, values in zip(statement.scopes, statement.values, strict=True):
+                    for one in statement.chosen:
+                        if id(one) in self._needed:
+                            self._use([values[one.data[1]]] * 2, inside)
+                    self._count(inside)
             elif id(statement) in self._needed:
                 values = statement.elements if isinstance(statement, StoredArray) else statement.arguments
                 self._use(values, statement.scope if isinstance(statement, Value) else scope)

@@ -15,7 +15,8 @@ import os
 import pickle
 import stat
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -48,21 +49,43 @@ class FingerprintError(ValueError):
     """A value has no fingerprint that holds in other processes."""
 
 
+def program_path(folder: Path, function: Callable[..., Any], static: Sequence[Any], *rest: Any) -> Path | None:
+    """File of a program in `folder`; None without fingerprint or trusted folder."""
+    try:
+        words = [code_fingerprint(function), *map(fingerprint, static)]
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except (FingerprintError, OSError):
+        return None
+    if not _is_private(folder.lstat(), stat.S_ISDIR):
+        return None
+    text = "\n".join([*words, repr(rest), _environment()])
+    return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:40]}.program"
+
+
+def read_program(path: Path) -> bytes | None:
+    """Content of a program's file; None if it is missing, damaged or not private."""
+    try:
+        return _read(path)
+    except (OSError, ValueError):
+        return None
+
+
+def write_program(path: Path, content: bytes) -> None:
+    """Store a program, but where our sources were edited since they were imported, or nothing can be stored."""
+    if _source_files() == _SOURCE:
+        with suppress(OSError):
+            _write(path, content)
+
+
 def load_or_compile(
     folder: Path, jitted: Any, arrays: list[Any], function: Callable[..., Any], structure: Any, static: Any, *rest: Any
 ) -> Callable[..., Any]:
     """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder."""
     from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
-    try:
-        words = [code_fingerprint(function), structure_fingerprint(structure), *map(fingerprint, static)]
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except (FingerprintError, OSError):
+    path = program_path(folder, function, (structure, *static), *rest)
+    if path is None:
         return jitted
-    if not _is_private(folder.lstat(), stat.S_ISDIR):
-        return jitted
-    text = "\n".join([*words, repr(rest), _environment()])
-    path = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:40]}.program"
     given = jax.tree.structure((tuple(arrays), {}))
     try:
         payload, answer = pickle.loads(_read(path))
@@ -155,6 +178,8 @@ def structure_fingerprint(structure: Any) -> str:
 
 def fingerprint(value: Any) -> str:
     """Text of a static value that no other value has; raises `FingerprintError` where there is none."""
+    if isinstance(value, jax.tree_util.PyTreeDef):
+        return structure_fingerprint(value)
     if isinstance(value, type | FunctionType):
         return code_fingerprint(value)
     if isinstance(value, _PLAIN):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,15 +14,17 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.codegen.native import NativeFunction
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ParameterError, SimulationError
+from mckibben.errors import ExportError, ParameterError, SimulationError
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import streaming_episode
-from mckibben.simulation.metrics import Metrics, Trajectory, last_change
+from mckibben.simulation.engine import check_engine
+from mckibben.simulation.loop import Streamed, streaming_episode
+from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -113,6 +115,7 @@ def simulate_many(
     precision: Any = 64,
     chunk: int | None = None,
     workers: int | None = None,
+    engine: str = "auto",
     progress: Progress | None = None,
 ) -> Batch:
     """Run a controller on a plant many times; the numbers are those of `simulate` one by one.
@@ -137,6 +140,9 @@ def simulate_many(
         sizes agree to 1e-12; they do not depend on the number of runs or workers.
     workers
         Threads; one per core unless given.
+    engine
+        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", the first where it can be used.
+        The attribute ``engine`` of the table says which one it was. Their numbers differ by rounding.
     progress
         Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
@@ -172,8 +178,18 @@ def simulate_many(
     size = _chunk_size(chunk, count, cores() if workers is None else _check_count("workers", workers))
     period = jnp.asarray(control_period, float)
 
+    chosen = check_engine(engine, asked.precision)
+    if chosen == "native":
+        try:
+            _native_chunk(pad_chunk(lanes, slice(1), size), shared, times, period, asked)
+        except ExportError:
+            if engine == "native":
+                raise
+            chosen = "xla"
+
     def compute(piece: slice) -> dict[str, NDArray]:
-        answer = _chunk(pad_chunk(lanes, piece, size), shared, times, period, asked)
+        parts = pad_chunk(lanes, piece, size), shared, times, period, asked
+        answer = _native_chunk(*parts)() if chosen == "native" else _chunk(*parts)
         return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}
 
     progress = progress or notebook_progress()
@@ -183,7 +199,8 @@ def simulate_many(
         if progress:
             progress(f"{piece.stop} of {count} runs", piece.stop / count)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Batch(_table(columns, over or {}, times[::stride], asked))
+    table = _table(columns, over or {}, times[::stride], asked)
+    return Batch(table.assign_attrs(engine=chosen))
 
 
 class _Asked(NamedTuple):
@@ -196,6 +213,40 @@ class _Asked(NamedTuple):
     precision: str
 
 
+class _Beginnings(NamedTuple):
+    """What is known of runs before they begin; setpoints and changes are shared where the reference is."""
+
+    setpoints: Setpoint  # with runs along the last axis: a row is what one control period needs
+    changes: Change
+    starts: PlantState
+    exist: Array
+    split: Array | None  # first control period that needs the run without the last change
+
+
+def _begin(
+    lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64] | Array, asked: _Asked
+) -> _Beginnings:
+    """The beginnings of a chunk of runs."""
+
+    def of(lane: SimulationProblem) -> Setpoint:
+        return sample_reference(eqx.combine(lane, shared).reference, times)
+
+    if jax.tree.leaves(lanes.reference):
+        axis, setpoints = 1, jax.vmap(of, out_axes=1)(lanes)
+        changes = jax.vmap(last_change, in_axes=1)(setpoints.stiffness)
+    else:
+        axis, setpoints = None, sample_reference(shared.reference, times)
+        changes = last_change(setpoints.stiffness)
+    starts, exist = jax.vmap(lambda lane, setpoints: eqx.combine(lane, shared).start(setpoints), (0, axis))(
+        lanes, setpoints
+    )
+    first = jnp.min(jnp.where(changes.ends, changes.at, jnp.size(times)))
+    return _Beginnings(setpoints, changes, starts, exist, first if "coupling" in asked.metrics else None)
+
+
+_begun = compiled_batch(_begin)
+
+
 @compiled_batch
 def _chunk(
     lanes: SimulationProblem,
@@ -205,41 +256,65 @@ def _chunk(
     asked: _Asked,
 ) -> dict[str, Array]:
     """Metrics, columns for the outcomes and kept trajectories of a chunk of runs, by name."""
-
-    def problem_of(lane: SimulationProblem) -> SimulationProblem:
-        return eqx.combine(lane, shared)
-
-    # Setpoints with runs along the last axis: a row is what one control period needs.
-    is_shared = not jax.tree.leaves(lanes.reference)
-    setpoints = (
-        sample_reference(shared.reference, times)
-        if is_shared
-        else jax.vmap(lambda lane: sample_reference(problem_of(lane).reference, times), out_axes=1)(lanes)
-    )
-    axis = None if is_shared else 1
-    split = None
-    if "coupling" in asked.metrics:
-        stiffness = setpoints.stiffness
-        change = last_change(stiffness) if is_shared else jax.vmap(last_change, in_axes=1)(stiffness)
-        split = jnp.min(jnp.where(change.ends, change.at, jnp.size(times)))
+    begun = _begin(lanes, shared, times, asked)
     precision = jnp.dtype(asked.precision)
+    axis = 1 if jax.tree.leaves(lanes.reference) else None
 
-    def run(lane: SimulationProblem, setpoints: Setpoint) -> dict[str, Array]:
-        problem = problem_of(lane)
-        start, exists = problem.start(setpoints)
-        change = cast(last_change(setpoints.stiffness), precision)
+    def run(lane: SimulationProblem, setpoints: Setpoint, change: Change, start: PlantState, exists: Array) -> Any:
+        problem = eqx.combine(lane, shared)
+        change = cast(change, precision)
         parts = cast((problem.plant, problem.controller, setpoints, start, period), precision)
         with batched_program():
             streamed = streaming_episode(
-                *parts, asked.substeps, change=change, split=split, keep=asked.keep, every=asked.stride
+                *parts, asked.substeps, change=change, split=begun.split, keep=asked.keep, every=asked.stride
             )
-        metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
-        deciding = {f"_{name}": metrics[name] for name in _DECIDING}
-        span = jnp.max(setpoints.angle) - jnp.min(setpoints.angle)
-        deciding |= {"_started": exists, "_angle_at_end": streamed.angle_at_end, "_span": span}
-        return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
+        return _columns(streamed, exists, asked)
 
-    return jax.vmap(run, in_axes=(0, axis))(lanes, setpoints)
+    columns = jax.vmap(run, (0, axis, axis and 0, 0, 0))(
+        lanes, begun.setpoints, begun.changes, begun.starts, begun.exist
+    )
+    return {**columns, "_span": _span(begun.setpoints, lanes)}
+
+
+def _columns(streamed: Streamed, exists: Array, asked: _Asked) -> dict[str, Array]:
+    """Columns of one run, but for the span of its reference."""
+    metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
+    deciding = {f"_{name}": metrics[name] for name in _DECIDING}
+    deciding |= {"_started": exists, "_angle_at_end": streamed.angle_at_end}
+    return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
+
+
+def _span(setpoints: Setpoint, lanes: SimulationProblem) -> Array:
+    """How far the desired angle of each run moves."""
+    span = jnp.max(setpoints.angle, axis=0) - jnp.min(setpoints.angle, axis=0)
+    return jnp.broadcast_to(span, np.shape(jax.tree.leaves(lanes)[0])[:1])
+
+
+@NativeFunction
+def _native_run(shared: Any, lane: Any) -> dict[str, Array]:
+    """Columns of one run."""
+    problem, begun, period, asked = shared
+    own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
+    parts = own.plant, own.controller, begun.setpoints, begun.starts, period
+    streamed = streaming_episode(
+        *parts, asked.substeps, change=begun.changes, split=begun.split, keep=asked.keep, every=asked.stride
+    )
+    return _columns(streamed, begun.exist, asked)
+
+
+def _native_chunk(
+    lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64], period: Array, asked: _Asked
+) -> Callable[[], dict[str, NDArray]]:
+    """`_chunk` by the C compiler of the machine, compiled; `ExportError` where it cannot be."""
+    begun = _begun(lanes, shared, times, asked)
+    each = bool(jax.tree.leaves(lanes.reference))
+    spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
+    of_each, of_all = eqx.partition(begun, spec)
+    unused: Any = {"reference": None, "initial": None}
+    varying = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), lanes._replace(**unused))
+    run = _native_run.compiled((shared._replace(**unused), of_all, period, asked), (varying, of_each))
+    span = np.asarray(_span(begun.setpoints, lanes))
+    return lambda: {name: np.moveaxis(values, -1, 0) for name, values in run().items()} | {"_span": span}
 
 
 _DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated")

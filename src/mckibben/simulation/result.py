@@ -192,15 +192,21 @@ class Result:
 
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty.
+    `scenario` the text of the scenario, or empty, and `engine` what computed it, "native" or "xla", or empty.
     """
 
     def __init__(
-        self, columns: Mapping[str, Any], control_period: float, outcome: Outcome | None = None, scenario: str = ""
+        self,
+        columns: Mapping[str, Any],
+        control_period: float,
+        outcome: Outcome | None = None,
+        scenario: str = "",
+        engine: str = "",
     ) -> None:
         self.columns = columns
         self.control_period = control_period
         self.scenario = scenario
+        self.engine = engine
         if outcome is not None:
             self.outcome = outcome
 
@@ -287,7 +293,12 @@ class Result:
         return xr.Dataset(
             {name: ("time", value, attributes(name)) for name, value in self.columns.items()},
             coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
-            attrs={"control_period": self.control_period, "scenario": self.scenario, "outcome": self.outcome.name},
+            attrs={
+                "control_period": self.control_period,
+                "scenario": self.scenario,
+                "outcome": self.outcome.name,
+                "engine": self.engine,
+            },
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
@@ -323,7 +334,8 @@ class Result:
         if problems:
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
-        return cls(values, float(period), Outcome[outcome], str(table.attrs.get("scenario", "")))
+        texts = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
+        return cls(values, float(period), Outcome[outcome], *texts)
 
 
 def _outside(columns: Mapping[str, np.ndarray]) -> str:

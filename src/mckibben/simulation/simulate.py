@@ -22,7 +22,8 @@ from mckibben.numerics.batching import cast, named_leaves
 from mckibben.numerics.compiled import compiled, compiled_batch, numeric
 from mckibben.plant import AirValve, JointPlant, PlantState
 from mckibben.plant.air_valve import AirState
-from mckibben.simulation.loop import Record, compiled_episode
+from mckibben.simulation.engine import check_engine, run_alone
+from mckibben.simulation.loop import Record
 from mckibben.simulation.metrics import Trajectory, compiled_trajectory
 from mckibben.simulation.problem import (
     AtRest,
@@ -143,6 +144,7 @@ def simulate(
     substeps: int = 4,
     initial: PlantState | AtRest | None = None,
     precision: Any = 64,
+    engine: str = "auto",
     scenario: str = "",
 ) -> Result:
     """Run a controller on a plant.
@@ -163,6 +165,9 @@ def simulate(
         The initial state, or `AtRest`; at rest at the first desired angle, at mid co-contraction, unless given.
     precision
         Bits of the floats in the run: 64, or 32 for half the time and some 6 digits.
+    engine
+        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", the first where it can be used.
+        The result's `engine` says which one it was. Their numbers differ by rounding.
     scenario
         Text to store with the result.
 
@@ -188,6 +193,7 @@ def simulate(
         substeps=substeps,
         initial=initial,
         precision=precision,
+        engine=engine,
         scenario=scenario,
     )
     if not feasibility.feasible:
@@ -205,11 +211,13 @@ def checked_run(
     substeps: int,
     initial: PlantState | AtRest | None,
     precision: Any = 64,
+    engine: str = "auto",
     scenario: str,
 ) -> CheckedRun:
     """`simulate`, with the feasibility of the reference returned instead of warned of."""
     times = sampling_times(duration, control_period, substeps)
     kind = float_type(precision)
+    check_engine(engine, kind)
     lanes, problem, _ = split_problem(plant, controller, reference, initial, {}, control_period)
     if lanes is not None:
         varying = ", ".join(named_leaves(lanes._asdict()))
@@ -220,7 +228,7 @@ def checked_run(
     if kind != np.float64:
         parts = cast(parts, kind)
     band = dict(zip(BAND, checked.band, strict=True))
-    result = _episode_result(*parts, control_period, substeps, known=band, scenario=scenario)  # computes meanwhile
+    result = _episode_result(*parts, control_period, substeps, engine=engine, known=band, scenario=scenario)
     if not checked.exists:
         _raise_why(plant, initial, float(checked.setpoints.angle[0]))
     check_substeps(plant, checked.setpoints.angle, checked.setpoints.stiffness, control_period, substeps)
@@ -252,16 +260,17 @@ def _episode_result(
     control_period: float,
     substeps: int,
     *,
+    engine: str = "auto",
     known: Mapping[str, Any] = MappingProxyType({}),
     scenario: str = "",
 ) -> Result:
     """Result of an episode of `numeric` parts; much is computed when it is first asked for."""
     period = np.asarray(control_period, setpoints.angle.dtype)
 
-    def run(setpoints: Setpoint) -> Record:
-        return compiled_episode(plant, controller, setpoints, start, period, substeps)[1]
+    def run(setpoints: Setpoint) -> tuple[Record, str]:
+        return run_alone(engine, plant, controller, setpoints, start, period, substeps)
 
-    record = run(setpoints)
+    record, used = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)
     if isinstance(plant.valve, AirValve) and isinstance(state.air, AirState):
         telemetry |= plant.valve.telemetry(state.air, (record.command1, record.command2), state.pressures)
@@ -282,7 +291,7 @@ def _episode_result(
 
     def without_step() -> dict[str, Array]:
         constant = without_last_change(setpoints)
-        return {"angle_without_step": state.angle if constant is None else run(constant).state.angle}
+        return {"angle_without_step": state.angle if constant is None else run(constant)[0].state.angle}
 
     def derived() -> dict[str, Array]:
         moved = compiled_trajectory(plant, setpoints, record, state.angle, controller.stiffness_amplitude)._asdict()
@@ -298,7 +307,7 @@ def _episode_result(
         ),
     ]
     names = (*Trajectory._fields, *known, *telemetry)
-    return Result(Columns(names, immediate, computed), control_period, scenario=scenario)
+    return Result(Columns(names, immediate, computed), control_period, scenario=scenario, engine=used)
 
 
 class _Checked(NamedTuple):

@@ -1,0 +1,247 @@
+"""Functions compiled by the C compiler of the machine: of one run, or of many runs side by side."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import pickle
+import platform
+import shutil
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from mckibben.codegen.graph import Graph, Kind, StoredArray, Value
+from mckibben.codegen.languages import c_language
+from mckibben.codegen.lowering import Lowering, Stored, kind_of
+from mckibben.codegen.vectors import PRELUDE, SUFFIX, WIDTH, VectorWriter
+from mckibben.codegen.writer import Writer
+from mckibben.errors import ExportError
+from mckibben.numerics.program_cache import ARRAY, program_path, read_program, write_program
+from mckibben.numerics.runtime import programs_folder
+
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fwrapv", "-w", "-shared", "-fPIC")
+_WIDE = ("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()
+_TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
+_DTYPES = {Kind.REAL: np.float64, Kind.INTEGER: np.int64, Kind.BOOLEAN: np.int64}
+
+
+@functools.cache
+def compiler() -> str | None:
+    """Path of a C compiler; None if there is none."""
+    return shutil.which(os.environ.get("CC", "cc"))
+
+
+class NativeFunction:
+    """A pure function of two trees, shared by all runs and of one run each, compiled as C; without runs, of one.
+
+    Arrays of the second tree have the runs along their last axis, as the results do; what is no array is static.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._known: dict[Any, _Compiled] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, shared: Any, lanes: Any = None) -> Any:
+        return self.compiled(shared, lanes)()
+
+    def compiled(self, shared: Any, lanes: Any = None) -> Callable[[], Any]:
+        """What computes the results for these arguments; raises `ExportError` where it cannot be compiled."""
+        trees = _Split.of(shared), _Split.of(lanes, lanes=True)
+        key = tuple(one.key for one in trees)
+        with self._lock:
+            if key not in self._known:
+                self._known[key] = self._compiled(*trees)
+        return functools.partial(self._known[key], trees[0].arrays, trees[1].arrays)
+
+    def _compiled(self, shared: _Split, lanes: _Split) -> _Compiled:
+        """From the program cache, or compiled."""
+        folder, path = programs_folder(), None
+        if folder is not None:
+            path = program_path(folder, self._function, (shared.key, lanes.key), _compiler_state(), "native")
+        if path is not None and (content := read_program(path)) is not None:
+            library, leaves, tree = pickle.loads(content)
+            return _Compiled(load_library(library), leaves, jax.tree.structure(tree))
+
+        def function(given: Sequence[Any], varying: Sequence[Any]) -> Any:
+            return self._function(shared.filled(given), lanes.filled(varying))
+
+        varying = [x[..., 0] for x in lanes.arrays]
+        source, leaves, tree = write_native(function, shared.arrays, varying)
+        library = compile_library(source)
+        if path is not None:
+            write_program(path, pickle.dumps((library, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
+        return _Compiled(load_library(library), leaves, tree)
+
+
+@dataclass(frozen=True)
+class _Split:
+    """Leaves of a tree, those that are arrays apart."""
+
+    structure: Any
+    static: tuple[Any, ...]  # `ARRAY` in place of arrays
+    arrays: list[Any]
+
+    lanes: bool
+
+    @classmethod
+    def of(cls, tree: Any, *, lanes: bool = False) -> _Split:
+        leaves, structure = jax.tree.flatten(tree)
+        is_array = [isinstance(leaf, jax.Array | np.ndarray | np.generic) for leaf in leaves]
+        static = tuple(ARRAY if here else leaf for leaf, here in zip(leaves, is_array, strict=True))
+        arrays = [np.asarray(leaf) for leaf, here in zip(leaves, is_array, strict=True) if here]
+        return cls(structure, static, arrays, lanes)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What a program is compiled for, whatever the number of runs."""
+        kinds = tuple((x.shape[:-1] if self.lanes else x.shape, x.dtype.str) for x in self.arrays)
+        return self.structure, self.static, tuple(map(type, self.static)), kinds
+
+    def filled(self, arrays: Sequence[Any]) -> Any:
+        """The tree with other arrays."""
+        rest = iter(arrays)
+        return jax.tree.unflatten(self.structure, [next(rest) if leaf is ARRAY else leaf for leaf in self.static])
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """A library, and shapes, types and tree of its results."""
+
+    run: Any
+    leaves: list[tuple[tuple[int, ...], str]]
+    tree: Any
+
+    def __call__(self, given: Sequence[Any], varying: Sequence[Any]) -> Any:
+        """Results of all runs."""
+        count = varying[0].shape[-1] if varying else 1
+        size = -(-count // WIDTH) * WIDTH if varying else 1
+        inputs = [_input(x) for x in given] + [_padded(_input(x), size) for x in varying]
+        outputs = [np.empty((*shape, size), _DTYPES[kind_of(np.dtype(kind))]) for shape, kind in self.leaves]
+        pointers = [(ctypes.c_void_p * len(xs))(*(x.ctypes.data for x in xs)) for xs in (inputs, outputs)]
+        self.run(*pointers, size, 0, size)
+        here = (..., slice(count)) if varying else (..., 0)
+        values = [out[here].astype(kind, copy=False) for out, (_, kind) in zip(outputs, self.leaves, strict=True)]
+        return jax.tree.unflatten(self.tree, values)
+
+
+def write_native(function: Callable[..., Any], given: Sequence[Any], varying: Sequence[Any]) -> Any:
+    """C source of a function of arrays; descriptions and tree of its results."""
+    graph = Graph(lanes=bool(varying))
+    lowering = Lowering(graph)
+    graph.scope = graph.root.inner()
+    heads, inputs, arrays = [], [], []
+    for place, (x, uniform) in enumerate([*((x, True) for x in given), *((x, False) for x in varying)]):
+        kind, name = kind_of(x.dtype), f"in{place}"
+        heads.append(f"    const {_TYPES[kind]} *{name} = in[{place}];")
+        if x.shape:
+            array = StoredArray(kind, x.size, [], name=name, uniform=uniform)
+            arrays.append(array)
+            inputs.append(Stored(x.shape, kind, array))
+        else:
+            value = np.empty((), object)
+            value[()] = graph.input(name, kind, uniform=uniform)
+            inputs.append(value)
+    shape = jax.eval_shape(function, given, varying)
+    results = jax.tree.leaves(
+        lowering.function(function, (given, varying), inputs), is_leaf=lambda x: isinstance(x, Stored)
+    )
+    values: list[Any] = []
+    for one in results:
+        values += [one.array] if isinstance(one, Stored) else list(one.flat)
+    writer = VectorWriter([graph.scope], values) if varying else Writer([graph.scope], c_language(), values)
+    for array in arrays:
+        writer.name_array(array, array.name)
+    for place, one in enumerate(results):
+        if isinstance(one, Stored):
+            if one.array is None or one.array.loop is None or one.begin or one.array.size != one.size:
+                raise ExportError("a result is an input")
+            writer.name_array(one.array, f"out{place}")
+    lines = []
+    for value in graph.scope.statements:
+        if isinstance(value, Value) and value.operation == "input" and writer.is_needed(value):
+            load_one = f"{value.data}[0]"
+            if not value.uniform:
+                load_one = f"load{SUFFIX[value.kind]}(&{value.data}[b])"
+            text = f"p{value.data}"
+            writer.name(value, text)
+            lines.append(f"        {writer.constant(value)} {text} = {load_one};")
+    lines += writer.scope(graph.scope, "        ")
+    for place, one in enumerate(results):
+        if not isinstance(one, Stored):
+            array = StoredArray(one.flat[0].kind, one.size, [], name=f"out{place}", uniform=not varying)
+            writer.name_array(array, f"out{place}")
+            lines += [f"        {writer.store(array, str(at), value)};" for at, value in enumerate(one.flat)]
+    leaves = jax.tree.leaves(shape)
+    heads += [f"    {_TYPES[kind_of(one.dtype)]} *out{n} = out[{n}];" for n, one in enumerate(leaves)]
+    prelude = (
+        PRELUDE if varying else "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
+    )
+    step = "W" if varying else "1"
+    text = [
+        prelude,
+        *sorted(writer.helpers),
+        "void run(const void *const *in, void *const *out, int64_t lanes, int64_t first, int64_t last)\n{",
+        *heads,
+        f"    for (int64_t b = first; b < last; b += {step}) {{",
+        *lines,
+        "    }\n}\n",
+    ]
+    return "\n".join(text), [(one.shape, one.dtype.str) for one in leaves], jax.tree.structure(shape)
+
+
+def compile_library(source: str) -> bytes:
+    """Shared library of a source; raises `ExportError` where it cannot be compiled."""
+    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *_WIDE, "source.c", "-o", "library.so", "-lm"]
+    with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
+        Path(folder, "source.c").write_text(source, encoding="utf-8")
+        try:
+            subprocess.run(command, cwd=folder, check=True, capture_output=True, stdin=subprocess.DEVNULL)
+            return Path(folder, "library.so").read_bytes()
+        except (OSError, subprocess.CalledProcessError) as error:
+            reason = getattr(error, "stderr", b"").decode(errors="replace").splitlines()[:1]
+            raise ExportError(
+                f"{command[0]} does not compile the program: {' '.join(reason) or error}",
+                remedy="use engine='xla', or another compiler by the environment variable CC",
+            ) from error
+
+
+def load_library(library: bytes) -> Any:
+    """The function of a shared library."""
+    file = os.memfd_create("mckibben") if hasattr(os, "memfd_create") else tempfile.mkstemp(suffix=".so")[0]
+    with os.fdopen(file, "wb", closefd=False) as stream:
+        stream.write(library)
+    run = ctypes.CDLL(f"/proc/self/fd/{file}" if hasattr(os, "memfd_create") else f"/dev/fd/{file}").run
+    run.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64]
+    run.restype = None
+    os.close(file)
+    return run
+
+
+@functools.cache
+def _compiler_state() -> str:
+    """What tells one compiler from another."""
+    name = compiler()
+    if name is None:
+        return ""
+    status = Path(name).resolve().stat()
+    return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {_FLAGS} {_WIDE}"
+
+
+def _input(x: Any) -> Any:
+    return np.ascontiguousarray(x, _DTYPES[kind_of(x.dtype)])
+
+
+def _padded(x: Any, size: int) -> Any:
+    """Lanes filled up with the last one."""
+    short = size - x.shape[-1]
+    return np.ascontiguousarray(np.concatenate([x, np.repeat(x[..., -1:], short, axis=-1)], axis=-1)) if short else x
