@@ -40,9 +40,15 @@ def test_functions_loops_and_arrays():
         last, rows = lax.scan(body, x, jnp.linspace(-1.0, 1.0, 200))
         polynomial = jnp.dot(parameters["table"], jnp.array([1.0, x, x * x])) * parameters["gain"]
         number = count // 3 + lax.rem(count, 3)
+        passes, halved = lax.while_loop(
+            lambda carry: (carry[1] > x * x * 1e-3) & (carry[0] < 40),
+            lambda carry: (carry[0] + 1, carry[1] * (0.5 + 0.01 * x)),
+            (0, jnp.asarray(3.0)),
+        )
         state = {"sum": state["sum"] + polynomial, "number": state["number"] + 1, "even": ~state["even"]}
         rest = jnp.stack([jnp.arctan2(last, x), jnp.sign(x), jnp.clip(x, -0.2, 0.2), jnp.sinh(x), jnp.fmod(x, 0.3)])
-        return {"state": state, "results": {"last": last, "rows": rows[::50], "rest": rest, "number": number}}
+        results = {"last": last, "rows": rows[::50], "rest": rest, "number": number, "passes": passes, "halved": halved}
+        return {"state": state, "results": results}
 
     state = {"sum": np.asarray(0.0), "number": np.asarray(0), "even": np.asarray(False)}
     arguments = {"state": state, "x": np.asarray(0.0), "count": np.asarray(0)}
@@ -102,3 +108,11 @@ def test_nothing_is_written_for_numbers_of_32_bits(tmp_path):
         export(Scenario.read("examples/pre-contracted-step-pid.yaml"), "js", tmp_path / "out", single=True)
     assert caught.value.field == "single"
     assert not (tmp_path / "out").exists()
+
+
+def test_operations_on_bits_are_refused():
+    module = SourceModule("example", {})
+    module.add("mix", "bits", lambda _, count: {"mixed": count ^ (count << 3)}, {"count": np.asarray(0)})
+    with pytest.raises(ExportError) as caught:
+        write_js(module)
+    assert caught.value.field == "shift_left"

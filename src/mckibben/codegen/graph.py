@@ -68,7 +68,7 @@ class Carried:
 
 @dataclass(eq=False, slots=True)
 class ForLoop:
-    """A loop with a fixed number of passes; `index` counts them."""
+    """A loop; `index` counts its passes."""
 
     scope: Scope
     length: int
@@ -76,6 +76,7 @@ class ForLoop:
     row: Any = None  # of its arrays: the index, or from the last on
     carried: list[Carried] = field(default_factory=list)
     arrays: list[StoredArray] = field(default_factory=list)  # in which it stores a row each pass
+    going: Carried | None = None  # whether there is a further pass, in place of a fixed number
 
 
 @dataclass(eq=False, slots=True)
@@ -339,6 +340,9 @@ def needed(results: Sequence[Value | StoredArray]) -> set[int]:
             continue
         found.add(id(one))
         if isinstance(one, ForLoop):
+            if one.going is not None:
+                found.add(id(one.going))
+                waiting += [one.going.initial, one.going.following]
             continue
         if isinstance(one, StoredArray):
             waiting += one.elements if one.loop is None else [*one.elements, one.loop, one.loop.row]

@@ -9,6 +9,7 @@ from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import JAVASCRIPT
 from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, inputs_of, is_scalar
 from mckibben.codegen.writer import Text, Writer
+from mckibben.errors import ExportError
 
 
 def write_js(module: SourceModule, comment: str = "") -> str:
@@ -35,10 +36,16 @@ def write_js(module: SourceModule, comment: str = "") -> str:
     )
 
 
+_BITS = {"and", "or", "xor", "shift_left", "shift_right", "bits", "from_bits", "from_bits_32", "single"}
+
+
 class _Writer(Writer):
-    """Writes integer divisions, which JavaScript has no operator for."""
+    """Writes integer divisions, which JavaScript has no operator for; it has no integers of 64 bits either."""
 
     def _expression(self, value: Value) -> Text:
+        if value.operation in _BITS and value.kind is not Kind.BOOLEAN:
+            name = value.operation
+            raise ExportError(f"{name} is for integers of 64 bits", field=name, remedy="write it in C")
         text, strength = super()._expression(value)
         if value.operation == "div" and value.kind is Kind.INTEGER:
             return f"Math.trunc({text})", strength + 10

@@ -424,6 +424,37 @@ class Lowering:
             Stored((length, *row.shape), array.kind, array) for array, row in zip(loop.arrays, rows, strict=True)
         ]
 
+    def _while(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array] | None:
+        """A loop until a condition fails; not for lanes, which fail it in different passes."""
+        if self._graph.lanes:
+            return None
+        outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
+        given, constants = arguments[:outside], arguments[outside : outside + inside]
+        carry = list(map(self.plain, arguments[outside + inside :]))
+
+        def condition(values: Sequence[Array]) -> Value:
+            return self._closed(parameters["cond_jaxpr"], [*given, *values])[0].item()
+
+        first = condition(carry)
+
+        def passes(loop: ForLoop) -> list[list[Value]]:
+            inner = [_array(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry]
+            results = list(map(self.plain, self._closed(parameters["body_jaxpr"], [*constants, *inner])))
+            self._graph.carry(loop, first)
+            loop.going = loop.carried[-1]
+            following = [value for one in results for value in one.flat]
+            for carried, value in zip(loop.carried, [*following, condition(results)], strict=True):
+                carried.following = value
+            return []
+
+        last = iter([self._graph.after(one) for one in self._graph.loop(0, passes).carried])
+        return [_array(one.shape, lambda _: next(last)) for one in carry]
+
+    def _custom_linear_solve(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
+        counts = parameters["const_lengths"]
+        before, end = counts.matvec + counts.vecmat, sum(counts)
+        return self._closed(parameters["jaxprs"].solve, [*arguments[before : before + counts.solve], *arguments[end:]])
+
     def _stored(self, array: Array) -> Stored:
         """An array with its values in memory."""
         stored, begin = self._graph.array(list(array.reshape(-1)))
