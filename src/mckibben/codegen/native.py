@@ -217,13 +217,12 @@ def compile_library(source: str) -> bytes:
 
 def load_library(library: bytes) -> Any:
     """The function of a shared library."""
-    file = os.memfd_create("mckibben") if hasattr(os, "memfd_create") else tempfile.mkstemp(suffix=".so")[0]
-    with os.fdopen(file, "wb", closefd=False) as stream:
-        stream.write(library)
-    run = ctypes.CDLL(f"/proc/self/fd/{file}" if hasattr(os, "memfd_create") else f"/dev/fd/{file}").run
+    with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:  # of this user alone, with a name of its own
+        path = Path(folder, "library.so")
+        path.write_bytes(library)
+        run = ctypes.CDLL(str(path)).run
     run.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64]
     run.restype = None
-    os.close(file)
     return run
 
 
