@@ -15,6 +15,7 @@ from jax.extend import core
 
 from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
+from mckibben.codegen.shapes import ShapeRules
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
@@ -89,7 +90,7 @@ _FOR_LANES = {"tanh": _tanh, "exp": elementary.exp, "sin": elementary.sin, "cos"
 """Polynomials in place of calls of the libraries, which have no vectors."""
 
 
-class Lowering:
+class Lowering(ShapeRules):
     """Adds the equations of jaxprs to a graph."""
 
     def __init__(self, graph: Graph) -> None:
@@ -284,48 +285,10 @@ class Lowering:
 
     # Shapes
 
-    def _broadcast_in_dim(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        axes = [1] * len(shape)
-        for axis, size in zip(parameters["broadcast_dimensions"], x.shape, strict=True):
-            axes[axis] = size
-        return np.broadcast_to(x.reshape(axes), shape)
-
     def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
 
     _squeeze = _expand_dims = _reshape
-
-    def _transpose(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return x.transpose(parameters["permutation"])
-
-    def _rev(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return np.flip(x, parameters["dimensions"])
-
-    def _concatenate(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
-        return np.concatenate(arrays, parameters["dimension"])
-
-    def _stack(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
-        return np.stack(arrays, parameters.get("axis", 0))
-
-    def _split(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
-        return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
-
-    def _slice(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        strides = parameters["strides"] or [1] * x.ndim
-        ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
-        return x[tuple(slice(*one) for one in ends)]
-
-    def _pad(self, parameters: Any, kind: Kind, shape: Any, x: Array, value: Array) -> Array | None:
-        config = parameters["padding_config"]
-        if any(min(one) < 0 for one in config):
-            return None
-        result = np.broadcast_to(value, shape).copy()
-        result[
-            tuple(
-                slice(low, size - high, between + 1) for (low, high, between), size in zip(config, shape, strict=True)
-            )
-        ] = x
-        return result
 
     def _iota(self, parameters: Any, kind: Kind, shape: Any) -> Array:
         if len(shape) == 1:
