@@ -219,7 +219,9 @@ def _description(unit: FunctionalUnit, variables: list[_Variable], guid: str) ->
         "canSerializeFMUstate": "true",
     }
     stepping = {"canHandleVariableCommunicationStepSize": str(not unit.sampled).lower()}
-    for kind, attributes in (("ModelExchange", {}), ("CoSimulation", stepping)):
+    steps = any(one.name == "project" for one in unit.module.functions)
+    completing = {} if steps else {"completedIntegratorStepNotNeeded": "true"}
+    for kind, attributes in (("ModelExchange", completing), ("CoSimulation", stepping)):
         if kind == "CoSimulation" or unit.model_exchange:
             sources = ET.SubElement(ET.SubElement(root, kind, common | attributes), "SourceFiles")
             for source in (f"{name}.c", "fmu.c"):
