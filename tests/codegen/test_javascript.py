@@ -66,8 +66,9 @@ def test_functions_loops_and_arrays():
             assert np.allclose(one[name], np.asarray(value), rtol=1e-12, atol=1e-13), name
 
 
-def test_controller(tmp_path):
-    scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+@pytest.mark.parametrize("kind", ["pid", "backprop"])
+def test_controller(tmp_path, kind):
+    scenario = Scenario.read(f"examples/pre-contracted-step-{kind}.yaml")
     made = export(scenario, "js", tmp_path)
     assert set(made.files) == {"controller.js", "scenario.yaml"} and made.left_out == ()
     source = controller_functions(scenario)

@@ -7,6 +7,7 @@ moved out of it, and what depends on parameters alone is computed once. Equal ex
 from __future__ import annotations
 
 import enum
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -160,12 +161,15 @@ _FOLDED: dict[str, Callable[..., Any]] = {
     "shift_left": lambda x, y: x << y,
     "shift_right": lambda x, y: x >> y,
     "is_finite": np.isfinite,
+    "bits": lambda x: struct.unpack("<q", struct.pack("<d", x))[0],
+    "from_bits": lambda x: struct.unpack("<d", struct.pack("<q", x))[0],
+    "from_bits_32": lambda x: struct.unpack("<f", struct.pack("<I", x & 0xFFFFFFFF))[0],
     "single": np.float32,
     "real": lambda x: x,
     "integer": int,
     "boolean": bool,
 }
-OPERATIONS = frozenset(_FOLDED) | {"select", "bits", "from_bits", "from_bits_32"}
+OPERATIONS = frozenset(_FOLDED) | {"select"}
 """Names of the operations.
 
 `select` has the condition, then both values; `bits` are those of a real number as an integer, `from_bits` the reverse;
