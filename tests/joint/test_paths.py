@@ -157,3 +157,14 @@ def test_beyond_the_table_the_moment_arm_is_constant():
 def test_what_is_no_joint_is_refused(make):
     with pytest.raises(RangeError):
         make()
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_as_c_for_many_runs_it_is_the_same(joint):
+    @NativeFunction
+    def emitted(joint, angle):
+        return joint.evaluate(angle, PRESSURES)
+
+    torque, stiffness = emitted(jax.tree.map(np.asarray, joint), ANGLES)
+    np.testing.assert_allclose(torque, joint.torque(ANGLES, PRESSURES), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(stiffness, joint.stiffness(ANGLES, PRESSURES), rtol=0, atol=1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog, muscle
+from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, scaled_law
 from mckibben.units import factor
 
@@ -179,3 +180,18 @@ def test_it_says_what_it_is_and_where_it_comes_from(law):
     assert law.source
     assert type(law).__doc__
     assert LAWS[type(law).__name__] is type(law)
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_as_c_for_many_runs_it_is_the_same(law):
+    grid = [x.ravel().copy() for x in np.broadcast_arrays(contractions(law), pressures(law), 60.0)]
+
+    @NativeFunction
+    def emitted(law, lane):
+        contraction, pressure, force = lane
+        return law.force(contraction, pressure), law.slope(contraction, pressure), law.pressure_for(force, contraction)
+
+    found = emitted(jax.tree.map(np.asarray, law), tuple(grid))
+    expected = answers(law, force=np.full((ROWS, COLUMNS), 60.0))
+    for emitted_one, one in zip(found, expected, strict=True):
+        np.testing.assert_allclose(emitted_one.reshape(ROWS, COLUMNS), one, rtol=1e-12, atol=1e-9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ import numpy as np
 from jax.extend import core
 
 from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
+from mckibben.codegen.polynomials import erf_inv, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
 from mckibben.codegen.shapes import ShapeRules
 from mckibben.errors import ExportError
@@ -67,27 +67,18 @@ def kind_of(dtype: Any) -> Kind:
     return Kind.INTEGER if letter in "iu" else Kind.REAL
 
 
-def _tanh(x: Any) -> Any:
-    """Hyperbolic tangent, right to an absolute 2e-16."""
-    power = elementary.exp(-2 * jnp.abs(x))
-    return jnp.sign(x) * ((1 - power) / (1 + power))
-
-
-def _erf_inv(x: Any) -> Any:
-    """Inverse error function (Giles 2012, single precision), right to 3e-7."""
-    w = -jnp.log1p(-x * x)
-    near, far = w - 2.5, jnp.sqrt(w) - 3.0
-    p, q = (functools.reduce(lambda sum_, c: sum_ * y + c, cs) for y, cs in ((near, _NEAR), (far, _FAR)))
-    return jnp.where(w < 5.0, p, q) * x
-
-
-_NEAR = (2.81022636e-08, 3.43273939e-07, -3.5233877e-06, -4.39150654e-06, 0.00021858087, -0.00125372503, -0.00417768164,
-         0.246640727, 1.50140941)  # fmt: skip
-_FAR = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613, 0.00943887047,
-        1.00167406, 2.83297682)  # fmt: skip
-_EVERYWHERE = {"erf_inv": _erf_inv}
-_FOR_LANES = {"tanh": _tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
+_EVERYWHERE = {"erf_inv": erf_inv}
+_FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
 """Polynomials in place of calls of the libraries, which have no vectors."""
+
+
+class _UnsupportedError(Exception):
+    """A primitive without counterpart, and where it was written."""
+
+    def __init__(self, equation: Any) -> None:
+        super().__init__(equation.primitive.name)
+        self.name = equation.primitive.name
+        self.place = _source(equation)
 
 
 class Lowering(ShapeRules):
@@ -99,7 +90,14 @@ class Lowering(ShapeRules):
     def function(self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]) -> Any:
         """Lower a function of trees: example arguments, the values of their leaves; returns the tree of results."""
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        results = self._closed(closed, inputs)
+        try:
+            results = self._closed(closed, inputs)
+        except _UnsupportedError as error:
+            raise ExportError(
+                f"{error.name} cannot be written as a program: {error.place or 'of an unknown source'}",
+                field=error.name,
+                remedy="use another option of this part, or write the function without it",
+            ) from None
         return jax.tree.unflatten(jax.tree.structure(shape), results)
 
     def _closed(self, closed: Any, arguments: Sequence[Array]) -> list[Array]:
@@ -119,7 +117,11 @@ class Lowering(ShapeRules):
             given = [read(one) for one in equation.invars]
             if equation.primitive.name not in _TAKE_STORED:
                 given = [self.expanded(one) if isinstance(one, Stored) else one for one in given]
-            results = self._equation(equation, given)
+            try:
+                results = self._equation(equation, given)
+            except _UnsupportedError as error:
+                error.place = error.place or _source(equation)
+                raise
             known.update(zip(equation.outvars, results, strict=True))
         return [read(one) for one in jaxpr.outvars]
 
@@ -173,7 +175,7 @@ class Lowering(ShapeRules):
         handler = getattr(self, f"_{name}", None)
         found = None if handler is None else handler(parameters, kind, aval.shape, *arguments)
         if found is None:
-            raise _cannot(equation)
+            raise _UnsupportedError(equation)
         return found if isinstance(found, list) else [found]
 
     def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
@@ -192,7 +194,7 @@ class Lowering(ShapeRules):
             or not is_supported()
             or "fry" not in str(arguments[0].dtype) + str(parameters.get("impl", "fry"))
         ):
-            raise _cannot(equation)
+            raise _UnsupportedError(equation)
         first = arguments[0]
         if name == "random_seed":
             return [np.array([*seed_key(self._graph, first.item()), None], object)[:-1]]
@@ -477,19 +479,10 @@ def _inner(equation: Any) -> Iterator[Any]:
             yield inner
 
 
-def _cannot(equation: Any) -> ExportError:
-    name = equation.primitive.name
-    return ExportError(
-        f"{name} cannot be written as a program: {_source(equation)}",
-        field=name,
-        remedy="use another option of this part, or write the function without it",
-    )
-
-
 def _source(equation: Any) -> str:
     """Where an equation was written."""
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
         if "/jax/" not in frame.file_name and "/equinox/" not in frame.file_name:
             return f"{frame.file_name.rpartition('/')[2]}, line {frame.line_num}, in {frame.function_name}"
-    return "of an unknown source"
+    return ""

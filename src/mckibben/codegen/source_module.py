@@ -138,7 +138,7 @@ def is_scalar(members: Sequence[Member]) -> bool:
 
 def element(structure: str, member: Member, number: int) -> str:
     """Name of an element of a member of a structure: the name of the input that stands for it."""
-    if not member.path:
+    if not member.path and structure != "state":
         return structure
     return f"{structure}.{member.name}" + (f"[{number}]" if member.shape else "")
 

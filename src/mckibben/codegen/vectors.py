@@ -48,6 +48,7 @@ typedef float F __attribute__((vector_size(4 * W)));
 typedef int32_t J __attribute__((vector_size(4 * W)));
 INLINE V v_single(V x) { return __builtin_convertvector(__builtin_convertvector(x, F), V); }
 INLINE V v_from_bits_32(I x) { return __builtin_convertvector((F)__builtin_convertvector(x, J), V); }
+INLINE I v_isfinite(V x) { return x - x == 0; }
 #define EACH(name, f) INLINE V name(V x) { V r; for (int i = 0; i < W; ++i) r[i] = f(x[i]); return r; }
 EACH(v_sqrt, __builtin_sqrt) EACH(v_rint, __builtin_rint) EACH(v_floor, __builtin_floor) EACH(v_ceil, __builtin_ceil)
 EACH(v_exp, exp) EACH(v_expm1, expm1) EACH(v_log, log) EACH(v_log1p, log1p) EACH(v_sin, sin) EACH(v_cos, cos)
