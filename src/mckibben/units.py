@@ -133,6 +133,16 @@ def _dimensions(powers: dict[str, int]) -> list[int]:
     return [sum(_VOCABULARY[name][1][base] * power for name, power in powers.items()) for base in range(4)]
 
 
+def dimensions(unit: str) -> tuple[int, int, int, int]:
+    """The powers of metre, kilogram, second and radian in a unit.
+
+    >>> dimensions("N*m/rad")
+    (2, 1, -2, -1)
+    """
+    metre, kilogram, second, radian = _dimensions(_parse(unit))
+    return metre, kilogram, second, radian
+
+
 def factor(unit: str, to: str = "") -> float:
     """The factor from a number in `unit` to one in `to` (by default SI).
 

@@ -7,6 +7,7 @@ moved out of it, and what depends on parameters alone is computed once. Equal ex
 from __future__ import annotations
 
 import enum
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -68,7 +69,7 @@ class Carried:
 
 @dataclass(eq=False, slots=True)
 class ForLoop:
-    """A loop with a fixed number of passes; `index` counts them."""
+    """A loop; `index` counts its passes."""
 
     scope: Scope
     length: int
@@ -76,6 +77,7 @@ class ForLoop:
     row: Any = None  # of its arrays: the index, or from the last on
     carried: list[Carried] = field(default_factory=list)
     arrays: list[StoredArray] = field(default_factory=list)  # in which it stores a row each pass
+    going: Carried | None = None  # whether there is a further pass, in place of a fixed number
 
 
 @dataclass(eq=False, slots=True)
@@ -159,12 +161,15 @@ _FOLDED: dict[str, Callable[..., Any]] = {
     "shift_left": lambda x, y: x << y,
     "shift_right": lambda x, y: x >> y,
     "is_finite": np.isfinite,
+    "bits": lambda x: struct.unpack("<q", struct.pack("<d", x))[0],
+    "from_bits": lambda x: struct.unpack("<d", struct.pack("<q", x))[0],
+    "from_bits_32": lambda x: struct.unpack("<f", struct.pack("<I", x & 0xFFFFFFFF))[0],
     "single": np.float32,
     "real": lambda x: x,
     "integer": int,
     "boolean": bool,
 }
-OPERATIONS = frozenset(_FOLDED) | {"select", "bits", "from_bits", "from_bits_32"}
+OPERATIONS = frozenset(_FOLDED) | {"select"}
 """Names of the operations.
 
 `select` has the condition, then both values; `bits` are those of a real number as an integer, `from_bits` the reverse;
@@ -339,6 +344,9 @@ def needed(results: Sequence[Value | StoredArray]) -> set[int]:
             continue
         found.add(id(one))
         if isinstance(one, ForLoop):
+            if one.going is not None:
+                found.add(id(one.going))
+                waiting += [one.going.initial, one.going.following]
             continue
         if isinstance(one, StoredArray):
             waiting += one.elements if one.loop is None else [*one.elements, one.loop, one.loop.row]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,9 @@ import numpy as np
 from jax.extend import core
 
 from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
+from mckibben.codegen.polynomials import erf_inv, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
+from mckibben.codegen.shapes import ShapeRules
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
@@ -66,26 +67,8 @@ def kind_of(dtype: Any) -> Kind:
     return Kind.INTEGER if letter in "iu" else Kind.REAL
 
 
-def _tanh(x: Any) -> Any:
-    """Hyperbolic tangent, right to an absolute 2e-16."""
-    power = elementary.exp(-2 * jnp.abs(x))
-    return jnp.sign(x) * ((1 - power) / (1 + power))
-
-
-def _erf_inv(x: Any) -> Any:
-    """Inverse error function (Giles 2012, single precision), right to 3e-7."""
-    w = -jnp.log1p(-x * x)
-    near, far = w - 2.5, jnp.sqrt(w) - 3.0
-    p, q = (functools.reduce(lambda sum_, c: sum_ * y + c, cs) for y, cs in ((near, _NEAR), (far, _FAR)))
-    return jnp.where(w < 5.0, p, q) * x
-
-
-_NEAR = (2.81022636e-08, 3.43273939e-07, -3.5233877e-06, -4.39150654e-06, 0.00021858087, -0.00125372503, -0.00417768164,
-         0.246640727, 1.50140941)  # fmt: skip
-_FAR = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613, 0.00943887047,
-        1.00167406, 2.83297682)  # fmt: skip
-_EVERYWHERE = {"erf_inv": _erf_inv}
-_FOR_LANES = {"tanh": _tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
+_EVERYWHERE = {"erf_inv": erf_inv}
+_FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
 """Polynomials in place of calls of the libraries, which have no vectors."""
 
 
@@ -98,7 +81,7 @@ class _UnsupportedError(Exception):
         self.place = _source(equation)
 
 
-class Lowering:
+class Lowering(ShapeRules):
     """Adds the equations of jaxprs to a graph."""
 
     def __init__(self, graph: Graph) -> None:
@@ -304,48 +287,10 @@ class Lowering:
 
     # Shapes
 
-    def _broadcast_in_dim(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        axes = [1] * len(shape)
-        for axis, size in zip(parameters["broadcast_dimensions"], x.shape, strict=True):
-            axes[axis] = size
-        return np.broadcast_to(x.reshape(axes), shape)
-
     def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
 
     _squeeze = _expand_dims = _reshape
-
-    def _transpose(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return x.transpose(parameters["permutation"])
-
-    def _rev(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return np.flip(x, parameters["dimensions"])
-
-    def _concatenate(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
-        return np.concatenate(arrays, parameters["dimension"])
-
-    def _stack(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
-        return np.stack(arrays, parameters.get("axis", 0))
-
-    def _split(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
-        return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
-
-    def _slice(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        strides = parameters["strides"] or [1] * x.ndim
-        ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
-        return x[tuple(slice(*one) for one in ends)]
-
-    def _pad(self, parameters: Any, kind: Kind, shape: Any, x: Array, value: Array) -> Array | None:
-        config = parameters["padding_config"]
-        if any(min(one) < 0 for one in config):
-            return None
-        result = np.broadcast_to(value, shape).copy()
-        result[
-            tuple(
-                slice(low, size - high, between + 1) for (low, high, between), size in zip(config, shape, strict=True)
-            )
-        ] = x
-        return result
 
     def _iota(self, parameters: Any, kind: Kind, shape: Any) -> Array:
         if len(shape) == 1:
@@ -443,6 +388,37 @@ class Lowering:
         return results + [
             Stored((length, *row.shape), array.kind, array) for array, row in zip(loop.arrays, rows, strict=True)
         ]
+
+    def _while(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array] | None:
+        """A loop until a condition fails; not for lanes, which fail it in different passes."""
+        if self._graph.lanes:
+            return None
+        outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
+        given, constants = arguments[:outside], arguments[outside : outside + inside]
+        carry = list(map(self.plain, arguments[outside + inside :]))
+
+        def condition(values: Sequence[Array]) -> Value:
+            return self._closed(parameters["cond_jaxpr"], [*given, *values])[0].item()
+
+        first = condition(carry)
+
+        def passes(loop: ForLoop) -> list[list[Value]]:
+            inner = [_array(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry]
+            results = list(map(self.plain, self._closed(parameters["body_jaxpr"], [*constants, *inner])))
+            self._graph.carry(loop, first)
+            loop.going = loop.carried[-1]
+            following = [value for one in results for value in one.flat]
+            for carried, value in zip(loop.carried, [*following, condition(results)], strict=True):
+                carried.following = value
+            return []
+
+        last = iter([self._graph.after(one) for one in self._graph.loop(0, passes).carried])
+        return [_array(one.shape, lambda _: next(last)) for one in carry]
+
+    def _custom_linear_solve(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
+        counts = parameters["const_lengths"]
+        before, end = counts.matvec + counts.vecmat, sum(counts)
+        return self._closed(parameters["jaxprs"].solve, [*arguments[before : before + counts.solve], *arguments[end:]])
 
     def _stored(self, array: Array) -> Stored:
         """An array with its values in memory."""

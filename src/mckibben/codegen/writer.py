@@ -139,9 +139,8 @@ class Writer:
             lines.append(f"{indent}{self.variable(one.initial.kind)} {self._carried[id(one)]} = {initial};")
         index, inside = self._new("i"), indent + "    "
         self.name(loop.index, index)
-        lines.append(
-            f"{indent}for ({self.language.types[Kind.INTEGER]} {index} = 0; {index} < {loop.length}; ++{index}) {{"
-        )
+        further = f"{index} < {loop.length}" if loop.going is None else self._carried[id(loop.going)]
+        lines.append(f"{indent}for ({self.language.types[Kind.INTEGER]} {index} = 0; {further}; ++{index}) {{")
         lines += self.scope(loop.scope, inside)
         for array in arrays:
             for place, element in enumerate(array.elements):

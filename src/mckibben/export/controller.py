@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mckibben.codegen.source_module import SourceModule
 from mckibben.control import Controller, Setpoint
 from mckibben.joint import AntagonisticJoint, Measurement
-from mckibben.muscle import PressureAffineLaw
+from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.problem import sampled
@@ -48,18 +48,28 @@ class ControllerModule(NamedTuple):
     left_out: tuple[str, ...]
 
 
-def controller_module(scenario: Scenario, name: str = "controller", most_periods: int = 10_000) -> ControllerModule:
-    """SourceModule of the controller of a scenario: its first step, its steps, and the laws and limits of its model.
+class ControllerFunctions(NamedTuple):
+    """Functions of a controller over its parameters, and examples of their arguments."""
 
-    All its real numbers are parameters that can be changed; numbers of hidden neurons, seeds and other integers are
-    not. Raises `ExportError` for what cannot be written in another language.
-    """
+    parameters: dict[str, Any]
+    of: Callable[[Any], Controller]  # parameters
+    init: Callable[[Any, Measurement], dict[str, Any]]
+    step: Callable[[Any, Any, Setpoint, Measurement], dict[str, Any]]
+    state: Any
+    setpoint: Setpoint
+    measurement: Measurement  # the first one
+    plant: JointPlant
+    controller: Controller
+    initial: PlantState
+
+
+def controller_functions(scenario: Scenario) -> ControllerFunctions:
+    """First step and steps of the controller of a scenario; all its real numbers are parameters."""
     plant, controller = scenario.plant(), scenario.control()
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
     initial = plant.complete_state(initial)
-    numbers, fixed = eqx.partition(controller, _is_real)
+    numbers, fixed = eqx.partition(controller, is_real)
     parameters = {"controller": numbers, "control_period": np.asarray(scenario.control_period)}
-    module = SourceModule(name, parameters, "controller.")
 
     def of(parameters: Any) -> Controller:
         return eqx.combine(parameters["controller"], fixed)
@@ -73,30 +83,47 @@ def controller_module(scenario: Scenario, name: str = "controller", most_periods
         pressures = {f"pressure{number}": one for number, one in enumerate(commands, 1)}
         return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
 
-    _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
-    setpoints = jax.tree.map(lambda x: x[:most_periods], setpoints)
     measurement = plant.sample(initial, 0.0)[1]
     state = jax.eval_shape(controller.init, measurement)
     state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
     setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
-    module.add("init", "first state, from the first measurement", init, {"measurement": measurement})
-    module.add(
-        "step",
-        "one control period: new state, and commands from now on",
-        step,
-        {"state": state, "setpoint": setpoint, "measurement": measurement},
-    )
-    model, left_out = getattr(controller, "model", None), []
-    if isinstance(model, AntagonisticJoint):
-        left_out = _add_model(module, of, model)
-    run = _recorded(plant, controller, setpoints, initial, scenario.control_period, scenario.substeps)
+    return ControllerFunctions(parameters, of, init, step, state, setpoint, measurement, plant, controller, initial)
+
+
+def controller_module(scenario: Scenario, name: str = "controller", most_periods: int = 10_000) -> ControllerModule:
+    """SourceModule of the controller of a scenario: its first step, its steps, and the laws and limits of its model.
+
+    All its real numbers are parameters that can be changed; numbers of hidden neurons, seeds and other integers are
+    not. Raises `ExportError` for what cannot be written in another language.
+    """
+    source = controller_functions(scenario)
+    module, left_out = controller_program(source, name)
+    plant, controller, measurement = source.plant, source.controller, source.measurement
+    _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
+    setpoints = jax.tree.map(lambda x: x[:most_periods], setpoints)
+    run = _recorded(plant, controller, setpoints, source.initial, scenario.control_period, scenario.substeps)
     recording = np.column_stack(run)
     first = [np.nan, np.nan, *map(float, (measurement.angle, *measurement.pressures)), np.nan, np.nan]
     columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
                "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
     return ControllerModule(
-        module, UNITS | units_of(parameters, "parameters"), columns, np.vstack([first, recording]), tuple(left_out)
+        module,
+        UNITS | units_of(source.parameters, "parameters"),
+        columns,
+        np.vstack([first, recording]),
+        left_out,
     )
+
+
+def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
+    """First step, steps and model of a controller, and what cannot be written."""
+    module = SourceModule(name, source.parameters, "controller.")
+    given = {"setpoint": source.setpoint, "measurement": source.measurement}
+    module.add("init", "first state, from the first measurement", source.init, {"measurement": source.measurement})
+    text = "one control period: new state, and commands from now on"
+    module.add("step", text, source.step, {"state": source.state, **given})
+    model = getattr(source.controller, "model", None)
+    return module, tuple(_add_model(module, source.of, model) if isinstance(model, AntagonisticJoint) else ())
 
 
 def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[str]:
@@ -143,7 +170,8 @@ def _recorded(
     return lax.scan(next_period, start, setpoints)[1]
 
 
-def _is_real(leaf: Any) -> bool:
+def is_real(leaf: Any) -> bool:
+    """Whether a leaf is a parameter of a program."""
     return eqx.is_array_like(leaf) and np.asarray(leaf).dtype.kind == "f"
 
 
@@ -163,6 +191,9 @@ def _units(tree: Any, path: str) -> Iterator[tuple[str, str]]:
     elif dataclasses.is_dataclass(tree):
         parts = {field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)}
         hints = get_type_hints(type(tree), include_extras=True)
+        if isinstance(tree, ForceLaw):
+            known = (*tree.linear_parameters, *tree.shape_parameters)
+            hints |= {one.name: Annotated[float, Quantity(one.unit)] for one in known}
     else:
         return
     for name, part in parts.items():

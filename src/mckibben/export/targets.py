@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -17,14 +17,21 @@ from mckibben.study.scenario import Scenario
 class Exported(NamedTuple):
     """Contents of files by their paths, and what the format cannot hold."""
 
-    files: dict[str, str]
+    files: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
 
 
 TARGETS = {
     "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers"),
+    "js": ("mckibben.export.javascript:js_files", "controller as JavaScript, for pages"),
+    "fmu": ("mckibben.export.fmu:plant_fmu", "joint with load and valves as an FMU (FMI 2.0)"),
+    "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller as an FMU, for co-simulation"),
+    "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "force of a muscle as an FMU"),
 }
 """Function of each format, ``(scenario, name, folder, single) -> Exported``, and what it is."""
+
+
+_NAMES = {"fmu": "plant", "fmu-muscle": "muscle"}
 
 
 def export(
@@ -32,7 +39,7 @@ def export(
     target: str,
     out: str | os.PathLike[str],
     *,
-    name: str = "controller",
+    name: str = "",
     single: bool = False,
     overwrite: bool = False,
 ) -> Exported:
@@ -43,7 +50,7 @@ def export(
     target
         One of `TARGETS`.
     name
-        Of the program or model in the format, an identifier.
+        Of the program or model in the format, an identifier; ``controller``, ``plant`` or ``muscle`` unless given.
     single
         Numbers of 32 bits in place of 64.
 
@@ -59,7 +66,7 @@ def export(
             f"{quoted(target)} is no format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
         )
     default = identifier(scenario.name.lower())[:40].strip("_") or "controller"
-    name = name or default
+    name = name or _NAMES.get(target, "controller")
     if identifier(name) != name:
         remedy = f"give an identifier of C, such as {default}"
         raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
@@ -73,5 +80,5 @@ def export(
     for path, content in made.files.items():
         make_folder((folder / path).parent)
         with atomic_write(folder / path, overwrite=overwrite) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+            temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
     return made

@@ -17,6 +17,7 @@ from mckibben.paper import Reproduction, file_stem
 from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report import tables
+from mckibben.report.explorers import explorers
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
@@ -100,6 +101,8 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
     return template.render(
         style=style_sheet(),
+        script=markupsafe.Markup(_resource("explorers.js")),
+        explorers=explorers(example),
         results=results,
         seconds=reproduction.seconds,
         claims=[claim for claim in reproduction.claims if claim.of_paper],

@@ -1,0 +1,130 @@
+"""JavaScript of a module: a script without imports and exports, which defines one object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mckibben.codegen.graph import Kind, Value
+from mckibben.codegen.languages import JAVASCRIPT
+from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, inputs_of, is_scalar
+from mckibben.codegen.writer import Text, Writer
+from mckibben.errors import ExportError
+
+
+def write_js(module: SourceModule, comment: str = "") -> str:
+    """Write a module as JavaScript, for pages (also from files) and for Node.
+
+    The object has ``defaults()``, which returns ``self`` with ``parameters`` and ``state``, ``prepare(self)`` to be
+    called after a parameter was changed, and the functions, with ``self`` and their arguments; a function returns its
+    results but for the state, which it changes, as an object, or a number if that is all.
+    """
+    writer = _Writer(module.scopes, JAVASCRIPT, module.results())
+    functions = [_defaults(module), _prepare(module, writer), *(_function(one, writer) for one in module.functions)]
+    names = ["defaults", "prepare", *(one.name for one in module.functions)]
+    lines = "\n".join([*sorted(writer.helpers), *functions]).splitlines()
+    return "\n".join(
+        [
+            *(f"// {line}".rstrip() for line in comment.splitlines()),
+            f"const {module.name} = (function () {{",
+            '    "use strict";',
+            *(f"    {line}".rstrip() for line in lines),
+            f"    return {{{', '.join(names)}}};",
+            "})();",
+            f'if (typeof module !== "undefined") module.exports = {module.name};\n',
+        ]
+    )
+
+
+_BITS = {"and", "or", "xor", "shift_left", "shift_right", "bits", "from_bits", "from_bits_32", "single"}
+
+
+class _Writer(Writer):
+    """Writes integer divisions, which JavaScript has no operator for; it has no integers of 64 bits either."""
+
+    def _expression(self, value: Value) -> Text:
+        if value.operation in _BITS and value.kind is not Kind.BOOLEAN:
+            name = value.operation
+            raise ExportError(f"{name} is for integers of 64 bits", field=name, remedy="write it in C")
+        text, strength = super()._expression(value)
+        if value.operation == "div" and value.kind is Kind.INTEGER:
+            return f"Math.trunc({text})", strength + 10
+        return text, strength
+
+
+def _defaults(module: SourceModule) -> str:
+    lines = [
+        f"    {structure}: {{{', '.join(f'{one.name}: {_literal(one, zero=zero)}' for one in members)}}},"
+        for structure, members, zero in (("parameters", module.members, False), ("state", module.state, True))
+    ]
+    return "\n".join(
+        [
+            "function defaults() {",
+            "    const self = {",
+            *(f"    {line}" for line in lines),
+            "        prepared: [],",
+            "    };",
+            "    prepare(self);",
+            "    return self;",
+            "}\n",
+        ]
+    )
+
+
+def _literal(member: Member, *, zero: bool) -> str:
+    """Numbers of a member; its state is set by a function."""
+    numbers = [JAVASCRIPT.literal(0 if zero else one.item(), member.kind) for one in member.value.flat]
+    numbers = ["false" if zero and member.kind is Kind.BOOLEAN else one for one in numbers]
+    return f"[{', '.join(numbers)}]" if member.shape else numbers[0]
+
+
+def _prepare(module: SourceModule, writer: Writer) -> str:
+    """The function that computes what depends on parameters alone."""
+    places: list[Value] = []
+
+    def stored(value: Value) -> str:
+        places.append(value)
+        return f"self.prepared[{len(places) - 1}]"
+
+    root = module.graph.root
+    for value in inputs_of(root):
+        writer.name(value, f"self.{value.data}")
+    return "\n".join(["function prepare(self) {", *writer.scope(root, stored=stored), "}\n"])
+
+
+def _function(function: Function, writer: Writer) -> str:
+    lines = []
+    for value in inputs_of(function.scope):
+        if writer.is_needed(value):
+            structure, name = value.data.split(".", 1)[0], identifier(value.data)
+            place = f"self.{value.data}" if structure == "state" else value.data
+            writer.name(value, name)
+            if name != place:
+                lines.append(f"    const {name} = {place};")
+    lines += writer.scope(function.scope)
+    returned: dict[str, Any] = {}
+    for result, members in function.results.items():
+        values = iter(function.values[result])
+        texts = {one.name: [writer.text(next(values)) for _ in range(one.size)] for one in members}
+        if result == "state":
+            lines += _assigned(members, texts)
+        elif is_scalar(members):
+            returned[result] = texts[members[0].name][0]
+        else:
+            returned[result] = _object(members, texts)
+    if function.returned is not None:
+        lines.append(f"    return {returned[function.returned]};")
+    elif returned:
+        lines.append(f"    return {{{', '.join(f'{name}: {text}' for name, text in returned.items())}}};")
+    arguments = ["self", *(name for name in function.arguments if name != "state")]
+    return "\n".join([f"// {function.text}", f"function {function.name}({', '.join(arguments)}) {{", *lines, "}\n"])
+
+
+def _assigned(members: Sequence[Member], texts: dict[str, list[str]]) -> list[str]:
+    places = [(element("state", one, number), texts[one.name][number]) for one in members for number in range(one.size)]
+    return [f"    self.{place} = {text};" for place, text in places]
+
+
+def _object(members: Sequence[Member], texts: dict[str, list[str]]) -> str:
+    numbers = {one.name: f"[{', '.join(texts[one.name])}]" if one.shape else texts[one.name][0] for one in members}
+    return f"{{{', '.join(f'{name}: {text}' for name, text in numbers.items())}}}"

@@ -1,0 +1,264 @@
+"""FMUs of the plant, of a muscle, and of the controller of a scenario."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mckibben.codegen.source_module import SourceModule
+from mckibben.errors import ExportError
+from mckibben.export.controller import controller_functions, is_real, units_of
+from mckibben.export.fmi2 import FunctionalUnit, fmu
+from mckibben.export.targets import Exported
+from mckibben.muscle import Muscle, MuscleState
+from mckibben.numerics.calculus import derivative
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import AirValve, IdealValve, IOState, JointPlant, NoDisturbance, PerfectSensors, PlantState, Valve
+from mckibben.simulation.problem import sampled
+from mckibben.simulation.result import attributes
+from mckibben.study.scenario import Scenario
+
+_NUMBER = np.zeros(())
+_STATE_NAMES = {"pressures.0": "pressure1", "pressures.1": "pressure2"}
+_PLANT_UNITS = {
+    "inputs.command1": "Pa",
+    "inputs.command2": "Pa",
+    "inputs.torque": "N*m",
+    "state.angle": "rad",
+    "state.velocity": "rad/s",
+    "state.pressures.0": "Pa",
+    "state.pressures.1": "Pa",
+    "state.air.reservoir": "Pa",
+    "results.pressure1": "Pa",
+    "results.pressure2": "Pa",
+    "results.tension1": "N",
+    "results.tension2": "N",
+    "results.stiffness": "N*m/rad",
+}
+
+
+_CONTROLLER_INPUTS = {
+    "setpoint.angle": "rad",
+    "setpoint.stiffness": "N*m/rad",
+    "measurement.angle": "rad",
+    "measurement.pressure1": "Pa",
+    "measurement.pressure2": "Pa",
+}
+
+
+def plant_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+    """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
+    _check_doubles(single)
+    given = scenario.plant()
+    plant = dataclasses.replace(given, sensors=PerfectSensors(), disturbance=NoDisturbance())
+    plant, initial = numeric((plant, scenario.initial(given)))
+    unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.substeps)
+    if not given.has_ideal_io:
+        left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
+    content, missing = fmu(unit, scenario.dumps(folder=folder))
+    return Exported({f"{name}.fmu": content}, (*left_out, *filter(None, [missing])))
+
+
+def plant_unit(
+    plant: JointPlant, initial: PlantState, name: str, period: float, substeps: int
+) -> tuple[FunctionalUnit, list[str]]:
+    """Program of a plant from an initial state, with a step of `JointPlant.advance` no longer than a period [s]."""
+    valve = plant.valve
+    numbers, fixed = eqx.partition(plant, is_real)
+    initial = plant.complete_state(initial._replace(muscles=(MuscleState((), ()),) * 2, io=(), air=()))
+    held = not isinstance(valve, IdealValve)
+    start = {"angle": initial.angle, "velocity": initial.velocity, **({"pressures": initial.pressures} if held else {})}
+    inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
+    module = SourceModule(name, numbers)
+
+    def given(parameters: Any, state: PlantState, inputs: Any) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
+        """Plant, state under the torque and right after the commands, and these within their limits."""
+        plant = eqx.combine(parameters, fixed)
+        commands = plant.clip_commands((inputs["command1"], inputs["command2"]))
+        state = state._replace(io=IOState(jnp.zeros(()), inputs["torque"], ()))
+        return plant, plant.apply_commands(state, commands), commands
+
+    def init(parameters: Any, start: Any, inputs: Any) -> dict[str, Any]:
+        plant = eqx.combine(parameters, fixed)
+        pressures = start["pressures"] if held else plant.clip_commands((inputs["command1"], inputs["command2"]))
+        return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(pressures)))}
+
+    def advance(parameters: Any, state: PlantState, inputs: Any, duration: Any) -> dict[str, Any]:
+        plant, at, commands = given(parameters, state, inputs)
+        at = at._replace(pressures=state.pressures)
+        return {"state": plant.advance(at, commands, duration, substeps)._replace(io=())}
+
+    def results(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
+        plant, state, _ = given(parameters, state, inputs)
+        forces = plant.joint.forces(state.angle, state.velocity, state.pressures, state.muscles)
+        found = {"stiffness": plant.joint.stiffness(state.angle, state.pressures)}
+        found |= {f"tension{number}": one for number, one in enumerate(forces.tensions, 1)}
+        if not held:
+            found |= {f"pressure{number}": one for number, one in enumerate(state.pressures, 1)}
+        return {"results": found}
+
+    def rates(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
+        plant, state, commands = given(parameters, state, inputs)
+        motion, valve = plant.rate(state), plant.valve
+        pressures, air = (), ()
+        if isinstance(valve, AirValve):
+            pressures, air = valve.air_rate(state.pressures, state.air, commands, plant.air_volumes(state))  # type: ignore
+        elif held:
+            assert isinstance(valve, Valve)
+            after, ends = valve.pressure_after, zip(state.pressures, commands, strict=True)
+            pressures = [derivative(lambda t, p=p, u=u: after(p, u, t), jnp.zeros(())) for p, u in ends]
+        muscles = tuple(MuscleState((), creep) for creep in motion.creep)
+        return {"rates": PlantState(motion.angle, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
+
+    def project(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
+        plant, at, _ = given(parameters, state, inputs)
+        return {"state": plant.project(at)._replace(io=(), pressures=state.pressures)}
+
+    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), initial)
+    both = {"state": state, "inputs": inputs}
+    module.add(
+        "init",
+        "state at an angle, a velocity and pressures, its muscles relaxed",
+        init,
+        {"start": start, "inputs": inputs},
+    )
+    module.add("advance", "state after a duration [s]", advance, both | {"duration": _NUMBER})
+    module.add("evaluate", "forces and stiffness", results, both)
+    switching = isinstance(valve, AirValve) and type(valve).before_step is not AirValve.before_step
+    if not switching:
+        module.add("differentiate", "time derivatives of the state", rates, both)
+        if plant.joint.has_friction or plant.joint.has_creep:
+            module.add("project", "state after a step of an integrator", project, both)
+    first = {"angle": initial.angle, "velocity": initial.velocity}
+    pressures = dict(zip(("pressures.0", "pressures.1"), initial.pressures, strict=True))
+    commands = dict(zip(("command1", "command2"), initial.pressures, strict=True))
+    if getattr(valve, "direct", False):
+        commands = dict.fromkeys(commands, 0.0)
+    starts = {**first, **(pressures if held else {}), **commands, "torque": 0.0}
+    creep = {path: "N" for path in (member.path for member in module.state) if ".creep" in path}
+    units = _PLANT_UNITS | {f"state.{path}": unit for path, unit in creep.items()}
+    if getattr(valve, "direct", False):
+        units |= {"inputs.command1": "", "inputs.command2": ""}
+    unit = FunctionalUnit(
+        module,
+        "Joint of two pneumatic muscles with load and valves",
+        period,
+        {path: float(value) for path, value in starts.items()},
+        units | units_of(plant, "parameters"),
+        _STATE_NAMES,
+        model_exchange=not switching,
+    )
+    why = [f"model exchange: a {type(valve).__name__} switches at steps of the integration"] if switching else []
+    return unit, why
+
+
+def muscle_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+    """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ."""
+    _check_doubles(single)
+    joint = numeric(scenario.plant().joint)
+    muscles = {name: joint.muscle1}
+    if not eqx.tree_equal(joint.muscle1, joint.muscle2):
+        muscles = {f"{name}1": joint.muscle1, f"{name}2": joint.muscle2}
+    made, left_out = {}, list[str]()
+    for each, muscle in muscles.items():
+        content, missing = fmu(_muscle_unit(muscle, each, scenario.control_period), scenario.dumps(folder=folder))
+        made[f"{each}.fmu"] = content
+        left_out += [missing] if missing else []
+        if muscle.has_creep or getattr(muscle.friction, "viscous", 0.0):
+            left_out.append(f"{each}: creep and viscous friction, which follow the rate of the contraction")
+    return Exported(made, tuple(dict.fromkeys(left_out)))
+
+
+def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
+    """Program of a muscle: its law and the friction of its threads."""
+    numbers, fixed = eqx.partition(muscle, is_real)
+    module = SourceModule(name, numbers)
+    inputs = {"contraction": _NUMBER, "pressure": _NUMBER}
+    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), muscle.init_state(0.0)._replace(creep=()))
+
+    def of(parameters: Any) -> Muscle:
+        return eqx.combine(parameters, fixed)
+
+    def init(parameters: Any, inputs: Any) -> dict[str, Any]:
+        return {"state": of(parameters).init_state(inputs["contraction"])._replace(creep=())}
+
+    def project(parameters: Any, state: MuscleState, inputs: Any) -> dict[str, Any]:
+        return {"state": of(parameters).update_state(state, inputs["contraction"], inputs["pressure"])}
+
+    def results(parameters: Any, state: MuscleState, inputs: Any) -> dict[str, Any]:
+        return {"results": {"force": of(parameters).force(inputs["contraction"], inputs["pressure"], state)}}
+
+    both = {"state": state, "inputs": inputs}
+    module.add("evaluate", "force", results, both)
+    if muscle.has_friction:
+        module.add("init", "state without stress of friction", init, {"inputs": inputs})
+        module.add("advance", "state after a move", project, both)
+        module.add("project", "state after a move", project, both)
+    units = {"inputs.contraction": "1", "inputs.pressure": "Pa", "results.force": "N"}
+    start = {"contraction": 0.0, "pressure": 0.0}
+    title = f"Force of the pneumatic muscle {muscle.specimen.name}"
+    return FunctionalUnit(module, title, period, start, units | units_of(muscle, "parameters"), model_exchange=True)
+
+
+def controller_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+    """The controller for co-simulation with steps of the control period."""
+    _check_doubles(single)
+    source = controller_functions(scenario)
+    module = SourceModule(name, source.parameters, "controller.")
+    inputs = {
+        "setpoint": {"angle": _NUMBER, "stiffness": _NUMBER},
+        "measurement": {"angle": _NUMBER, "pressure1": _NUMBER, "pressure2": _NUMBER},
+    }
+
+    def measured(inputs: Any) -> Any:
+        at = inputs["measurement"]
+        return source.measurement._replace(angle=at["angle"], pressures=(at["pressure1"], at["pressure2"]))
+
+    def step(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+        setpoint = source.setpoint._replace(**inputs["setpoint"])
+        return source.step(parameters, state, setpoint, measured(inputs))
+
+    def results(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+        done = step(parameters, state, inputs)
+        commands = {f"command{number}": done["commands"][f"pressure{number}"] for number in (1, 2)}
+        return {"results": commands | done["telemetry"]}
+
+    def init(parameters: Any, inputs: Any) -> dict[str, Any]:
+        return source.init(parameters, measured(inputs))
+
+    def advance(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+        return {"state": step(parameters, state, inputs)["state"]}
+
+    both = {"state": source.state, "inputs": inputs}
+    module.add("init", "first state, from the first measurement", init, {"inputs": inputs})
+    module.add("evaluate", "commands from now on", results, both)
+    module.add("advance", "state after a control period", advance, both)
+    setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
+    starts = *(one[0] for one in setpoints), source.measurement.angle, *source.measurement.pressures
+    results_of = next(one for one in module.functions if one.name == "evaluate").results["results"]
+    units = {f"inputs.{path}": unit for path, unit in _CONTROLLER_INPUTS.items()}
+    units |= {f"results.{one.path}": attributes(one.path).get("units", "") for one in results_of}
+    unit = FunctionalUnit(
+        module,
+        f"Controller of the scenario {scenario.name!r}",
+        scenario.control_period,
+        {path: float(value) for path, value in zip(_CONTROLLER_INPUTS, starts, strict=True)},
+        {f"inputs.{path}": one for path, one in _CONTROLLER_INPUTS.items()}
+        | units
+        | units_of(source.parameters, "parameters"),
+        fixed=("control_period",),
+        sampled=True,
+    )
+    content, missing = fmu(unit, scenario.dumps(folder=folder))
+    return Exported({f"{name}.fmu": content}, tuple(filter(None, [missing])))
+
+
+def _check_doubles(single: bool) -> None:
+    if single:
+        raise ExportError("numbers of an FMU have 64 bits", field="single", remedy="leave out --single")

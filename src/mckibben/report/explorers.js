@@ -1,0 +1,167 @@
+// Sliders and charts of the explorers; what they show is computed by the functions of mckibben, emitted as JavaScript.
+const explorer = (function () {
+    "use strict";
+    const INK = "#1c2024", SOFT = "#59626b", LINE = "#d9dfe5", COLOURS = ["#00568a", "#a33b00", "#00684a"];
+
+    function element(parent, name, attributes, text) {
+        const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+        for (const key in attributes) made.setAttribute(key, attributes[key]);
+        if (text !== undefined) made.textContent = text;
+        return parent.appendChild(made);
+    }
+
+    function ticks(low, high, most) {
+        const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
+        const step = power * [1, 2, 5, 10].find((one) => one * power >= rough);
+        const count = Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1;
+        return Array.from({length: count}, (_, k) => (Math.ceil(low / step - 1e-9) + k) * step);
+    }
+
+    const show = (number) => String(Number(number.toPrecision(4))).replace("-", "−");
+
+    // curves: {x, y, colour, dashed, label, at}; bands: {x, low, high}; numbers that are not finite are left out
+    function chart(parent, title, x, y, curves, bands = []) {
+        const width = Math.max(parent.width, 280), height = Math.min(300, Math.max(220, 0.5 * width));
+        const ended = curves.some((one) => one.label && !(one.at >= 0));
+        const left = 48, right = width - (ended ? 66 : 12), top = 26, bottom = height - 40;
+        const svg = element(parent, "svg", {width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": title});
+        const shown = [...curves.flatMap((one) => one.y), ...bands.flatMap((one) => [...one.low, ...one.high])].filter(Number.isFinite);
+        const least = Math.min(y.low ?? Infinity, ...shown.slice(0, 1)), low = shown.reduce((a, b) => Math.min(a, b), least);
+        const high = Math.max(shown.reduce((a, b) => Math.max(a, b), y.high ?? -Infinity), low + 1e-9);
+        const px = (v) => left + (v - x.low) / (x.high - x.low) * (right - left);
+        const py = (v) => bottom - (v - low) / (high - low) * (bottom - top);
+        const text = (tx, ty, words, more) => element(svg, "text", {x: tx, y: ty, fill: SOFT, "font-size": 12, ...more}, words);
+        for (const v of ticks(x.low, x.high, width / 60)) {
+            element(svg, "line", {x1: px(v), x2: px(v), y1: top, y2: bottom, stroke: LINE});
+            text(px(v), bottom + 15, show(v), {"text-anchor": "middle"});
+        }
+        for (const v of ticks(low, high, 5)) {
+            element(svg, "line", {x1: left, x2: right, y1: py(v), y2: py(v), stroke: LINE});
+            text(left - 6, py(v) + 4, show(v), {"text-anchor": "end"});
+        }
+        text((left + right) / 2, height - 6, x.label, {"text-anchor": "middle"});
+        text(2, 13, y.label, {fill: INK});
+        for (const one of bands) {
+            const at = one.x.map((_, k) => k).filter((k) => Number.isFinite(one.low[k]));
+            const edge = [...at.map((k) => [one.x[k], one.high[k]]), ...at.reverse().map((k) => [one.x[k], one.low[k]])];
+            element(svg, "polygon", {points: edge.map(([u, v]) => `${px(u)},${py(v)}`).join(" "), fill: COLOURS[0], "fill-opacity": 0.15});
+        }
+        const labels = [];
+        curves.forEach((one, number) => {
+            const points = one.x.map((u, k) => [u, one.y[k]]).filter((point) => point.every(Number.isFinite));
+            const stroke = one.colour ?? COLOURS[number % COLOURS.length], dash = one.dashed ? {"stroke-dasharray": "6 4"} : {};
+            element(svg, "polyline", {points: points.map(([u, v]) => `${px(u).toFixed(1)},${py(v).toFixed(1)}`).join(" "), fill: "none", stroke, "stroke-width": one.dashed ? 1.5 : 2, ...dash});
+            const [u, v] = points.at(-1) ?? [], at = one.at ?? -1; // the last point has the label, unless another is given
+            if (at >= 0) text(px(one.x[at]), py(one.y[at]) + 4, one.label, {fill: stroke, stroke: "#fff", "stroke-width": 4, "paint-order": "stroke", "text-anchor": "middle"});
+            else if (one.label && points.length) labels.push({words: one.label, fill: stroke, x: px(u), y: py(v)});
+        });
+        labels.sort((a, b) => b.y - a.y).forEach((one, k) => {
+            one.y = Math.min(one.y, k ? labels[k - 1].y - 13 : bottom);
+            text(one.x + 5, one.y + 4, one.words, {fill: one.fill});
+        });
+    }
+
+    // Draws again when the explorer is opened, a slider is moved, or the width changes.
+    function start(name, draw) {
+        const root = document.getElementById(name), inputs = [...root.querySelectorAll("input")];
+        const charts = root.querySelector(".charts"), says = root.querySelector(".says");
+        const values = (key) => Object.fromEntries(inputs.map((one) => [one.name, Number(one[key]) * one.dataset.factor]));
+        let waiting = false, width = 0;
+        function redraw() {
+            waiting = false;
+            for (const one of inputs) {
+                const said = `${show(Number(one.value))} ${one.dataset.unit}`.trim();
+                root.querySelector(`output[for="${one.id}"]`).textContent = said;
+                one.setAttribute("aria-valuetext", said);
+            }
+            const drawn = document.createDocumentFragment();
+            drawn.width = width = charts.clientWidth;
+            says.textContent = draw(values("value"), values("defaultValue"), drawn);
+            charts.replaceChildren(drawn);
+        }
+        function request() {
+            if (root.open && !waiting) waiting = Boolean(requestAnimationFrame(redraw));
+        }
+        root.addEventListener("toggle", request);
+        root.addEventListener("input", request);
+        root.addEventListener("reset", () => setTimeout(request));
+        new ResizeObserver(() => charts.clientWidth !== width && request()).observe(charts);
+        request();
+    }
+
+    function made(module, values) {
+        const self = module.defaults();
+        Object.assign(self.parameters, values);
+        module.prepare(self);
+        return self;
+    }
+
+    const grid = (low, high, count) => Array.from({length: count}, (_, k) => low + (high - low) * k / (count - 1));
+
+    function force(name, module, {contractions, pressures}) {
+        const at = grid(...contractions, 141), x = {low: 100 * contractions[0], high: 100 * contractions[1], label: "contraction, %"};
+        start(name, (values, first, charts) => {
+            const [now, then] = [values, first].map((one) => made(module, one));
+            const curve = (self, p, more) => ({x: at.map((e) => 100 * e), y: at.map((e) => module.force(self, e, p)), ...more});
+            const highest = pressures.at(-1), curves = pressures.map((p) => curve(now, p, {colour: COLOURS[0]}));
+            const slack = curves.at(-1).y.indexOf(0), level = 0.12 * Math.max(...curves.at(-1).y);
+            curves.forEach((one, k) => {
+                one.at = one.y.findIndex((f) => f < level);
+                one.label = pressures[k] === highest ? `${highest / 1e5} bar` : String(pressures[k] / 1e5);
+            });
+            chart(charts, "Force over contraction", x, {low: 0, label: "force, N"}, [
+                ...pressures.map((p) => curve(then, p, {colour: SOFT, dashed: true})),
+                ...curves,
+            ]);
+            const end = slack < 0 ? "" : `, and none above ${(100 * at[slack]).toFixed(1)} % contraction`;
+            return `At ${highest / 1e5} bar the muscle pulls with ${module.force(now, 0, highest).toFixed(0)} N at its initial length${end}.`;
+        });
+    }
+
+    function attainable(name, module, {angles}) {
+        const degrees = grid(...angles, 241), x = {low: angles[0], high: angles[1], label: "angle, °"};
+        start(name, (values, first, charts) => {
+            const [now, then] = [values, first].map((one) => {
+                const self = made(module, one), found = degrees.map((a) => module.at(self, a * Math.PI / 180));
+                return {x: degrees, low: found.map((one) => one.lowest), high: found.map((one) => one.highest)};
+            });
+            const curve = (of, key, more) => ({x: of.x, y: of[key], ...more});
+            chart(charts, "Attainable stiffness over the angle", x, {low: 0, high: 20, label: "stiffness, N·m/rad"}, [
+                curve(then, "high", {colour: SOFT, dashed: true}), curve(then, "low", {colour: SOFT, dashed: true}),
+                curve(now, "high", {colour: COLOURS[0], label: "highest"}), curve(now, "low", {colour: COLOURS[0], label: "lowest"}),
+            ], [now]);
+            const held = degrees.filter((_, k) => Number.isFinite(now.low[k])), zero = degrees.indexOf(0);
+            if (!held.length) return "No angle can be held.";
+            const range = `${show(Math.round(held[0] * 10) / 10)}° to ${show(Math.round(held.at(-1) * 10) / 10)}°`;
+            const at = Number.isFinite(now.low[zero]) ? `; at 0° the stiffness is ${now.low[zero].toFixed(1)} to ${now.high[zero].toFixed(1)} N·m/rad` : "";
+            return `The joint can be held from ${range}${at}.`;
+        });
+    }
+
+    function run(name, module, {period, count}) {
+        const every = 10, times = grid(0, (count - every) * period, count / every);
+        start(name, (values, _, charts) => {
+            const self = made(module, values), rows = [], errors = [0, 0];
+            module.init(self);
+            for (let k = 0; k < count; ++k) {
+                const now = module.period(self, k * period);
+                if (k % every === 0) rows.push(now);
+                errors[0] += (now.angle - now.desired_angle) ** 2 / count;
+                errors[1] += (now.stiffness - now.desired_stiffness) ** 2 / count;
+            }
+            const x = {low: 0, high: count * period, label: "time, s"}, deg = 180 / Math.PI;
+            const bounded = (v, limit) => (Math.abs(v) < limit ? v : NaN);
+            for (const [key, label, factor, limit] of [["angle", "angle, °", deg, 90], ["stiffness", "stiffness, N·m/rad", 1, 100]]) {
+                const curve = (of, more) => ({x: times, y: rows.map((row) => bounded(factor * row[of], limit)), ...more});
+                chart(charts, `${key} over time`, x, {label}, [
+                    curve(`desired_${key}`, {colour: SOFT, dashed: true, label: "desired"}), curve(key, {colour: COLOURS[0], label: "actual"}),
+                ]);
+            }
+            const [angle, stiffness] = errors.map(Math.sqrt);
+            if (!Number.isFinite(angle) || angle > 1) return "The joint diverges.";
+            return `Root mean square error: ${show(angle * deg)}° and ${show(stiffness)} N·m/rad.`;
+        });
+    }
+
+    return {force, attainable, run};
+})();

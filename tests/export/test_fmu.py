@@ -1,0 +1,251 @@
+"""FMUs against the simulation, in fmpy."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+
+from mckibben.errors import ExportError
+from mckibben.export import export
+from mckibben.export.fmi2 import fmu
+from mckibben.export.fmu import plant_unit
+from mckibben.joint import SeriesSpring
+from mckibben.muscle import NoCreep, NoFriction
+from mckibben.numerics.compiled import numeric
+from mckibben.simulation.loop import compiled_episode
+from mckibben.simulation.problem import sampled
+from mckibben.study.scenario import Scenario
+
+fmpy = pytest.importorskip("fmpy", reason="needs fmpy, of the extra dev")
+validation = pytest.importorskip("fmpy.validation", reason="needs fmpy, of the extra dev")
+pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler, for the FMU's binary")
+
+TEXT = """
+name: knee with friction
+joint:
+  geometry: knee-table-2
+  connector_length: 208 mm
+  muscle:
+    specimen: MAS-10-180N-AA-MC-O
+    law: lei-mas-10-180n
+    friction: {half_width: 7.5 N, presliding_length: 0.5 mm, viscous: 20 N*s/m}
+    creep: {stiffness: 0.5 N/mm, time_constant: 8 s}
+load: knee-table-2
+valve: {time_constant: 20 ms}
+controller:
+  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}}
+  stiffness: {pid: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}
+reference:
+  angle: {sine: {amplitude: 10 deg, frequency: 2 Hz}}
+  stiffness: {step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 0.2 s}}
+start: {angle: 0 deg, stiffness: 12 N*m/rad}
+duration: 0.5 s
+control_period: 1 ms
+"""
+PERIOD = 1e-3
+STATE = ("angle", "velocity", "pressure1", "pressure2")
+
+
+class Instance:
+    """An FMU for co-simulation, with its variables by name."""
+
+    def __init__(self, path, *, initialized=True):
+        description = fmpy.read_model_description(path)
+        self.references = {one.name: one.valueReference for one in description.modelVariables}
+        self.folder = fmpy.extract(path)
+        self.fmu = fmpy.fmi2.FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=self.folder,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="one",
+        )
+        self.fmu.instantiate()
+        self.fmu.setupExperiment()
+        self.fmu.enterInitializationMode()
+        if initialized:
+            self.fmu.exitInitializationMode()
+
+    def set(self, **values):
+        names = [name.replace("__", ".") for name in values]
+        self.fmu.setReal([self.references[name] for name in names], list(map(float, values.values())))
+
+    def get(self, *names):
+        return np.array(self.fmu.getReal([self.references[name] for name in names]))
+
+    def close(self):
+        self.fmu.freeInstance()
+        shutil.rmtree(self.folder)
+
+
+@pytest.fixture
+def opened():
+    """Opens FMUs, and closes them after the test."""
+    instances = []
+
+    def open_fmu(path, **options):
+        instances.append(Instance(path, **options))
+        return instances[-1]
+
+    yield open_fmu
+    for one in instances:
+        one.close()
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return Scenario.parse(TEXT)
+
+
+@pytest.fixture(scope="module")
+def folder(scenario, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fmu")
+    for target in ("fmu", "fmu-controller", "fmu-muscle"):
+        made = export(scenario, target, folder)
+        assert not any("binary" in one for one in made.left_out)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["plant", "controller", "muscle"])
+def test_standard(folder, name):
+    assert validation.validate_fmu(folder / f"{name}.fmu") == []
+    description = fmpy.read_model_description(folder / f"{name}.fmu")
+    assert (description.modelExchange is None) == (name == "controller")
+
+
+def test_closed_loop_is_the_simulation(scenario, folder, opened):
+    plant, controller = scenario.plant(), scenario.control()
+    plant, controller, initial = numeric((plant, controller, plant.complete_state(scenario.initial(plant))))
+    _, setpoints = sampled(scenario.reference(), scenario.duration, PERIOD)
+    _, record = compiled_episode(plant, controller, setpoints, initial, PERIOD, scenario.substeps)
+    joint, loop = opened(folder / "plant.fmu"), opened(folder / "controller.fmu", initialized=False)
+    rows = []
+    for number, (angle, stiffness) in enumerate(zip(*map(np.asarray, setpoints), strict=True)):
+        state = joint.get(*STATE)
+        measured = zip(("angle", "pressure1", "pressure2"), state[[0, 2, 3]], strict=True)
+        loop.set(setpoint__angle=angle, setpoint__stiffness=stiffness)
+        loop.set(**{f"measurement__{name}": value for name, value in measured})
+        if number == 0:
+            loop.fmu.exitInitializationMode()
+        commands = loop.get("command1", "command2")
+        joint.set(command1=commands[0], command2=commands[1])
+        for one in (loop, joint):
+            one.fmu.doStep(number * PERIOD, PERIOD)
+        rows.append([*state, *commands])
+        assert loop.get("command1") == commands[0]  # held for masters that read outputs after the step
+    expected = np.stack([record.state.angle, record.state.velocity, *record.state.pressures, record.command1,
+                         record.command2], 1)  # fmt: skip
+    assert np.ptp(expected[:, 0]) > 0.1
+    assert np.max(np.abs(rows - expected) / np.max(np.abs(expected), 0)) < 1e-9
+
+
+def commands(plant, end=0.4):
+    """A step of the commands [Pa] from those at the start."""
+    names = ("command1", "command2")
+    starts = plant.get(*names)
+    times = [0.0, 0.1, 0.1, end]
+    signal = np.zeros(4, [("time", float), *((name, float) for name in names), ("torque", float)])
+    signal["time"] = times
+    for name, start, factor in zip(names, starts, (1.1, 0.9), strict=True):
+        signal[name] = start * np.array([1, 1, factor, factor])
+    return signal
+
+
+def test_model_exchange_agrees_with_co_simulation(folder, opened):
+    signal = commands(opened(folder / "plant.fmu"))
+    common = {"stop_time": 0.4, "output_interval": PERIOD, "input": signal, "output": ["angle", "tension1"]}
+    fixed = fmpy.simulate_fmu(folder / "plant.fmu", fmi_type="CoSimulation", step_size=PERIOD, **common)
+    adaptive = fmpy.simulate_fmu(folder / "plant.fmu", fmi_type="ModelExchange", relative_tolerance=1e-8, **common)
+    for name, tolerance in (("angle", 1e-5), ("tension1", 1e-2)):
+        found = np.interp(fixed["time"], adaptive["time"], adaptive[name])
+        away = np.abs(fixed["time"] - 0.1) > 2 * PERIOD  # rows around the step are before or after it
+        assert np.ptp(fixed[name]) > 1e3 * tolerance
+        assert np.max(np.abs(found - fixed[name])[away]) < tolerance
+
+
+def test_a_parameter_can_be_changed(folder, opened, tmp_path):
+    text = TEXT.replace("load: knee-table-2", "load: {from: knee-table-2, mass2: 0.8 kg}")
+    export(Scenario.parse(text), "fmu", tmp_path)
+    changed, other = opened(folder / "plant.fmu"), opened(tmp_path / "plant.fmu", initialized=False)
+    changed.fmu.setReal([changed.references["load.mass2"]], [0.8])
+    starts = dict(zip(STATE, changed.get(*STATE), strict=True))
+    other.set(**starts, command1=starts["pressure1"], command2=starts["pressure2"])
+    other.fmu.exitInitializationMode()
+    for number in range(50):
+        for one in (changed, other):
+            one.fmu.doStep(number * PERIOD, PERIOD)
+    assert abs(changed.get("angle").item()) > 1e-3
+    assert changed.get(*STATE, "tension1") == pytest.approx(other.get(*STATE, "tension1"), rel=1e-12)
+
+
+def test_a_state_can_be_restored(folder, opened):
+    plant = opened(folder / "plant.fmu")
+    plant.set(torque=1.0)
+    plant.fmu.doStep(0.0, 0.02)
+    held = plant.fmu.serializeFMUstate(plant.fmu.getFMUstate())
+    results = []
+    for _ in range(2):
+        plant.fmu.doStep(0.02, 0.02)
+        results.append(plant.get(*STATE, "tension1"))
+        plant.fmu.setFMUstate(plant.fmu.deSerializeFMUstate(held))
+    assert np.array_equal(*results)
+    assert not np.array_equal(results[0][:2], plant.get("angle", "velocity"))
+
+
+def test_muscle_with_friction(scenario, folder, opened):
+    muscle = scenario.plant().joint.muscle1
+    muscle_fmu = opened(folder / "muscle.fmu", initialized=False)
+    path, pressure = np.array([0.10, 0.12, 0.118, 0.09, 0.10]), 3e5
+    found = []
+    for number, contraction in enumerate(path):
+        muscle_fmu.set(contraction=contraction, pressure=pressure)
+        if number == 0:
+            muscle_fmu.fmu.exitInitializationMode()
+        found.append(muscle_fmu.get("force").item())
+        muscle_fmu.fmu.doStep(number * PERIOD, PERIOD)
+    law = np.asarray(muscle.law.force(path, pressure))
+    friction = muscle.friction.path_response(np.asarray(muscle.specimen.length_at(path)), law, pressure)
+    assert np.max(np.abs(friction)) > 5.0
+    assert found == pytest.approx(law + friction, rel=1e-9)
+
+
+def test_steps_of_a_controller_are_whole_periods(folder, opened):
+    loop = opened(folder / "controller.fmu")
+    loop.fmu.doStep(0.0, 2 * PERIOD)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        loop.fmu.doStep(2 * PERIOD, 1.5 * PERIOD)
+
+
+def test_switching_valves_are_for_co_simulation_only(tmp_path):
+    valve = "{class: SwitchingValves, conductance: 0.1 L/(s*bar), supply: 7 bar, period: 5 ms}"
+    made = export(Scenario.parse(TEXT.replace("{time_constant: 20 ms}", valve)), "fmu", tmp_path, name="switched")
+    description = fmpy.read_model_description(tmp_path / "switched.fmu")
+    assert description.modelExchange is None and description.coSimulation is not None
+    assert any("model exchange" in one for one in made.left_out)
+
+
+def test_series_springs(scenario, tmp_path, opened):
+    plant = scenario.plant()
+    muscle = dataclasses.replace(plant.joint.muscle1, friction=NoFriction(), creep=NoCreep())
+    spring = SeriesSpring(stiffness=20e3, preload=50.0, travel=18e-3)
+    joint = dataclasses.replace(plant.joint, muscle1=muscle, muscle2=muscle, tendon=spring)
+    plant = numeric(dataclasses.replace(plant, joint=joint))
+    initial = plant.init_state(0.0, (3e5, 3e5))
+    content, _ = fmu(plant_unit(plant, initial, "plant", PERIOD, 4)[0], scenario.dumps())
+    (tmp_path / "plant.fmu").write_bytes(content)
+    one, law = opened(tmp_path / "plant.fmu", initialized=False), muscle.law
+    for angle, pressures, extended in ((0.1, (5e5, 4e5), True), (-0.05, (3e5, 3e5), False)):
+        one.set(angle=angle, pressure1=pressures[0], pressure2=pressures[1])
+        tension = one.get("tension1").item()
+        path = float(joint.geometry.path_lengths(angle)[0])
+        extension = (tension - 50.0) / 20e3 if extended else 0.0
+        contraction = muscle.specimen.contraction_at(path - extension)
+        assert (0 < extension < 18e-3) == extended and tension > 5.0
+        assert tension == pytest.approx(float(law.force(contraction, pressures[0])), rel=1e-9)
+
+
+def test_nothing_is_written_for_numbers_of_32_bits(scenario, tmp_path):
+    with pytest.raises(ExportError) as caught:
+        export(scenario, "fmu", tmp_path / "out", single=True)
+    assert caught.value.field == "single"
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,93 @@
+"""What the page computes when sliders are moved, in Node, against the same in Python."""
+
+import dataclasses
+import json
+import shutil
+import subprocess
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from mckibben.paper.settings import PRE_CONTRACTED, StiffnessReference
+from mckibben.paper.tracking import PID
+from mckibben.report.explorers import explorers
+
+NODE = shutil.which("node")
+needs_node = pytest.mark.skipif(NODE is None, reason="needs Node, which runs the scripts of the page")
+
+
+@pytest.fixture(scope="module")
+def case(reproduction):
+    return reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID]
+
+
+@pytest.fixture(scope="module")
+def found(case):
+    return explorers(case.scenario)
+
+
+def run(explorer, body, **parameters):
+    """What the script of an explorer computes with other parameters [SI], beside those of its sliders."""
+    values = {one.name: one.value * one.factor for one in explorer.sliders} | parameters
+    program = f"""
+        let options, module;
+        const explorer = new Proxy({{}}, {{get: () => (name, made, given) => {{ module = made; options = given; }}}});
+        (function (module) {{ {explorer.script} }})();
+        const self = module.defaults();
+        Object.assign(self.parameters, {json.dumps(values)});
+        module.prepare(self);
+        const say = (x) => console.log(JSON.stringify(x, (_, v) => Number.isNaN(v) ? "NaN" : v));
+        {body}"""
+    done = subprocess.run([NODE, "-"], input=program, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_sliders_start_at_the_values_of_the_report(found):
+    for explorer in found.values():
+        for one in explorer.sliders:
+            steps = (one.value - one.low) / one.step
+            assert one.low < one.value <= one.high
+            assert steps == pytest.approx(round(steps), abs=1e-6)  # else a browser moves the slider
+
+
+@needs_node
+def test_run(found, case):
+    body = """module.init(self); const rows = [];
+              for (let k = 0; k < options.count; ++k) rows.push(module.period(self, k * options.period));
+              say([rows.map((row) => row.angle), rows.map((row) => row.stiffness)]);"""
+    for values, expected in zip(run(found["run"], body), ("angle", "stiffness"), strict=True):
+        assert np.allclose(values, case.result[expected], rtol=1e-9, atol=1e-11)
+
+
+@needs_node
+def test_attainable_stiffness(found, case):
+    angles = np.linspace(-0.7, 0.7, 29)
+    body = f"say({angles.tolist()}.map((angle) => module.at(self, angle)));"
+    rows = run(found["attainable"], body, connector=0.2, radius=0.04, supply=5e5)
+    plant = case.scenario.plant()
+    geometry = dataclasses.replace(plant.joint.geometry, connector_length=0.2, joint_radius=0.04)
+    joint = dataclasses.replace(plant.joint, geometry=geometry)
+    expected = joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles), pressure_limits=(0.0, 5e5))
+    values = np.array([[row["lowest"], row["highest"]] for row in rows], float)
+    assert 5 < np.isfinite(values).all(1).sum() < 29
+    assert np.allclose(values, np.stack(expected, 1), rtol=1e-9, equal_nan=True)
+
+
+@needs_node
+def test_force(found, case):
+    contractions = [-0.02, 0.0, 0.1, 0.2]
+    body = f"say({contractions}.map((contraction) => module.force(self, contraction, 4e5)));"
+    muscle = case.scenario.plant().joint.muscle1
+    law = dataclasses.replace(muscle.law, a1=-200.0, decay=20.0)
+    expected = dataclasses.replace(muscle, law=law).tension(np.array(contractions), 4e5)
+    assert np.allclose(run(found["force"], body, a1=-200.0, decay=20.0), expected, rtol=1e-12)
+
+
+@needs_node
+def test_the_script_of_the_page_is_valid():
+    script = (files("mckibben.report") / "explorers.js").read_text()
+    done = subprocess.run([NODE, "--check", "-"], input=script, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not any(word in script for word in ("fetch(", "import", "XMLHttpRequest", "</"))
