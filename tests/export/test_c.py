@@ -1,0 +1,108 @@
+"""Controllers as C99: all of the comparison compile without warnings, and repeat the recorded run."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from mckibben.codegen import write_c
+from mckibben.codegen.native import compiler
+from mckibben.errors import ExportError, FileError, ParameterError
+from mckibben.export import controller_module, export
+from mckibben.study.benchmark import Suite
+from mckibben.study.scenario import Scenario
+
+SUITE = Path("examples/comparison/knee.yaml")
+pytestmark = pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
+REPLAYED = {
+    "PID": {},
+    "BP": {},
+    "decoupling, adapted": {},
+    "predictive": {},
+    "sliding mode": {"single": True},
+}
+
+
+@pytest.fixture(scope="module")
+def scenarios():
+    """A short run of each controller of the suite."""
+    suite = Suite.read(SUITE)
+    parts = {name: getattr(suite, name) for name in ("joint", "load", "valve", "sensors", "control_period", "substeps")}
+    reference = {
+        "angle": {"sine": {"amplitude": "5 deg", "frequency": "2 Hz", "phase": "90 deg"}},
+        "stiffness": {"step": {"before": "14 N*m/rad", "after": "15 N*m/rad", "at": "100 ms"}},
+    }
+    return {
+        name: Scenario(name=name, controller=spec, reference=reference, duration=0.3, **parts)
+        for name, spec in suite.controllers.items()
+    }
+
+
+@pytest.mark.parametrize("name", REPLAYED)
+def test_it_repeats_the_recorded_run(scenarios, name, tmp_path):
+    export(scenarios[name], "c", tmp_path, name="knee", **REPLAYED[name])
+    subprocess.run(["make", "-s", "replay"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if REPLAYED[name] else 1e-11)
+
+
+def test_all_compile_without_warnings(scenarios, tmp_path):
+    for name, scenario in scenarios.items():
+        module = controller_module(scenario, "knee", 1).module
+        for file, text in zip(("knee.h", "knee.c"), write_c(module), strict=True):
+            (tmp_path / file).write_text(text)
+        flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O0", "-c", "-o", "knee.o"]
+        done = subprocess.run([compiler(), *flags, "knee.c"], cwd=tmp_path, capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, ""), name
+        symbols = subprocess.run(
+            ["nm", "-u", "knee.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+        ).stdout
+        assert not {"malloc", "calloc", "printf"} & set(symbols.split())
+
+
+def test_a_changed_file_is_seen_by_the_replay(scenarios, tmp_path):
+    export(scenarios["PID"], "c", tmp_path, name="knee")
+    source = tmp_path / "knee.c"
+    defaults = source.read_text()
+    source.write_text(defaults.replace("self->parameters.position_kp = ", "self->parameters.position_kp = 1.001 * "))
+    assert source.read_text() != defaults
+    assert subprocess.run(["make", "-s", "check"], cwd=tmp_path, capture_output=True).returncode != 0
+
+
+def test_nothing_is_overwritten_without_force(scenarios, tmp_path):
+    (tmp_path / "knee.c").write_text("mine")
+    with pytest.raises(FileError):
+        export(scenarios["PID"], "c", tmp_path, name="knee")
+    assert [path.name for path in tmp_path.iterdir()] == ["knee.c"]
+    export(scenarios["PID"], "c", tmp_path, name="knee", overwrite=True)
+    assert (tmp_path / "knee.c").read_text() != "mine"
+
+
+@pytest.mark.parametrize(
+    ("target", "name", "field"), [("cobol", "knee", "to"), ("c", "my knee", "name"), ("c", "int", "name")]
+)
+def test_wrong_arguments_are_named(scenarios, target, name, field, tmp_path):
+    with pytest.raises(ParameterError) as caught:
+        export(scenarios["PID"], target, tmp_path / "out", name=name)
+    assert caught.value.field == field
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_c_cannot_hold_is_said_before_anything_is_written(scenarios, tmp_path, monkeypatch):
+    import jax.numpy as jnp
+
+    from mckibben.control import PositionStiffnessControl
+
+    step = PositionStiffnessControl.step
+
+    def sorting(self, state, setpoint, measurement, period):
+        state, commands = step(self, state, setpoint, measurement, period)
+        return state, tuple(jnp.sort(jnp.stack(commands)))
+
+    monkeypatch.setattr(PositionStiffnessControl, "step", sorting)
+    with pytest.raises(ExportError) as caught:
+        export(scenarios["PID"], "c", tmp_path / "out")
+    assert caught.value.field == "sort"
+    assert "test_c.py" in str(caught.value)
+    assert not (tmp_path / "out").exists()
