@@ -13,21 +13,21 @@ import numpy as np
 from jax.extend import core
 
 from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
-from mckibben.codegen.polynomials import erf_inv, tanh
+from mckibben.codegen.polynomials import erf_inv, log, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
 from mckibben.codegen.shapes import ShapeRules
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
 _UNROLLED = 300  # equations: loops of fewer in all passes are written out
-_RENAMED = {"add_any": "add"}
+_RENAMED = {"add_any": "add", "shift_right_arithmetic": "shift_right"}
 _UNARY = {
     "neg", "abs", "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
     "tanh", "floor", "ceil", "cbrt", "sign", "is_finite", "not",
 }  # fmt: skip
 _BINARY = {
     "add", "sub", "mul", "div", "max", "min", "pow", "atan2", "rem", "lt", "le", "gt", "ge", "eq", "ne", "and", "or",
-    "xor", "shift_left",
+    "xor", "shift_left", "shift_right",
 }  # fmt: skip
 _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
@@ -67,7 +67,6 @@ def kind_of(dtype: Any) -> Kind:
     return Kind.INTEGER if letter in "iu" else Kind.REAL
 
 
-_EVERYWHERE = {"erf_inv": erf_inv}
 _FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
 """Polynomials in place of calls of the libraries, which have no vectors."""
 
@@ -155,9 +154,11 @@ class Lowering(ShapeRules):
             return self._random(name, parameters, aval, arguments, equation)
         kind = kind_of(aval.dtype)
         name = _RENAMED.get(name, name)
-        if name in _EVERYWHERE and aval.dtype == np.float32:
-            closed = jax.make_jaxpr(_EVERYWHERE[name])(jnp.zeros(aval.shape, aval.dtype))
-            return self._closed(closed, arguments)
+        if name == "erf_inv" and aval.dtype == np.float32:
+            return self._closed(jax.make_jaxpr(erf_inv)(jnp.zeros(aval.shape, aval.dtype)), arguments)
+        if name == "log1p" and aval.dtype == np.float32:
+            (found,) = self._closed(jax.make_jaxpr(lambda x: log(1.0 + x))(jnp.zeros(aval.shape)), arguments)
+            return [self._elementwise(lambda x: self._graph.operation("single", kind, x), found)]
         if name in _FOR_LANES and not all(one.uniform for x in arguments for one in x.flat):
             closed = jax.make_jaxpr(_FOR_LANES[name])(jnp.zeros(aval.shape, aval.dtype))
             return self._closed(closed, arguments)

@@ -28,8 +28,9 @@ from mckibben.errors import ExportError
 from mckibben.numerics.program_cache import ARRAY, program_path, read_program, write_program
 from mckibben.numerics.runtime import programs_folder
 
-_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fwrapv", "-w", "-shared", "-fPIC")
-_WIDE = ("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()
+_FLAGS = ("-march=native", "-fno-math-errno", "-fno-trapping-math", "-fwrapv", "-w", "-shared", "-fPIC")
+_ALONE = ("-O2", "-fno-tree-vectorize")
+_FOR_LANES = ("-O3", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 _DTYPES = {Kind.REAL: np.float64, Kind.INTEGER: np.int64, Kind.BOOLEAN: np.int64}
 
@@ -77,7 +78,7 @@ class NativeFunction:
 
         varying = [x[..., 0] for x in lanes.arrays]
         source, leaves, tree = write_native(function, shared.arrays, varying)
-        library = compile_library(source)
+        library = compile_library(source, _FOR_LANES if varying else _ALONE)
         if path is not None:
             write_program(path, pickle.dumps((library, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
         return _Compiled(load_library(library), leaves, tree)
@@ -199,9 +200,9 @@ def write_native(function: Callable[..., Any], given: Sequence[Any], varying: Se
     return "\n".join(text), [(one.shape, one.dtype.str) for one in leaves], jax.tree.structure(shape)
 
 
-def compile_library(source: str) -> bytes:
+def compile_library(source: str, flags: Sequence[str]) -> bytes:
     """Shared library of a source; raises `ExportError` where it cannot be compiled."""
-    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *_WIDE, "source.c", "-o", "library.so", "-lm"]
+    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *flags, "source.c", "-o", "library.so", "-lm"]
     with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
         Path(folder, "source.c").write_text(source, encoding="utf-8")
         try:
@@ -233,7 +234,7 @@ def _compiler_state() -> str:
     if name is None:
         return ""
     status = Path(name).resolve().stat()
-    return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {_FLAGS} {_WIDE}"
+    return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {_FLAGS} {_ALONE} {_FOR_LANES}"
 
 
 def _input(x: Any) -> Any:

@@ -6,6 +6,7 @@ import functools
 from typing import Any
 
 import jax.numpy as jnp
+from jax import lax
 
 from mckibben.numerics import elementary
 
@@ -21,8 +22,29 @@ def tanh(x: Any) -> Any:
     return jnp.sign(x) * ((1 - power) / (1 + power))
 
 
+def log(x: Any) -> Any:
+    """Natural logarithm of a positive normal number (fdlibm), right to 1e-16 of it."""
+    bits = lax.bitcast_convert_type(x, jnp.int64)
+    shifted = bits + _ABOVE_HALF_ROOT
+    exponent = ((shifted >> 52) - 1023).astype(x.dtype)
+    f = lax.bitcast_convert_type((shifted & _MANTISSA) + _HALF_ROOT, jnp.float64) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    half = 0.5 * f * f
+    rest = s * (half + z * elementary.polynomial(z, _LOG)) + exponent * _LN2[1]
+    return exponent * _LN2[0] - ((half - rest) - f)
+
+
+_MANTISSA = 0x000FFFFFFFFFFFFF
+_HALF_ROOT = 0x3FE6A09E00000000  # of 1/2
+_ABOVE_HALF_ROOT = 0x3FF0000000000000 - _HALF_ROOT
+_LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # leading bits, rest
+_LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01, 2.222219843214978396e-01,
+        1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01)  # fmt: skip
+
+
 def erf_inv(x: Any) -> Any:
-    """Inverse error function (Giles 2012, single precision), right to 3e-7."""
+    """Inverse error function as XLA has it in single precision (Giles 2012), right to 3e-7 but near 1."""
     w = -jnp.log1p(-x * x)
     near, far = w - 2.5, jnp.sqrt(w) - 3.0
     p, q = (functools.reduce(lambda sum_, c: sum_ * y + c, cs) for y, cs in ((near, _NEAR), (far, _FAR)))
