@@ -14,15 +14,16 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from mckibben.codegen.graph import Graph, Kind, StoredArray, Value
+from mckibben.codegen.graph import Graph, Kind, StoredArray
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
-from mckibben.codegen.vectors import PRELUDE, SUFFIX, WIDTH, VectorWriter
+from mckibben.codegen.source_module import inputs_of
+from mckibben.codegen.vectors import HEADERS, PRELUDE, SUFFIX, WIDTH, VectorWriter
 from mckibben.codegen.writer import Writer
 from mckibben.errors import ExportError
 from mckibben.numerics.program_cache import ARRAY, program_path, read_program, write_program
@@ -31,6 +32,7 @@ from mckibben.numerics.runtime import programs_folder
 _FLAGS = ("-march=native", "-fno-math-errno", "-fno-trapping-math", "-fwrapv", "-w", "-shared", "-fPIC")
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O3", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
+_LONGEST = 3_000_000  # characters of a source
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 _DTYPES = {Kind.REAL: np.float64, Kind.INTEGER: np.int64, Kind.BOOLEAN: np.int64}
 
@@ -49,7 +51,7 @@ class NativeFunction:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
-        self._known: dict[Any, _Compiled] = {}
+        self._known: dict[Any, _Compiled | ExportError] = {}
         self._lock = threading.Lock()
 
     def __call__(self, shared: Any, lanes: Any = None) -> Any:
@@ -61,8 +63,14 @@ class NativeFunction:
         key = tuple(one.key for one in trees)
         with self._lock:
             if key not in self._known:
-                self._known[key] = self._compiled(*trees)
-        return functools.partial(self._known[key], trees[0].arrays, trees[1].arrays)
+                try:
+                    self._known[key] = self._compiled(*trees)
+                except ExportError as error:  # nor will it the next time
+                    self._known[key] = error
+        found = self._known[key]
+        if isinstance(found, ExportError):
+            raise found
+        return functools.partial(found, trees[0].arrays, trees[1].arrays)
 
     def _compiled(self, shared: _Split, lanes: _Split) -> _Compiled:
         """From the program cache, or compiled."""
@@ -135,69 +143,77 @@ class _Compiled:
         return jax.tree.unflatten(self.tree, values)
 
 
-def write_native(function: Callable[..., Any], given: Sequence[Any], varying: Sequence[Any]) -> Any:
-    """C source of a function of arrays; descriptions and tree of its results."""
+class Written(NamedTuple):
+    """C source of a function of arrays, shapes and types of its results, and their tree."""
+
+    source: str
+    leaves: list[tuple[tuple[int, ...], str]]
+    tree: Any
+
+
+def write_native(function: Callable[..., Any], given: Sequence[Any], varying: Sequence[Any]) -> Written:
+    """Write a function of arrays that all runs share, and of arrays of one run each."""
     graph = Graph(lanes=bool(varying))
-    lowering = Lowering(graph)
     graph.scope = graph.root.inner()
-    heads, inputs, arrays = [], [], []
-    for place, (x, uniform) in enumerate([*((x, True) for x in given), *((x, False) for x in varying)]):
-        kind, name = kind_of(x.dtype), f"in{place}"
-        heads.append(f"    const {_TYPES[kind]} *{name} = in[{place}];")
-        if x.shape:
-            array = StoredArray(kind, x.size, [], name=name, uniform=uniform)
-            arrays.append(array)
-            inputs.append(Stored(x.shape, kind, array))
-        else:
-            value = np.empty((), object)
-            value[()] = graph.input(name, kind, uniform=uniform)
-            inputs.append(value)
+    inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
     shape = jax.eval_shape(function, given, varying)
-    results = jax.tree.leaves(
-        lowering.function(function, (given, varying), inputs), is_leaf=lambda x: isinstance(x, Stored)
-    )
-    values: list[Any] = []
-    for one in results:
-        values += [one.array] if isinstance(one, Stored) else list(one.flat)
+    tree = Lowering(graph).function(function, (given, varying), inputs)
+    results = jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, Stored))
+    values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
     writer = VectorWriter([graph.scope], values) if varying else Writer([graph.scope], c_language(), values)
-    for array in arrays:
-        writer.name_array(array, array.name)
+    leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
+    kinds = [kind_of(x.dtype) for x in (*given, *varying)], [kind_of(np.dtype(kind)) for _, kind in leaves]
+    lines = [
+        "void run(const void *const *in, void *const *out, int64_t lanes, int64_t first, int64_t last)",
+        "{",
+        *(f"    const {_TYPES[kind]} *in{n} = in[{n}];" for n, kind in enumerate(kinds[0])),
+        *(f"    {_TYPES[kind]} *out{n} = out[{n}];" for n, kind in enumerate(kinds[1])),
+        f"    for (int64_t b = first; b < last; b += {'W' if varying else '1'}) {{",
+        *_body(graph, writer, inputs, results),
+        "    }",
+        "}",
+    ]
+    source = "\n".join([PRELUDE if varying else HEADERS, *sorted(writer.helpers), *lines, ""])
+    if len(source) > _LONGEST:
+        raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
+    return Written(source, leaves, jax.tree.structure(shape))
+
+
+def _input_value(graph: Graph, name: str, x: Any, uniform: bool) -> Any:
+    """An argument: a number, or an array in memory."""
+    kind = kind_of(x.dtype)
+    if x.shape:
+        return Stored(x.shape, kind, StoredArray(kind, x.size, [], name=name, uniform=uniform))
+    value = np.empty((), object)
+    value[()] = graph.input(name, kind, uniform=uniform)
+    return value
+
+
+def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence[Any]) -> list[str]:
+    """Statements that compute the results of one run, or of a vector of runs."""
+    indent = " " * 8
+    for one in inputs:
+        if isinstance(one, Stored) and one.array is not None:
+            writer.name_array(one.array, one.array.name)
     for place, one in enumerate(results):
         if isinstance(one, Stored):
             if one.array is None or one.array.loop is None or one.begin or one.array.size != one.size:
-                raise ExportError("a result is an input")
+                raise ExportError("a result is a part of an array", remedy="return a copy, such as x + 0")
             writer.name_array(one.array, f"out{place}")
     lines = []
-    for value in graph.scope.statements:
-        if isinstance(value, Value) and value.operation == "input" and writer.is_needed(value):
-            load_one = f"{value.data}[0]"
-            if not value.uniform:
-                load_one = f"load{SUFFIX[value.kind]}(&{value.data}[b])"
-            text = f"p{value.data}"
-            writer.name(value, text)
-            lines.append(f"        {writer.constant(value)} {text} = {load_one};")
-    lines += writer.scope(graph.scope, "        ")
+    for value in inputs_of(graph.scope):
+        if writer.is_needed(value):
+            name = f"p{value.data}"
+            writer.name(value, name)
+            source = f"{value.data}[0]" if value.uniform else f"load{SUFFIX[value.kind]}(&{value.data}[b])"
+            lines.append(f"{indent}{writer.constant(value)} {name} = {source};")
+    lines += writer.scope(graph.scope, indent)
     for place, one in enumerate(results):
         if not isinstance(one, Stored):
-            array = StoredArray(one.flat[0].kind, one.size, [], name=f"out{place}", uniform=not varying)
-            writer.name_array(array, f"out{place}")
-            lines += [f"        {writer.store(array, str(at), value)};" for at, value in enumerate(one.flat)]
-    leaves = jax.tree.leaves(shape)
-    heads += [f"    {_TYPES[kind_of(one.dtype)]} *out{n} = out[{n}];" for n, one in enumerate(leaves)]
-    prelude = (
-        PRELUDE if varying else "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
-    )
-    step = "W" if varying else "1"
-    text = [
-        prelude,
-        *sorted(writer.helpers),
-        "void run(const void *const *in, void *const *out, int64_t lanes, int64_t first, int64_t last)\n{",
-        *heads,
-        f"    for (int64_t b = first; b < last; b += {step}) {{",
-        *lines,
-        "    }\n}\n",
-    ]
-    return "\n".join(text), [(one.shape, one.dtype.str) for one in leaves], jax.tree.structure(shape)
+            array = StoredArray(one.flat[0].kind, one.size, [], name=f"out{place}")
+            writer.name_array(array, array.name)
+            lines += [f"{indent}{writer.store(array, str(at), value)};" for at, value in enumerate(one.flat)]
+    return lines
 
 
 def compile_library(source: str, flags: Sequence[str]) -> bytes:

@@ -18,14 +18,10 @@ _ATOM = 8
 SUFFIX = {Kind.REAL: "", Kind.INTEGER: "_integer", Kind.BOOLEAN: "_mask"}
 """Of the functions that load and store vectors, by kind."""
 
+HEADERS = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
 PRELUDE = (
-    f"enum {{ W = {WIDTH} }};"
+    f"{HEADERS}\nenum {{ W = {WIDTH} }};"
     + """
-#include <math.h>
-#include <stdbool.h>
-#include <stdint.h>
-#include <string.h>
-
 typedef double V __attribute__((vector_size(8 * W)));
 typedef int64_t I __attribute__((vector_size(8 * W)));
 #define INLINE static inline __attribute__((always_inline, unused))
