@@ -34,6 +34,12 @@ JOINTS = {
 }
 
 
+@pytest.fixture(scope="session")
+def joints():
+    """Functions that make the joints, by name."""
+    return JOINTS
+
+
 class Known(NamedTuple):
     """A joint, angles [rad] and pressures [Pa], and there torque, stiffness and tensions by JAX."""
 

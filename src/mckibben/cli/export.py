@@ -13,9 +13,11 @@ from mckibben.storage.files import to_json
 
 def export(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
-    to: Annotated[str, Option(metavar="FORMAT", help="c: the controller as C99, for microcontrollers.")],
+    to: Annotated[
+        str, Option(metavar="FORMAT", help="c: controller as C99. mjcf: joint for MuJoCo. osim: joint for OpenSim.")
+    ],
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
-    name: Annotated[str, Option(metavar="NAME", help="Of the program.")] = "controller",
+    name: Annotated[str, Option(metavar="NAME", help="Of the program or model.")] = "",
     single: Annotated[bool, Option("--single", help="Numbers of 32 bits, for processors without 64.")] = False,
     force: Force = False,
     json: Json = False,

@@ -40,7 +40,7 @@ def plant_module(
     """
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     plant = numeric(dataclasses.replace(plant, sensors=PerfectSensors(), disturbance=NoDisturbance()))
-    numbers, fixed = eqx.partition(plant, _is_real)
+    numbers, fixed = eqx.partition(plant, is_real)
     module = SourceModule(name, {"plant": numbers, "control_period": np.asarray(control_period or 0.0)}, "plant.")
     state = jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))
 
@@ -104,5 +104,6 @@ def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> Plan
     )
 
 
-def _is_real(leaf: Any) -> bool:
+def is_real(leaf: Any) -> bool:
+    """Whether a leaf is a real number or an array of them."""
     return eqx.is_array_like(leaf) and np.asarray(leaf).dtype.kind == "f"

@@ -23,8 +23,10 @@ class Exported(NamedTuple):
 
 TARGETS = {
     "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers"),
+    "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint and muscles for MuJoCo, with the C of a plugin"),
 }
 """Function of each format, ``(scenario, name, folder, single) -> Exported``, and what it is."""
+_NAMES = {"mjcf": "joint", "osim": "joint"}  # by default, of formats that hold no controller
 
 
 def export(
@@ -32,7 +34,7 @@ def export(
     target: str,
     out: str | os.PathLike[str],
     *,
-    name: str = "controller",
+    name: str = "",
     single: bool = False,
     overwrite: bool = False,
 ) -> Exported:
@@ -43,7 +45,7 @@ def export(
     target
         One of `TARGETS`.
     name
-        Of the program or model in the format, an identifier.
+        Of the program or model in the format, an identifier. Default: controller, or joint.
     single
         Numbers of 32 bits in place of 64.
 
@@ -59,7 +61,7 @@ def export(
             f"{quoted(target)} is no format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
         )
     default = identifier(scenario.name.lower())[:40].strip("_") or "controller"
-    name = name or default
+    name = name or _NAMES.get(target, "controller")
     if identifier(name) != name:
         remedy = f"give an identifier of C, such as {default}"
         raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
