@@ -31,7 +31,7 @@ _GRAVITY = 9.81  # m/s^2
 
 
 class Transmission(NamedTuple):
-    """How MuJoCo moves a muscle: sites and tendon of MJCF, and the path [m] beyond the length of the tendon.
+    """How a muscle is moved: sites and tendon of MJCF, path [m] beyond the length of the tendon, and its two points.
 
     Without a tendon the muscle turns the joint itself: its length is the angle, its force a torque.
     """
@@ -40,6 +40,7 @@ class Transmission(NamedTuple):
     moving_sites: str = ""
     tendon: str = ""
     offset: Any = 0.0
+    points: tuple[tuple[float, float], ...] = ()
 
 
 def transmissions(geometry: Geometry) -> tuple[Transmission, Transmission]:
@@ -69,12 +70,15 @@ def _path(number: int, path: Any, side: int) -> Transmission:
 
 
 def _two_sites(number: int, fixed: tuple[Any, Any], moving: tuple[Any, Any], connector: Any) -> Transmission:
-    def site(name: str, at: tuple[Any, Any]) -> str:
-        return f'<site name="{name}{number}" pos="{float(at[0])!r} {float(at[1])!r} 0"/>'
+    points = tuple((float(x), float(y)) for x, y in (fixed, moving))
+    first, last = (
+        f'<site name="{name}{number}" pos="{x!r} {y!r} 0"/>'
+        for name, (x, y) in zip(("fixed", "moving"), points, strict=True)
+    )
 
     ends = f'<site site="fixed{number}"/><site site="moving{number}"/>'
     tendon = f'<spatial name="muscle{number}" width="0.008" rgba="0.8 0.2 0.15 1">{ends}</spatial>'
-    return Transmission(site("fixed", fixed), site("moving", moving), tendon, -connector)
+    return Transmission(first, last, tendon, -connector, points)
 
 
 class Activations(NamedTuple):
@@ -118,18 +122,22 @@ def joint_model(
         if not one.tendon:
             left_out.append(f"tendon of muscle {number}: MuJoCo has none with such a path; its torque turns the joint")
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
+    module, muscles, acts = muscle_module(plant, moved, start, name)
+    point = mass_point(plant.load)
+    xml = _mjcf(plant, name, timestep, moved, muscles, point, _keyframe(plant, start, acts))
+    return JointModel(xml, module, muscles, (*left_out, *point.chosen))
+
+
+def muscle_module(
+    plant: JointPlant, moved: tuple[Transmission, Transmission], start: PlantState, name: str
+) -> tuple[SourceModule, tuple[PluginMuscle, PluginMuscle], list[Any]]:
+    """The functions of both muscles, their kinds, and their activations at the start."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
-    muscles, acts = [], []
-    for number, one in enumerate(moved, 1):
-        muscle = _Muscle(fixed, number - 1, one, start)
-        muscle.add_to(module)
-        muscles.append(muscle.summary)
-        acts.append(muscle.layout.pack(muscle.start))
-    chosen, load = _load(plant.load)
-    left_out += chosen
-    xml = _mjcf(plant, name, timestep, moved, tuple(muscles), load, _keyframe(plant, start, acts))
-    return JointModel(xml, module, (muscles[0], muscles[1]), tuple(left_out))
+    first, second = (_Muscle(fixed, index, one, start) for index, one in enumerate(moved))
+    for one in (first, second):
+        one.add_to(module)
+    return module, (first.summary, second.summary), [one.layout.pack(one.start) for one in (first, second)]
 
 
 class _Muscle:
@@ -234,22 +242,28 @@ class _Muscle:
         return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path)).friction)
 
 
-def _load(load: Load) -> tuple[list[str], str]:
-    """What is chosen for a load, and its inertia as MJCF: a body that hangs along -y at the angle 0."""
+class MassPoint(NamedTuple):
+    """Mass [kg] that hangs along -y at the angle 0, its distance [m], inertia about itself, and what was chosen."""
+
+    mass: float
+    distance: float
+    inertia: float
+    chosen: tuple[str, ...]
+
+
+def mass_point(load: Load) -> MassPoint:
+    """A body with the inertia and the torque of gravity of a load."""
     inertia, moment, gravity = float(load.total_inertia), float(load.gravity_moment), gravity_of(load)
     angles = np.linspace(-1, 1, 5)
     hanging = moment * np.sin(float(load.hanging_angle) - angles)
     if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
         raise _cannot("load", "a load with another torque than gravity's", "give a PendulumLoad or a GeneralLoad")
-    mass, chosen = known_mass(load), []
+    mass, chosen = known_mass(load), ()
     if mass is None:
         mass = 2 * moment**2 / (inertia * gravity**2) or 1.0
-        chosen = [f"mass of the load: {mass:.4g} kg is chosen, as only its inertia and torque are known"]
+        chosen = (f"mass of the load: {mass:.4g} kg is chosen, as only its inertia and torque are known",)
     distance = moment / (mass * gravity) if gravity else 0.0
-    rest = max(inertia - mass * distance**2, 1e-12 * inertia)
-    place = f'pos="0 {-distance!r} 0" mass="{mass!r}" diaginertia="{rest!r} {rest!r} {rest!r}"'
-    shape = f'<geom type="capsule" fromto="0 0 0 0 {-distance or -0.1!r} 0" size="0.01" rgba="0.4 0.45 0.5 1"/>'
-    return chosen, f"<inertial {place}/>\n        {shape}"
+    return MassPoint(mass, distance, max(inertia - mass * distance**2, 1e-12 * inertia), chosen)
 
 
 def gravity_of(load: Load) -> float:
@@ -292,11 +306,13 @@ def _mjcf(
     timestep: float,
     moved: tuple[Transmission, Transmission],
     muscles: tuple[PluginMuscle, ...],
-    load: str,
+    point: MassPoint,
     keyframe: str,
 ) -> str:
     """MJCF of the joint in a vertical plane: its x and y are turned so that gravity points to the hanging angle."""
     sine, cosine = math.sin(float(plant.load.hanging_angle)), math.cos(float(plant.load.hanging_angle))
+    mass, distance, rest, _ = point
+    inertial = f'pos="0 {-distance!r} 0" mass="{mass!r}" diaginertia="{rest!r} {rest!r} {rest!r}"'
     actuators = []
     for number, (one, muscle, limits) in enumerate(zip(moved, muscles, command_ranges(plant), strict=True), 1):
         target = f'tendon="muscle{number}"' if one.tendon else 'joint="joint"'
@@ -325,7 +341,8 @@ def _mjcf(
     {fixed}
       <body name="limb">
         <joint name="joint" type="hinge" axis="0 0 1" damping="{float(plant.load.damping)!r}"/>
-        {load}
+        <inertial {inertial}/>
+        <geom type="capsule" fromto="0 0 0 0 {-distance or -0.1!r} 0" size="0.01" rgba="0.4 0.45 0.5 1"/>
     {moving}
       </body>
     </body>

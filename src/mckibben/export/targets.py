@@ -24,6 +24,7 @@ class Exported(NamedTuple):
 TARGETS = {
     "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers"),
     "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint and muscles for MuJoCo, with the C of a plugin"),
+    "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures"),
 }
 """Function of each format, ``(scenario, name, folder, single) -> Exported``, and what it is."""
 _NAMES = {"mjcf": "joint", "osim": "joint"}  # by default, of formats that hold no controller
