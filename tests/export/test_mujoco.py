@@ -138,6 +138,9 @@ def runs(tmp_path_factory, knee):
     plants = {
         "lags": mk.JointPlant(mk.AntagonisticJoint(knee.geometry, creeping, creeping), LOAD, LAGS),
         "ideal": mk.JointPlant(mk.AntagonisticJoint(CAM, slipping, slipping), LOAD, mk.IdealValve()),
+        "spring": mk.JointPlant(
+            mk.AntagonisticJoint(CAM, mk.return_spring(4e3, 0.13), slipping), LOAD, mk.IdealValve()
+        ),
         "flow": mk.JointPlant(mk.AntagonisticJoint(knee.geometry, slipping, knee.muscle2), LOAD, FLOW),
     }
     return plants, build(tmp_path_factory.mktemp("runs"), plants)
@@ -160,6 +163,18 @@ def test_friction_creep_and_air_are_states_of_the_plugin(name, runs):
         mujoco.mj_step(model, data, nstep=4)
         assert data.qpos[0] == pytest.approx(angle, abs=1e-9)
     assert abs(data.qpos[0]) > 0.05
+
+
+def test_a_return_spring_needs_no_command(runs):
+    plants, models = runs
+    model = mujoco.MjModel.from_xml_string(models["spring"].xml)
+    data = mujoco.MjData(model)
+    for angle in (-0.2, 0.0, 0.3):
+        mujoco.mj_resetData(model, data)
+        data.qpos[0], data.ctrl[:] = angle, (0.0, 3e5)
+        mujoco.mj_forward(model, data)
+        wanted = float(plants["spring"].joint.torque(angle, (0.0, 3e5)))
+        assert data.qfrc_actuator[0] == pytest.approx(wanted, abs=1e-9)
 
 
 def test_what_mujoco_cannot_hold_is_refused(knee):

@@ -16,7 +16,8 @@ from mckibben.control import Setpoint
 from mckibben.errors import ExportError
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
-from mckibben.numerics.compiled import compiled_as_given, compiled_batch, numeric
+from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.runtime import batch_options
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import FlatTree, compile_flat
 from mckibben.simulation.problem import SimulationProblem
@@ -78,9 +79,13 @@ class Plants(NamedTuple):
     starts: PlantState
     rows: int
 
-    def at(self, row: Array) -> SimulationProblem:
+    def at(self, row: Any) -> SimulationProblem:
         """Plant and reference of a row."""
         return eqx.combine(jax.tree.map(lambda one: one[row], self.varying), self.fixed)
+
+    def row(self, row: Any) -> tuple[SimulationProblem, PlantState]:
+        """Plant, reference and start of a row."""
+        return self.at(row), jax.tree.map(lambda one: one[row], self.starts)
 
 
 class Episode(NamedTuple):
@@ -94,11 +99,11 @@ class Episode(NamedTuple):
 class EpisodeStep(NamedTuple):
     """What an agent is told: observation (6,), reward, whether the episode failed; true stiffness, and air [L]."""
 
-    observation: Array
-    reward: Array
-    failed: Array
-    stiffness: Array
-    air: Array
+    observation: Any
+    reward: Any
+    failed: Any
+    stiffness: Any
+    air: Any
 
 
 def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
@@ -128,12 +133,7 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
     if not kept.size:
         raise ExportError("no plant has an equilibrium at the start", field="start", remedy="give another `start`")
     take = lambda tree: jax.tree.map(lambda one: np.asarray(one)[kept], tree)  # noqa: E731
-    return on_device(Plants(take(varying), fixed, take(starts), len(kept)))
-
-
-def on_device(tree: Any) -> Any:
-    """Tree whose arrays need no transfer at each call."""
-    return jax.tree.map(lambda one: jnp.asarray(one) if isinstance(one, np.ndarray) else one, tree)
+    return Plants(take(varying), fixed, take(starts), len(kept))
 
 
 @compiled_as_given
@@ -188,77 +188,88 @@ def advance(
     return episode, step._replace(reward=step.reward / repeat)
 
 
-class SingleProgram:
-    """`begin` and `advance` of one joint, as compiled functions of flat arrays."""
+class _FlatEpisodes:
+    """`begin` and `advance` with an array for an episode, and one for what an agent is told."""
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
-        self._plants = jax.tree.map(lambda one: np.asarray(one) if eqx.is_array(one) else one, plants)
-        problem, start = self._row(0)
-        numbers, starts = FlatTree(problem), FlatTree(start)
-        episode = jax.eval_shape(lambda: begin(problem, start, settings.period)[0])
-        episodes = FlatTree(episode)
-        self._numbers, self._starts = numbers, starts
+        self._layout = FlatTree(jax.eval_shape(lambda: begin(*plants.row(0), settings.period)[0]))
+        self.size = self._layout.size
+        self._settings, self._counts = settings, (substeps, repeat)
+
+    def begin(self, problem: SimulationProblem, start: PlantState) -> tuple[Array, Array]:
+        """Begin an episode."""
+        episode, observation = begin(problem, start, self._settings.period)
+        return self._layout.pack(episode, jnp), jnp.concatenate([observation, jnp.zeros(len(EpisodeStep._fields) - 1)])
+
+    def advance(self, problem: SimulationProblem, episode: Array, action: Array) -> tuple[Array, Array]:
+        """Go on with an episode."""
+        at, step = advance(problem, self._layout.unpack(episode), action, self._settings, *self._counts)
+        return self._layout.pack(at, jnp), jnp.concatenate([step.observation, jnp.stack(step[1:], dtype=float)])
+
+
+def _step(values: Any) -> EpisodeStep:
+    """What was told, from an array whose last axis has all of it."""
+    values = np.asarray(values)
+    return EpisodeStep(values[..., : len(OBSERVATION)], *np.moveaxis(values[..., len(OBSERVATION) :], -1, 0))
+
+
+class SingleProgram:
+    """Compiled episodes of one joint, whose numbers are arguments."""
+
+    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
+        flat, self._plants = _FlatEpisodes(plants, settings, substeps, repeat), plants
+        numbers, starts = self._layouts = tuple(map(FlatTree, plants.row(0)))
 
         def first(packed: Array, start: Array) -> tuple[Array, Array]:
-            episode, observation = begin(numbers.unpack(packed), starts.unpack(start), settings.period)
-            return episodes.pack(episode, jnp), observation
+            return flat.begin(numbers.unpack(packed), starts.unpack(start))
 
         def following(packed: Array, episode: Array, action: Array) -> tuple[Array, Array]:
-            at, step = advance(numbers.unpack(packed), episodes.unpack(episode), action, settings, substeps, repeat)
-            return episodes.pack(at, jnp), jnp.concatenate([step.observation, jnp.stack(step[1:], dtype=float)])
+            return flat.advance(numbers.unpack(packed), episode, action)
 
         self._first = compile_flat(first, numbers.size, starts.size)
-        self._following = compile_flat(following, numbers.size, episodes.size, 2)
+        self._following = compile_flat(following, numbers.size, flat.size, 2)
 
-    def _row(self, row: int) -> tuple[SimulationProblem, PlantState]:
-        return self._plants.at(row), jax.tree.map(lambda one: one[row], self._plants.starts)  # type: ignore[arg-type]
-
-    def begin(self, row: int) -> Any:
-        """Begin an episode with the plant of a row; returns the first observation."""
-        problem, start = self._row(row)
-        self._packed = jnp.asarray(self._numbers.pack(problem))
-        self._episode, observation = self._first(self._packed, self._starts.pack(start))
-        return np.asarray(observation)
+    def begin(self, row: int) -> EpisodeStep:
+        """Begin an episode with the plant of a row."""
+        numbers, start = (layout.pack(one) for layout, one in zip(self._layouts, self._plants.row(row), strict=True))
+        self._numbers = jnp.asarray(numbers)
+        self._episode, values = self._first(self._numbers, start)
+        return _step(values)
 
     def advance(self, action: Any) -> EpisodeStep:
         """Go on with the episode."""
-        self._episode, values = self._following(self._packed, self._episode, np.asarray(action, float))
-        values = np.asarray(values)
-        return EpisodeStep(values[: len(OBSERVATION)], *values[len(OBSERVATION) :])  # type: ignore[arg-type]
+        self._episode, values = self._following(self._numbers, self._episode, np.asarray(action, float))
+        return _step(values)
 
 
-@compiled_batch
-def begin_many(plants: Plants, rows: Any, settings: Settings) -> tuple[Episode, Array]:
-    """Starts of many episodes with the plants of some rows."""
+class ManyProgram:
+    """Compiled episodes of many joints at once; those that are over begin anew. Each has a column of the arrays."""
 
-    def one(row: Array) -> tuple[Episode, Array]:
-        return begin(plants.at(row), jax.tree.map(lambda one: one[row], plants.starts), settings.period)
+    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
+        flat = _FlatEpisodes(plants, settings, substeps, repeat)
+        table = jax.tree.map(jnp.asarray, (plants.varying, plants.starts))
+        plants = plants._replace(varying=table[0], starts=table[1])  # others are constants of the program
 
-    return jax.vmap(one)(rows)
+        def begin(rows: Array) -> tuple[Array, Array]:
+            return jax.vmap(lambda row: flat.begin(*plants.row(row)), out_axes=1)(rows)
 
+        def advance(rows: Array, episodes: Array, actions: Array, over: Array) -> tuple[Array, Array]:
+            go_on = jax.vmap(lambda row, *given: flat.advance(plants.at(row), *given), in_axes=(0, 1, 1), out_axes=1)
+            moved = go_on(rows, episodes, actions.T)
+            return jax.tree.map(lambda new, old: jnp.where(over, new, old), begin(rows), moved)
 
-@compiled_batch
-def advance_many(
-    plants: Plants,
-    rows: Any,
-    episodes: Episode,
-    actions: Any,
-    over: Any,
-    settings: Settings,
-    substeps: int,
-    repeat: int,
-) -> tuple[Episode, EpisodeStep]:
-    """Many episodes at once; those that are over begin, with the plants of the given rows, whatever their action is."""
+        options = batch_options()
+        self._begin, self._advance = (jax.jit(one, compiler_options=options) for one in (begin, advance))
 
-    def one(row: Array, episode: Episode, action: Array, over: Array) -> tuple[Episode, EpisodeStep]:
-        problem, start = plants.at(row), jax.tree.map(lambda one: one[row], plants.starts)
-        started, observation = begin(problem, start, settings.period)
-        nothing = jnp.zeros(())
-        fresh = EpisodeStep(observation, nothing, jnp.asarray(False), nothing, nothing)
-        moved = advance(problem, episode, action, settings, substeps, repeat)
-        return jax.tree.map(lambda new, old: jnp.where(over, new, old), (started, fresh), moved)
+    def begin(self, rows: Any) -> EpisodeStep:
+        """Begin all episodes, with the plants of some rows."""
+        self._episodes, values = self._begin(rows)
+        return _step(np.asarray(values).T)
 
-    return jax.vmap(one)(rows, episodes, actions, over)
+    def advance(self, rows: Any, actions: Any, over: Any) -> EpisodeStep:
+        """Go on; episodes that are over begin with the plants of the given rows, whatever their action is."""
+        self._episodes, values = self._advance(rows, self._episodes, np.asarray(actions, float), over)
+        return _step(np.asarray(values).T)
 
 
 def _content(plant: JointPlant, state: PlantState) -> Array:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
-import jax
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -22,12 +21,10 @@ from mckibben.errors import ExportError
 from mckibben.export.episodes import (
     LIMITS,
     OBSERVATION,
+    ManyProgram,
     RewardTerms,
     Settings,
     SingleProgram,
-    advance_many,
-    begin_many,
-    on_device,
     plants_of,
 )
 from mckibben.numerics.compiled import numeric
@@ -75,7 +72,7 @@ class _Joint:
             ranges, unit, shown = [(-1.0, 1.0)] * 2, 1.0, "1"
         low, high = np.array(ranges).T
         terms = RewardTerms(*map(float, reward))
-        self.settings = on_device(numeric(Settings(self.scenario.control_period, low, high, terms)))
+        self.settings = numeric(Settings(self.scenario.control_period, low, high, terms))
         limit = np.array([LIMITS[name] for name in OBSERVATION], np.float32)
         self.observation_space = Box(-limit, limit, dtype=np.float32)
         self.action_space = Box(-1, 1, (2,), dtype=np.float32)
@@ -142,7 +139,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         given = (options or {}).get("plant")
         row = self.np_random.integers(self.joint.plants.rows) if given is None else given
         self._steps = 0
-        return self._program.begin(int(row)).astype(np.float32), {"plant": int(row)}
+        return self._program.begin(int(row)).observation.astype(np.float32), {"plant": int(row)}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Hold commands for a step."""
@@ -179,6 +176,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         self.single_observation_space, self.single_action_space = self.joint.observation_space, self.joint.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._program = ManyProgram(self.joint.plants, self.joint.settings, **self.joint.options)
         self.metadata = {**self.joint.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
@@ -186,25 +184,20 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         super().reset(seed=seed)
         self._rows = self._draw()
         self._steps, self._over = np.zeros(self.num_envs, int), np.zeros(self.num_envs, bool)
-        self._episodes, observations = begin_many(self.joint.plants, self._rows, self.joint.settings)
-        return np.array(observations, np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
+        observations = self._program.begin(self._rows).observation
+        return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Hold the commands of all joints for a step."""
-        joint = self.joint
         if self._over.any():
             self._rows = np.where(self._over, self._draw(), self._rows)
-        actions = np.asarray(actions, float)
-        self._episodes, step = advance_many(
-            joint.plants, self._rows, self._episodes, actions, self._over, joint.settings, **joint.options
-        )
-        step = jax.device_get(step)
+        step = self._program.advance(self._rows, actions, self._over)
         self._steps = np.where(self._over, 0, self._steps + 1)
-        failed, ended = np.array(step.failed), self._steps >= joint.most_steps
+        failed, ended = step.failed.astype(bool), self._steps >= self.joint.most_steps
         self._over = failed | ended
-        info = {"stiffness": np.array(step.stiffness), "air": np.array(step.air), "plant": self._rows}
+        info: dict[str, Any] = {"stiffness": step.stiffness, "air": step.air, "plant": self._rows}
         info |= {f"_{name}": np.ones(self.num_envs, bool) for name in info}
-        return np.array(step.observation, np.float32), np.array(step.reward), failed, ended, info
+        return step.observation.astype(np.float32), step.reward, failed, ended, info
 
     def _draw(self) -> NDArray[np.int64]:
         return self.np_random.integers(self.joint.plants.rows, size=self.num_envs)

@@ -316,13 +316,15 @@ def _mjcf(
     actuators = []
     for number, (one, muscle, limits) in enumerate(zip(moved, muscles, command_ranges(plant), strict=True), 1):
         target = f'tendon="muscle{number}"' if one.tendon else 'joint="joint"'
-        dynamics = ""
+        dynamics, limited = "", 'ctrllimited="false"'  # a return spring has no pressure
+        if limits[0] < limits[1]:
+            limited = f'ctrllimited="true" ctrlrange="{_text(limits)}"'
         if muscle.activations:
             lag = f'dynprm="{float(plant.valve.time_constant)!r}"' if muscle.filtered else ""
             dynamics = f' actdim="{muscle.activations}" dyntype="{"filter" if lag else "none"}" {lag}'
         actuators.append(
-            f'<plugin name="muscle{number}" {target} plugin="mckibben.{name}"{dynamics} ctrllimited="true" '
-            f'ctrlrange="{_text(limits)}"><config key="muscle" value="{number}"/></plugin>'
+            f'<plugin name="muscle{number}" {target} plugin="mckibben.{name}"{dynamics} {limited}>'
+            f'<config key="muscle" value="{number}"/></plugin>'
         )
     fixed, moving, tendons = (
         "\n    ".join(filter(None, (getattr(one, part) for one in moved)))
