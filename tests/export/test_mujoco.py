@@ -112,6 +112,11 @@ def test_the_exported_scenario_runs_as_its_simulation(tmp_path):
         mujoco.mj_step(model, data, nstep=scenario.substeps)
     assert np.ptp(angles[:2000]) > 0.3
     assert model.opt.timestep == scenario.control_period / scenario.substeps
+    assert load_mujoco(tmp_path).nu == 2  # once more
+    other = shutil.copytree(tmp_path, tmp_path / "other")
+    with pytest.raises(ExportError) as caught:
+        load_mujoco(other)
+    assert caught.value.field == "name"
 
 
 @eqx.filter_jit

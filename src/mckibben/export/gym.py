@@ -81,6 +81,7 @@ class _Joint:
             "observation_units": OBSERVATION,
             "action_ranges": {f"command{i}": (one[0] / unit, one[1] / unit, shown) for i, one in enumerate(ranges, 1)},
             "step": repeat * self.scenario.control_period,  # s
+            "left_out": ("controller of the scenario", "its reference beyond the present period"),
         }
 
 

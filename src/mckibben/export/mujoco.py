@@ -11,14 +11,16 @@ from typing import Any
 
 from mckibben.errors import ExportError
 
+_LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo has one plugin of a name in a process, until its end
+
 
 def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
-    """The `mujoco.MjModel` of a folder that `mckibben export --to mjcf` wrote; builds its plugin where it is not.
+    """The `mujoco.MjModel` of a folder that `mckibben export --to mjcf` wrote; builds its plugin at first.
 
     Raises
     ------
     ExportError
-        Without MuJoCo or a C compiler.
+        Without MuJoCo or a C compiler, or if a plugin of that name from another folder is loaded already.
     """
     try:
         mujoco: Any = import_module("mujoco")
@@ -26,10 +28,20 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
         remedy = "install it: pip install 'mckibben[mujoco]'"
         raise ExportError("MuJoCo is not installed", field="mujoco", remedy=remedy) from error
     folder = Path(folder).resolve()
-    library = folder / f"lib{name}.so"
-    if not library.exists():
-        build_plugin(library, [folder / f"{name}.c", folder / "plugin.c"], Path(mujoco.__file__).parent)
-    mujoco.mj_loadPluginLibrary(str(library))
+    library, sources = folder / f"lib{name}.so", [folder / f"{name}.c", folder / "plugin.c"]
+    if name not in _LOADED:
+        if not library.exists() or library.stat().st_mtime < max(one.stat().st_mtime for one in sources):
+            build_plugin(library, sources, Path(mujoco.__file__).parent)
+        mujoco.mj_loadPluginLibrary(str(library))
+        _LOADED[name] = library
+    if _LOADED[name] != library:
+        remedy = "export one of both with another --name, and give it here"
+        raise ExportError(
+            f"a plugin mckibben.{name} is loaded already, of {_LOADED[name].parent}",
+            field="name",
+            value=name,
+            remedy=remedy,
+        )
     return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
 
 
