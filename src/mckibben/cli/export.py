@@ -12,7 +12,8 @@ from mckibben.storage.files import to_json
 
 _FORMATS = (
     "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
-    "fmu-muscle: FMI 2.0, the joint with load and valves, the controller, or a muscle."
+    "fmu-muscle: FMI 2.0, the joint with load and valves, the controller, or a muscle. mjcf, osim: joint and "
+    "muscles for MuJoCo and OpenSim."
 )
 
 
@@ -20,8 +21,8 @@ def export(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     to: Annotated[str, Option(metavar="FORMAT", help=_FORMATS)],
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
-    name: Annotated[str, Option(metavar="NAME", help="Of the program.")] = "",
-    single: Annotated[bool, Option("--single", help="Numbers of 32 bits, for processors without 64.")] = False,
+    name: Annotated[str, Option(metavar="NAME", help="Of the program or model.")] = "",
+    single: Annotated[bool, Option("--single", help="Numbers of 32 bits, of c: for processors without 64.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:

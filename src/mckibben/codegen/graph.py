@@ -23,7 +23,7 @@ class Kind(enum.Enum):
     BOOLEAN = "boolean"
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class Value:
     """A scalar: a constant, an input, a carried variable of a loop, an element of an array, or an operation."""
 
@@ -40,7 +40,7 @@ class Value:
         return self.data if self.operation == "constant" else None
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class Scope:
     """A block of statements."""
 
@@ -58,7 +58,7 @@ class Scope:
         return scope
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class Carried:
     """A variable of a loop."""
 
@@ -67,7 +67,7 @@ class Carried:
     following: Any = None  # its value after a pass of the loop
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class ForLoop:
     """A loop; `index` counts its passes."""
 
@@ -80,7 +80,7 @@ class ForLoop:
     going: Carried | None = None  # whether there is a further pass, in place of a fixed number
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class Branch:
     """Two blocks, of which one runs."""
 
@@ -90,7 +90,7 @@ class Branch:
     chosen: list[Value] = field(default_factory=list)  # their data are the branch, and the place in `values`
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, repr=False, slots=True)
 class StoredArray:
     """Elements in memory, so that a loop can index them: given ones, those of an input, or rows that a loop stores."""
 
@@ -117,7 +117,7 @@ class Element:
     offset: int
 
 
-_FOLDED: dict[str, Callable[..., Any]] = {
+FOLDED: dict[str, Callable[..., Any]] = {
     "add": lambda x, y: x + y,
     "sub": lambda x, y: x - y,
     "mul": lambda x, y: x * y,
@@ -169,7 +169,8 @@ _FOLDED: dict[str, Callable[..., Any]] = {
     "integer": int,
     "boolean": bool,
 }
-OPERATIONS = frozenset(_FOLDED) | {"select"}
+"""Operations on known numbers, by name."""
+OPERATIONS = frozenset(FOLDED) | {"select"}
 """Names of the operations.
 
 `select` has the condition, then both values; `bits` are those of a real number as an integer, `from_bits` the reverse;
@@ -243,9 +244,9 @@ class Graph:
             if yes is no:
                 return yes
             return None if known[0] is None else yes if known[0] else no
-        if all(number is not None for number in known) and name in _FOLDED:
+        if all(number is not None for number in known) and name in FOLDED:
             with np.errstate(all="ignore"):
-                return self.constant(_FOLDED[name](*known), kind)
+                return self.constant(FOLDED[name](*known), kind)
         first = arguments[0]
         if name in ("real", "integer", "boolean"):
             return first if first.kind is kind else None

@@ -45,15 +45,16 @@ def c_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Export
         f"{name}.c": sources.source,
         "scenario.yaml": text,
         "replay.csv": "\n".join(table) + "\n",
-        "README.md": _filled("README.md", values),
-        "replay.c": _filled("replay.c", values),
-        "Makefile": _filled("Makefile", values),
-        f"sketch/{name}/{name}.ino": _filled("sketch.ino", values),
+        "README.md": filled("README.md", values),
+        "replay.c": filled("replay.c", values),
+        "Makefile": filled("Makefile", values),
+        f"sketch/{name}/{name}.ino": filled("sketch.ino", values),
         f"sketch/{name}/{name}.h": sources.header,
         f"sketch/{name}/{name}.c": sources.source,
     }
     return Exported(files, made.left_out)
 
 
-def _filled(template: str, values: dict[str, str]) -> str:
+def filled(template: str, values: dict[str, str]) -> str:
+    """Text of a template."""
     return Template((files("mckibben.export") / "templates" / template).read_text()).substitute(values)

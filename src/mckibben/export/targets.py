@@ -27,11 +27,11 @@ TARGETS = {
     "fmu": ("mckibben.export.fmu:plant_fmu", "joint with load and valves as an FMU (FMI 2.0)"),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller as an FMU, for co-simulation"),
     "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "force of a muscle as an FMU"),
+    "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint and muscles for MuJoCo, with the C of a plugin"),
+    "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures"),
 }
 """Function of each format, ``(scenario, name, folder, single) -> Exported``, and what it is."""
-
-
-_NAMES = {"fmu": "plant", "fmu-muscle": "muscle"}
+_NAMES = {"fmu": "plant", "fmu-muscle": "muscle", "mjcf": "joint", "osim": "joint"}  # of what is not a controller
 
 
 def export(
@@ -50,9 +50,9 @@ def export(
     target
         One of `TARGETS`.
     name
-        Of the program or model in the format, an identifier; ``controller``, ``plant`` or ``muscle`` unless given.
+        Of the program or model in the format, an identifier; else ``controller``, ``plant``, ``joint`` or ``muscle``.
     single
-        Numbers of 32 bits in place of 64.
+        Numbers of 32 bits in place of 64, of the format ``c``.
 
     Raises
     ------
@@ -65,10 +65,12 @@ def export(
         raise ParameterError(
             f"{quoted(target)} is no format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
         )
-    default = identifier(scenario.name.lower())[:40].strip("_") or "controller"
+    if single and target != "c":
+        remedy = "leave it out, or write the format c"
+        raise ParameterError(f"{target} has numbers of 64 bits only", field="single", value=single, remedy=remedy)
     name = name or _NAMES.get(target, "controller")
     if identifier(name) != name:
-        remedy = f"give an identifier of C, such as {default}"
+        remedy = "give an identifier of C, such as knee"
         raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
     module, function = TARGETS[target][0].split(":")
     make: Callable[..., Exported] = getattr(import_module(module), function)

@@ -125,8 +125,8 @@ class ControlProgram:
             return states.pack(after, jnp), values
 
         self._numbers = jnp.asarray(numbers.pack(controller))
-        self._init = _compile(init, numbers.size, 3)
-        self._step = _compile(step, numbers.size, states.size, 6)
+        self._init = compile_flat(init, numbers.size, 3)
+        self._step = compile_flat(step, numbers.size, states.size, 6)
 
     def init(self, angle: float, pressure1: float, pressure2: float) -> Array:
         """Initial state at an angle [rad] and pressures [Pa]."""
@@ -156,7 +156,7 @@ class PlantProgram:
             return states.pack(joint.advance(states.unpack(state), (inputs[0], inputs[1]), inputs[2], substeps), jnp)
 
         self._numbers = jnp.asarray(numbers.pack(plant))
-        self._advance = _compile(advance, numbers.size, states.size, 3)
+        self._advance = compile_flat(advance, numbers.size, states.size, 3)
 
     def state(self, state: PlantState) -> NDArray[np.float64]:
         """Packed state: angle [rad], velocity [rad/s], both pressures [Pa], internal states of the muscles."""
@@ -172,7 +172,7 @@ def compute_in_this_thread() -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
-def _compile(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
+def compile_flat(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
     """Compile a function of arrays for the CPU, as a loop with one iteration."""
     # XLA compiles a small loop to one kernel, other code to dozens of calls, which take ten times longer than the work.
     # The number of iterations is an argument, and the others depend on the iteration, so that nothing is hoisted out.

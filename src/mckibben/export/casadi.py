@@ -1,0 +1,135 @@
+"""CasADi functions, for optimal control and estimation."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from mckibben.codegen.source_module import SourceModule
+from mckibben.errors import ExportError, ParameterError
+from mckibben.export.evaluation import element_names, evaluate, find_function
+from mckibben.export.plant import plant_module
+from mckibben.plant import JointPlant
+from mckibben.study.scenario import Scenario
+
+
+class CasadiPlant(NamedTuple):
+    """CasADi functions of a plant by name, the elements of its state vector, and what they do not contain.
+
+    ``torque``, ``stiffness`` and ``tensions`` are of (angle, pressures); ``rate`` and ``step`` of (state, commands). SI
+    units, gauge pressures.
+    """
+
+    functions: dict[str, Any]
+    state: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] = (), **options: Any) -> CasadiPlant:
+    """CasADi functions of a plant.
+
+    Parameters
+    ----------
+    scenario
+        Scenario, or a plant alone; `control_period` [s] and `substeps` of ``step`` are then options.
+    parameters
+        Numbers of the plant that stay symbolic, in one more argument, such as ``load.mass2``.
+
+    Raises
+    ------
+    ExportError
+        If CasADi is missing, or for what cannot be written.
+    ParameterError
+        If there is no such parameter.
+
+    Examples
+    --------
+    >>> import mckibben as mk
+    >>> plant = mk.JointPlant(mk.catalog.joint("knee-table-2"), mk.catalog.load("knee-table-2"), mk.IdealValve())
+    >>> functions = casadi_plant(plant).functions
+    >>> round(float(functions["stiffness"](0.0, [3e5, 3e5])), 2)  # as AntagonisticJoint.stiffness
+    71.93
+    """
+    if isinstance(scenario, Scenario):
+        options = {"control_period": scenario.control_period, "substeps": scenario.substeps} | options
+    plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
+    made = plant_module(plant, **options)
+    moving = next((one for one in made.module.functions if "state" in one.arguments), None)
+    state = [] if moving is None else element_names("state", moving.arguments["state"])
+    functions = {
+        one.name: casadi_function(made.module, one.name, parameters=parameters) for one in made.module.functions
+    }
+    return CasadiPlant(functions, tuple(name.removeprefix("state.") for name in state), made.left_out)
+
+
+def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:
+    """A function of a module as a CasADi function of a column vector for each argument.
+
+    `parameters` stay symbolic, in one more argument; all others have the values of the module.
+    """
+    casadi = _casadi()
+    function = find_function(module.functions, name)
+    symbols: dict[str, Any] = {}
+    inputs: dict[str, Any] = {}
+    given = {one: element_names(one, members) for one, members in function.arguments.items()}
+    if parameters:
+        given["parameters"] = [_parameter(module, one) for one in parameters]
+    for argument, names in given.items():
+        symbols[argument] = casadi.SX.sym(argument, len(names))
+        inputs.update({each: symbols[argument][place] for place, each in enumerate(names)})
+    results = evaluate(module, function, _operations(casadi), inputs)
+    columns = {one: casadi.vertcat(*map(casadi.SX, values)) for one, values in results.items()}
+    return casadi.Function(name, list(symbols.values()), list(columns.values()), list(symbols), list(columns))
+
+
+def _parameter(module: SourceModule, name: str) -> str:
+    """Name of the input of a scalar parameter."""
+    members = {member.path.removeprefix(module.prefix): member for member in module.members if not member.shape}
+    if name not in members:
+        remedy = f"choose of {', '.join(members)}"
+        raise ParameterError(f"there is no parameter {name!r}", field="parameters", value=name, remedy=remedy)
+    return element_names("parameters", [members[name]])[0]
+
+
+def _casadi() -> Any:
+    try:
+        import casadi
+    except ImportError as error:
+        remedy = "install it: pip install 'mckibben[casadi]'"
+        raise ExportError("CasADi is not installed", field="casadi", remedy=remedy) from error
+    return casadi
+
+
+def _operations(ca: Any) -> dict[str, Callable[..., Any]]:
+    """Operations of graphs in CasADi."""
+    same = ("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+            "cosh", "tanh", "floor", "ceil", "sign")  # fmt: skip
+    infix = ("add", "sub", "mul", "lt", "le", "gt", "ge", "eq", "ne", "neg")
+
+    def nearest(x: Any) -> Any:
+        """Half to even."""
+        up = ca.floor(x + 0.5)
+        return up - ca.if_else(ca.logic_and(up - x == 0.5, ca.fmod(up, 2) != 0), 1.0, 0.0)
+
+    return {
+        **{name: getattr(ca, name) for name in same},
+        **{name: getattr(operator, name) for name in infix},
+        "div": operator.truediv,
+        "max": ca.fmax,
+        "min": ca.fmin,
+        "abs": ca.fabs,
+        "pow": ca.power,
+        "rem": ca.fmod,
+        "and": ca.logic_and,
+        "or": ca.logic_or,
+        "xor": operator.ne,
+        "not": ca.logic_not,
+        "select": ca.if_else,
+        "round": nearest,
+        "cbrt": lambda x: ca.sign(x) * ca.power(ca.fabs(x), 1 / 3),
+        "is_finite": lambda x: ca.fabs(x) < ca.inf,
+        "real": lambda x: x,
+        "integer": lambda x: ca.sign(x) * ca.floor(ca.fabs(x)),
+        "boolean": lambda x: x != 0,
+    }

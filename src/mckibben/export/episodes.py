@@ -1,0 +1,289 @@
+"""Episodes for reinforcement learning: a plant under the commands of an agent, step by step, as pure functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from mckibben.control import Setpoint
+from mckibben.errors import ExportError
+from mckibben.joint import Measurement
+from mckibben.numerics.batching import lanes_of
+from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.runtime import batch_options
+from mckibben.plant import JointPlant, PlantState
+from mckibben.realtime.compiled_step import FlatTree, compile_flat
+from mckibben.simulation.problem import SimulationProblem
+from mckibben.simulation.result import SWUNG_OVER_AT
+from mckibben.study.parameters import batched, parse_sweeps, sample, valid_rows
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.building import initial_state
+from mckibben.units import atm, bar, deg, litre
+
+OBSERVATION = {
+    "angle": "rad",
+    "velocity": "rad/s",
+    "pressure1": "bar",
+    "pressure2": "bar",
+    "reference_angle": "rad",
+    "reference_stiffness": "N*m/rad",
+}
+"""Elements of an observation, and their units."""
+LIMITS = {"angle": np.pi, "velocity": 100.0, "pressure1": 20.0, "pressure2": 20.0, "reference_angle": np.pi,
+          "reference_stiffness": 1e4}  # fmt: skip
+"""Largest magnitudes of an observation; larger ones are given as these."""
+
+
+class RewardTerms(NamedTuple):
+    r"""Terms of the reward of a control period.
+
+    .. math:: \frac{1}{1 + (e_\theta / s_\theta)^2 + (e_K / s_K)^2} - c \dot V
+
+    with the errors of the true angle and isobaric stiffness from their references, and the flow of air into the muscles
+    [L/s, at atmospheric pressure]. The first part is between 0 and 1, so that an episode that ends early loses.
+
+    Attributes
+    ----------
+    angle_scale, stiffness_scale
+        Errors [rad], [N*m/rad] that halve the reward; infinite for what does not count.
+    air_price
+        c [s/L]; needs the volume of the muscles.
+    """
+
+    angle_scale: float = 2 * deg
+    stiffness_scale: float = 2.0
+    air_price: float = 0.0
+
+
+class Settings(NamedTuple):
+    """Numbers of a step: control period [s], commands [Pa] at the actions -1 and 1, and the reward."""
+
+    period: Any
+    low: Any
+    high: Any
+    reward: RewardTerms
+
+
+class Plants(NamedTuple):
+    """Plants with their references and starts, one a row; what does not vary has no rows."""
+
+    varying: SimulationProblem
+    fixed: SimulationProblem
+    starts: PlantState
+    rows: int
+
+    def at(self, row: Any) -> SimulationProblem:
+        """Plant and reference of a row."""
+        return eqx.combine(jax.tree.map(lambda one: one[row], self.varying), self.fixed)
+
+    def row(self, row: Any) -> tuple[SimulationProblem, PlantState]:
+        """Plant, reference and start of a row."""
+        return self.at(row), jax.tree.map(lambda one: one[row], self.starts)
+
+
+class Episode(NamedTuple):
+    """Number of control periods so far, state of the plant, and what its sensors told last."""
+
+    period: Array
+    state: PlantState
+    measured: Measurement
+
+
+class EpisodeStep(NamedTuple):
+    """What an agent is told: observation (6,), reward, whether the episode failed; true stiffness, and air [L]."""
+
+    observation: Any
+    reward: Any
+    failed: Any
+    stiffness: Any
+    air: Any
+
+
+def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
+    """Plants of a scenario, its parameters varied as by ``load.mass2=+-50 %``; those without a start are left out."""
+    table = {}
+    if random_plant:
+        table = sample(parse_sweeps(random_plant, scenario), "random", count, seed)
+        valid = valid_rows(scenario, table)
+        table = {name: column[valid] for name, column in table.items()}
+    varied = batched(scenario, table) if table and len(next(iter(table.values()))) else scenario
+    problem = numeric(SimulationProblem(varied.plant(), (), varied.reference(), initial_state(varied)))  # type: ignore
+    lanes, flags = lanes_of(problem)
+    if table and lanes is None:
+        raise ExportError(
+            "no random plant is valid, or none of its parameters belongs to the plant or the reference",
+            field="random_plant",
+            value=list(random_plant),
+            remedy="vary numbers of joint, load, valve, sensors, disturbance or reference",
+        )
+    rows = lanes or 1
+    if lanes is None:
+        problem, flags = jax.tree.map(lambda one: np.asarray(one)[None], problem), True
+    varying, fixed = eqx.partition(problem, flags)
+    plants = Plants(varying, fixed, (), rows)  # type: ignore[arg-type]
+    starts, exist = _starts(plants._replace(rows=0), np.arange(rows))
+    kept = np.flatnonzero(np.asarray(exist))
+    if not kept.size:
+        raise ExportError("no plant has an equilibrium at the start", field="start", remedy="give another `start`")
+    take = lambda tree: jax.tree.map(lambda one: np.asarray(one)[kept], tree)  # noqa: E731
+    return Plants(take(varying), fixed, take(starts), len(kept))
+
+
+@compiled_as_given
+def _starts(plants: Plants, rows: Any) -> tuple[PlantState, Array]:
+    def start(row: Array) -> tuple[PlantState, Array]:
+        problem = plants.at(row)
+        setpoint = problem.reference(jnp.zeros(1))
+        state, exists = problem.start(setpoint)
+        return jax.tree.map(jnp.asarray, state), exists
+
+    return jax.vmap(start)(rows)
+
+
+def begin(problem: SimulationProblem, start: PlantState, period: Array) -> tuple[Episode, Array]:
+    """The start of an episode, and the first observation."""
+    state, measured = problem.plant.sample(start, period)
+    measured = jax.tree.map(jnp.asarray, measured)
+    zero = jnp.zeros_like(measured.angle)
+    return Episode(jnp.asarray(0), state, measured), _observation(measured, zero, problem.reference(zero))
+
+
+def advance(
+    problem: SimulationProblem, episode: Episode, action: Array, settings: Settings, substeps: int, repeat: int
+) -> tuple[Episode, EpisodeStep]:
+    """So many control periods under an action of -1 to 1 for each muscle; the reward is their mean."""
+    plant, (period, low, high, terms) = problem.plant, settings
+    wanted = low + (high - low) * (action + 1) / 2
+    commands = plant.clip_commands((wanted[0], wanted[1]))
+
+    def one(_: Array, carry: tuple[Episode, Array, EpisodeStep]) -> tuple[Episode, Array, EpisodeStep]:
+        episode, content, so_far = carry
+        state = plant.advance(episode.state, commands, period, substeps)
+        state, measured = plant.sample(state, period)
+        velocity = (measured.angle - episode.measured.angle) / period
+        following = Episode(episode.period + 1, state, measured)
+        setpoint = problem.reference(following.period * period)
+        stiffness = plant.joint.evaluate(state.angle, state.pressures)[1]
+        angle_error, stiffness_error = state.angle - setpoint.angle, stiffness - setpoint.stiffness
+        now = _content(plant, state)
+        air = jnp.sum(jnp.maximum(now - content, 0.0))
+        cost = (angle_error / terms.angle_scale) ** 2 + (stiffness_error / terms.stiffness_scale) ** 2
+        reward = 1 / (1 + cost) - terms.air_price * air / period
+        failed = ~(jnp.abs(angle_error) <= SWUNG_OVER_AT) | ~jnp.isfinite(stiffness)
+        observation = _observation(measured, velocity, setpoint)
+        reward = jnp.where(so_far.failed | failed, 0.0, reward)
+        step = EpisodeStep(observation, so_far.reward + reward, so_far.failed | failed, stiffness, so_far.air + air)
+        return following, now, step
+
+    zero = jnp.zeros(())
+    first = EpisodeStep(jnp.zeros(len(OBSERVATION)), zero, jnp.asarray(False), zero, zero)
+    episode, _, step = lax.fori_loop(0, repeat, one, (episode, _content(plant, episode.state), first))
+    return episode, step._replace(reward=step.reward / repeat)
+
+
+class _FlatEpisodes:
+    """`begin` and `advance` with an array for an episode, and one for what an agent is told."""
+
+    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
+        self._layout = FlatTree(jax.eval_shape(lambda: begin(*plants.row(0), settings.period)[0]))
+        self.size = self._layout.size
+        self._settings, self._counts = settings, (substeps, repeat)
+
+    def begin(self, problem: SimulationProblem, start: PlantState) -> tuple[Array, Array]:
+        """Begin an episode."""
+        episode, observation = begin(problem, start, self._settings.period)
+        return self._layout.pack(episode, jnp), jnp.concatenate([observation, jnp.zeros(len(EpisodeStep._fields) - 1)])
+
+    def advance(self, problem: SimulationProblem, episode: Array, action: Array) -> tuple[Array, Array]:
+        """Go on with an episode."""
+        at, step = advance(problem, self._layout.unpack(episode), action, self._settings, *self._counts)
+        return self._layout.pack(at, jnp), jnp.concatenate([step.observation, jnp.stack(step[1:], dtype=float)])
+
+
+def _step(values: Any) -> EpisodeStep:
+    """What was told, from an array whose last axis has all of it."""
+    values = np.asarray(values)
+    return EpisodeStep(values[..., : len(OBSERVATION)], *np.moveaxis(values[..., len(OBSERVATION) :], -1, 0))
+
+
+class SingleProgram:
+    """Compiled episodes of one joint, whose numbers are arguments."""
+
+    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
+        flat, self._plants = _FlatEpisodes(plants, settings, substeps, repeat), plants
+        numbers, starts = self._layouts = tuple(map(FlatTree, plants.row(0)))
+
+        def first(packed: Array, start: Array) -> tuple[Array, Array]:
+            return flat.begin(numbers.unpack(packed), starts.unpack(start))
+
+        def following(packed: Array, episode: Array, action: Array) -> tuple[Array, Array]:
+            return flat.advance(numbers.unpack(packed), episode, action)
+
+        self._first = compile_flat(first, numbers.size, starts.size)
+        self._following = compile_flat(following, numbers.size, flat.size, 2)
+
+    def begin(self, row: int) -> EpisodeStep:
+        """Begin an episode with the plant of a row."""
+        numbers, start = (layout.pack(one) for layout, one in zip(self._layouts, self._plants.row(row), strict=True))
+        self._numbers = jnp.asarray(numbers)
+        self._episode, values = self._first(self._numbers, start)
+        return _step(values)
+
+    def advance(self, action: Any) -> EpisodeStep:
+        """Go on with the episode."""
+        self._episode, values = self._following(self._numbers, self._episode, np.asarray(action, float))
+        return _step(values)
+
+
+class ManyProgram:
+    """Compiled episodes of many joints at once; those that are over begin anew. Each has a column of the arrays."""
+
+    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
+        flat = _FlatEpisodes(plants, settings, substeps, repeat)
+        table = jax.tree.map(jnp.asarray, (plants.varying, plants.starts))
+        plants = plants._replace(varying=table[0], starts=table[1])  # others are constants of the program
+
+        def begin(rows: Array) -> tuple[Array, Array]:
+            return jax.vmap(lambda row: flat.begin(*plants.row(row)), out_axes=1)(rows)
+
+        def advance(rows: Array, episodes: Array, actions: Array, over: Array) -> tuple[Array, Array]:
+            go_on = jax.vmap(lambda row, *given: flat.advance(plants.at(row), *given), in_axes=(0, 1, 1), out_axes=1)
+            moved = go_on(rows, episodes, actions.T)
+            return jax.tree.map(lambda new, old: jnp.where(over, new, old), begin(rows), moved)
+
+        options = batch_options()
+        self._begin, self._advance = (jax.jit(one, compiler_options=options) for one in (begin, advance))
+
+    def begin(self, rows: Any) -> EpisodeStep:
+        """Begin all episodes, with the plants of some rows."""
+        self._episodes, values = self._begin(rows)
+        return _step(np.asarray(values).T)
+
+    def advance(self, rows: Any, actions: Any, over: Any) -> EpisodeStep:
+        """Go on; episodes that are over begin with the plants of the given rows, whatever their action is."""
+        self._episodes, values = self._advance(rows, self._episodes, np.asarray(actions, float), over)
+        return _step(np.asarray(values).T)
+
+
+def _content(plant: JointPlant, state: PlantState) -> Array:
+    """Air in both muscles as volumes at atmospheric pressure [L]; zero where a volume is unknown."""
+    muscles = plant.joint.muscle1, plant.joint.muscle2
+    if not all(muscle.specimen.has_volume for muscle in muscles):
+        return jnp.zeros(2)
+    volumes = plant.air_volumes(state)
+    content = [one.volume * (pressure + atm) for one, pressure in zip(volumes, state.pressures, strict=True)]
+    return jnp.stack(content) / (atm * litre)
+
+
+def _observation(measured: Measurement, velocity: Array, setpoint: Setpoint) -> Array:
+    pressure1, pressure2 = measured.pressures
+    found = jnp.stack([measured.angle, velocity, pressure1 / bar, pressure2 / bar, *setpoint])
+    limit = jnp.array([LIMITS[name] for name in OBSERVATION])
+    return jnp.clip(jnp.nan_to_num(found), -limit, limit)

@@ -1,0 +1,109 @@
+"""Evaluation of a graph with the operations of a library, such as NumPy or CasADi, or with text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from mckibben.codegen.graph import ForLoop, Kind, Scope, StoredArray, Value, needed
+from mckibben.codegen.source_module import Function, Member, SourceModule, element
+from mckibben.errors import ExportError
+
+_OF_INTEGERS = {"and", "or", "xor", "not", "div"}  # which mean something else there
+Operations = Mapping[str, Callable[..., Any]]
+"""By their names in `codegen.graph.OPERATIONS`; those of integers that truncate or are bitwise end in ``_integer``."""
+
+
+def evaluate(
+    module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, Any]
+) -> dict[str, list[Any]]:
+    """Results of a function, element by element, for its inputs and parameters by their names in the graph.
+
+    Parameters that are not given have the values with which the module was made. Loops are written out.
+    """
+    results = [value for values in function.values.values() for value in values]
+    evaluation = _Evaluation(operations, _defaults(module) | dict(inputs), needed(results))
+    evaluation.scope(module.graph.root)
+    evaluation.scope(function.scope)
+    return {name: [evaluation.value(one) for one in values] for name, values in function.values.items()}
+
+
+def _defaults(module: SourceModule) -> dict[str, Any]:
+    names = element_names("parameters", module.members)
+    return dict(zip(names, [x.item() for one in module.members for x in one.value.flat], strict=True))
+
+
+def element_names(structure: str, members: Sequence[Member]) -> list[str]:
+    """Names of the inputs that stand for the elements of a structure."""
+    return [element(structure, member, number) for member in members for number in range(member.size)]
+
+
+class _Evaluation:
+    """Values of a graph that are known so far."""
+
+    def __init__(self, operations: Operations, inputs: Mapping[str, Any], wanted: set[int]) -> None:
+        self._operations, self._inputs, self._wanted = operations, inputs, wanted
+        self._known: dict[int, Any] = {}
+        self._arrays: dict[int, list[Any]] = {}
+
+    def value(self, value: Value) -> Any:
+        """Value in the library."""
+        if value.operation == "constant":
+            return value.data
+        return self._known[id(value.data if value.operation == "carried" else value)]
+
+    def scope(self, scope: Scope) -> None:
+        """Compute the statements of a scope."""
+        for statement in scope.statements:
+            if isinstance(statement, ForLoop):
+                self._loop(statement)
+            elif id(statement) not in self._wanted:
+                continue
+            elif isinstance(statement, StoredArray):
+                self._arrays[id(statement)] = [self.value(one) for one in statement.elements]
+            else:
+                self._known[id(statement)] = self._computed(statement)
+
+    def _computed(self, value: Value) -> Any:
+        arguments = [self.value(one) for one in value.arguments]
+        if value.operation == "input":
+            return self._inputs[value.data]
+        if value.operation == "element":
+            row = arguments[0] if arguments else 0
+            return self._arrays[id(value.data.array)][row * value.data.stride + value.data.offset]
+        name = value.operation
+        if name in _OF_INTEGERS and value.kind is Kind.INTEGER:
+            name = f"{name}_integer"
+        if name not in self._operations:
+            raise ExportError(
+                f"there is no operation {name} to write it with", field=name, remedy="use another option of this part"
+            )
+        return self._operations[name](*arguments)
+
+    def _loop(self, loop: ForLoop) -> None:
+        carried = [one for one in loop.carried if id(one) in self._wanted]
+        arrays = [one for one in loop.arrays if id(one) in self._wanted]
+        if not carried and not arrays:
+            return
+        for one in carried:
+            self._known[id(one)] = self.value(one.initial)
+        for array in arrays:
+            self._arrays[id(array)] = [None] * array.size
+        for index in range(loop.length):
+            self._known[id(loop.index)] = index
+            self.scope(loop.scope)
+            row = loop.length - 1 - index if loop.row is not loop.index else index
+            for array in arrays:
+                size = len(array.elements)
+                self._arrays[id(array)][row * size : (row + 1) * size] = [self.value(one) for one in array.elements]
+            following = [self.value(one.following) for one in carried]
+            self._known.update(zip(map(id, carried), following, strict=True))
+
+
+def find_function(functions: Sequence[Function], name: str) -> Function:
+    """The function of a name."""
+    for one in functions:
+        if one.name == name:
+            return one
+    known = ", ".join(one.name for one in functions)
+    raise ExportError(f"there is no function {name!r}", field="function", value=name, remedy=f"choose {known}")

@@ -1,0 +1,211 @@
+"""Gymnasium environments: a joint that follows references of angle and stiffness, single and many at once.
+
+Importing this module registers ``mckibben/Joint-v0``; ``gymnasium.make("mckibben.export.gym:mckibben/Joint-v0",
+scenario="scenario.yaml")`` imports it by itself.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from mckibben.errors import ExportError
+from mckibben.export.episodes import (
+    LIMITS,
+    OBSERVATION,
+    ManyProgram,
+    RewardTerms,
+    Settings,
+    SingleProgram,
+    plants_of,
+)
+from mckibben.numerics.compiled import numeric
+from mckibben.study.scenario import Scenario
+from mckibben.units import bar
+
+Floats = NDArray[np.float32]
+DEFAULT_REWARD = RewardTerms()
+
+
+class _Joint:
+    """What both environments share: the plants, the spaces, and the numbers of a step."""
+
+    def __init__(
+        self,
+        scenario: Scenario | str | os.PathLike[str],
+        random_plant: Sequence[str],
+        repeat: int,
+        reward: RewardTerms,
+        plants: int,
+        plants_seed: int,
+    ) -> None:
+        self.scenario = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+        nominal = self.scenario.plant()
+        if reward.air_price and not all(
+            one.specimen.has_volume for one in (nominal.joint.muscle1, nominal.joint.muscle2)
+        ):
+            raise ExportError(
+                "the reward has a price of air, but the volume of a muscle is unknown",
+                field="air_price",
+                value=reward.air_price,
+                remedy="give the specimen its initial_diameter and braid_angle, or an air_price of 0",
+            )
+        periods = round(self.scenario.duration / self.scenario.control_period)
+        if isinstance(repeat, bool) or not isinstance(repeat, int) or not 1 <= repeat <= periods:
+            remedy = f"choose a whole number, 1 to {periods}"
+            raise ExportError(f"repeat is {repeat!r}", field="repeat", value=repeat, remedy=remedy)
+        self.plants = plants_of(self.scenario, random_plant, plants, plants_seed)
+        self.most_steps = -(-periods // repeat)
+        self.options = {"substeps": self.scenario.substeps, "repeat": repeat}
+        direct, unit, shown = bool(getattr(nominal.valve, "direct", False)), bar, "bar"
+        rated = [one.specimen.domain for one in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
+        ranges = [(float(one.pressure_min), float(one.pressure_max)) for one in rated]
+        if direct:
+            ranges, unit, shown = [(-1.0, 1.0)] * 2, 1.0, "1"
+        low, high = np.array(ranges).T
+        terms = RewardTerms(*map(float, reward))
+        self.settings = numeric(Settings(self.scenario.control_period, low, high, terms))
+        limit = np.array([LIMITS[name] for name in OBSERVATION], np.float32)
+        self.observation_space = Box(-limit, limit, dtype=np.float32)
+        self.action_space = Box(-1, 1, (2,), dtype=np.float32)
+        self.metadata = {
+            "render_modes": [],
+            "observation_units": OBSERVATION,
+            "action_ranges": {f"command{i}": (one[0] / unit, one[1] / unit, shown) for i, one in enumerate(ranges, 1)},
+            "step": repeat * self.scenario.control_period,  # s
+            "left_out": ("controller of the scenario", "its reference beyond the present period"),
+        }
+
+
+class JointEnv(gymnasium.Env[Floats, Floats]):
+    """A joint under the commands of an agent, for the length of a scenario, whose controller is not used.
+
+    A step is `repeat` control periods. Actions of -1 to 1 stand for commands from the lowest to the highest pressure of
+    each muscle, or for openings where commands are `direct`; ``metadata["action_ranges"]`` has both in their unit.
+    Observations are those of the sensors: angle [rad], velocity [rad/s] (the change of the measured angle over the last
+    control period), gauge pressures [bar]; and the references of angle [rad] and stiffness [N*m/rad]. An episode is
+    terminated where the angle error exceeds 90 deg, and truncated at the end of the scenario. `info` has the true
+    stiffness [N*m/rad] and the air used in the step [L].
+
+    Parameters
+    ----------
+    scenario
+        Scenario, or its file.
+    random_plant
+        Texts as of ``mckibben sweep``, such as ``load.mass2=+-50 %``: an episode has one of `plants` plants, drawn with
+        `plants_seed`. Parameters of the reference, of sensors and of disturbances may vary as well.
+    repeat
+        Control periods a step.
+    reward
+        Terms of the reward, see `RewardTerms`.
+
+    Raises
+    ------
+    ScenarioError, ParameterError
+        For mistakes in scenario and parameters.
+    ExportError
+        If no plant has a start, or the reward needs a volume that is unknown.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(
+        self,
+        scenario: Scenario | str | os.PathLike[str],
+        *,
+        random_plant: Sequence[str] = (),
+        repeat: int = 1,
+        reward: RewardTerms = DEFAULT_REWARD,
+        plants: int = 256,
+        plants_seed: int = 0,
+        render_mode: None = None,
+    ) -> None:
+        self.render_mode = render_mode
+        self.joint = _Joint(scenario, random_plant, repeat, reward, plants, plants_seed)
+        self.observation_space, self.action_space = self.joint.observation_space, self.joint.action_space
+        self.metadata = self.joint.metadata
+        self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Begin an episode with one of the plants; `options` may name its number, ``{"plant": 3}``."""
+        super().reset(seed=seed)
+        given = (options or {}).get("plant")
+        row = self.np_random.integers(self.joint.plants.rows) if given is None else given
+        self._steps = 0
+        return self._program.begin(int(row)).observation.astype(np.float32), {"plant": int(row)}
+
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """Hold commands for a step."""
+        step = self._program.advance(action)
+        self._steps += 1
+        info = {"stiffness": float(step.stiffness), "air": float(step.air)}
+        observation = np.asarray(step.observation, np.float32)
+        return observation, float(step.reward), bool(step.failed), self._steps >= self.joint.most_steps, info
+
+
+class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
+    """Many `JointEnv` in one compiled program; an episode that is over begins anew at the next step.
+
+    Parameters
+    ----------
+    num_envs
+        Number of joints. All others are those of `JointEnv`.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | str | os.PathLike[str],
+        num_envs: int = 1,
+        *,
+        random_plant: Sequence[str] = (),
+        repeat: int = 1,
+        reward: RewardTerms = DEFAULT_REWARD,
+        plants: int = 256,
+        plants_seed: int = 0,
+        render_mode: None = None,
+    ) -> None:
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.joint = _Joint(scenario, random_plant, repeat, reward, plants, plants_seed)
+        self.single_observation_space, self.single_action_space = self.joint.observation_space, self.joint.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._program = ManyProgram(self.joint.plants, self.joint.settings, **self.joint.options)
+        self.metadata = {**self.joint.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Begin all episodes; one seed determines all of them."""
+        super().reset(seed=seed)
+        self._rows = self._draw()
+        self._steps, self._over = np.zeros(self.num_envs, int), np.zeros(self.num_envs, bool)
+        observations = self._program.begin(self._rows).observation
+        return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
+
+    def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Hold the commands of all joints for a step."""
+        if self._over.any():
+            self._rows = np.where(self._over, self._draw(), self._rows)
+        step = self._program.advance(self._rows, actions, self._over)
+        self._steps = np.where(self._over, 0, self._steps + 1)
+        failed, ended = step.failed.astype(bool), self._steps >= self.joint.most_steps
+        self._over = failed | ended
+        info: dict[str, Any] = {"stiffness": step.stiffness, "air": step.air, "plant": self._rows}
+        info |= {f"_{name}": np.ones(self.num_envs, bool) for name in info}
+        return step.observation.astype(np.float32), step.reward, failed, ended, info
+
+    def _draw(self) -> NDArray[np.int64]:
+        return self.np_random.integers(self.joint.plants.rows, size=self.num_envs)
+
+
+gymnasium.register(
+    id="mckibben/Joint-v0",
+    entry_point="mckibben.export.gym:JointEnv",
+    vector_entry_point="mckibben.export.gym:JointVectorEnv",
+)

@@ -1,0 +1,57 @@
+"""MuJoCo in Python: the exported joint, compiled and loaded."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from mckibben.errors import ExportError
+
+_LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo has one plugin of a name in a process, until its end
+
+
+def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
+    """The `mujoco.MjModel` of a folder that `mckibben export --to mjcf` wrote; builds its plugin at first.
+
+    Raises
+    ------
+    ExportError
+        Without MuJoCo or a C compiler, or if a plugin of that name from another folder is loaded already.
+    """
+    try:
+        mujoco: Any = import_module("mujoco")
+    except ImportError as error:
+        remedy = "install it: pip install 'mckibben[mujoco]'"
+        raise ExportError("MuJoCo is not installed", field="mujoco", remedy=remedy) from error
+    folder = Path(folder).resolve()
+    library, sources = folder / f"lib{name}.so", [folder / f"{name}.c", folder / "plugin.c"]
+    if name not in _LOADED:
+        if not library.exists() or library.stat().st_mtime < max(one.stat().st_mtime for one in sources):
+            build_plugin(library, sources, Path(mujoco.__file__).parent)
+        mujoco.mj_loadPluginLibrary(str(library))
+        _LOADED[name] = library
+    if _LOADED[name] != library:
+        remedy = "export one of both with another --name, and give it here"
+        raise ExportError(
+            f"a plugin mckibben.{name} is loaded already, of {_LOADED[name].parent}",
+            field="name",
+            value=name,
+            remedy=remedy,
+        )
+    return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
+
+
+def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:
+    """Compile a plugin against the MuJoCo of a folder."""
+    compiler = shutil.which(os.environ.get("CC", "cc"))
+    if compiler is None:
+        raise ExportError("there is no C compiler", field="CC", remedy="install one, or set CC to its name")
+    found = sorted(mujoco.glob("libmujoco.*"))
+    command = [compiler, "-std=c99", "-O2", "-fPIC", "-shared", f"-I{mujoco / 'include'}", "-o", library, *sources]
+    made = subprocess.run([*map(str, [*command, *found]), "-lm"], capture_output=True, text=True)
+    if made.returncode:
+        raise ExportError(f"the plugin does not compile: {made.stderr[:2000]}", field="CC", remedy="report it")

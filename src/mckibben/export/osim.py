@@ -1,0 +1,231 @@
+"""A joint for OpenSim: muscles at constant pressures as forces that are expressions of the lengths of their paths."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mckibben
+from mckibben.codegen.graph import FOLDED as NUMERIC
+from mckibben.errors import ExportError
+from mckibben.export.evaluation import evaluate, find_function
+from mckibben.export.mjcf import MassPoint, Transmission, gravity_of, mass_point, muscle_module, transmissions
+from mckibben.export.targets import Exported
+from mckibben.muscle.creep import NoCreep
+from mckibben.muscle.friction import NoFriction
+from mckibben.plant import IdealValve, JointPlant
+from mckibben.study.scenario import Scenario
+from mckibben.units import bar
+
+_LONGEST = 40  # characters of an expression that is not given a name
+_MOST = 100_000  # characters with all names written out, as OpenSim does: a million took it 20 s to read
+
+
+class OsimModel(NamedTuple):
+    """Text of an .osim file, the expressions of both muscles, and what is left out.
+
+    An expression is of the stretch ``s`` [m] of the path beyond `rest` [m], and gives the tension [N]; or of the
+    coordinate ``q`` [rad], and gives the torque [N*m], where OpenSim has no such path.
+    """
+
+    text: str
+    expressions: tuple[str, ...]
+    rest: tuple[float | None, ...]
+    left_out: tuple[str, ...]
+
+
+def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "joint") -> OsimModel:
+    """The joint and load of a plant at gauge pressures [Pa]; raises `ExportError`."""
+    joint = plant.joint
+    muscles = [
+        dataclasses.replace(one, friction=NoFriction(), creep=NoCreep()) for one in (joint.muscle1, joint.muscle2)
+    ]
+    static = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
+    plant_without = JointPlant(static, plant.load, IdealValve())
+    first, second = (one if one.fixed_sites else Transmission() for one in transmissions(joint.geometry))
+    start = plant_without.init_state(0.0, (0.0, 0.0))
+    module, _, _ = muscle_module(plant_without, (first, second), start, name)
+    left_out = ["valves: the pressures are constant"]
+    left_out += [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
+    left_out += ["friction and creep of the muscles"] if joint.has_friction or joint.has_creep else []
+    expressions, rests, forces = [], [], []
+    for number, (moved, muscle, pressure) in enumerate(zip((first, second), muscles, pressures, strict=True), 1):
+        rest = float(muscle.specimen.initial_length - moved.offset) if moved.tendon else None
+        lines = _Expression()
+        given = {"length": "q" if rest is None else f"(s+{rest!r})", "velocity": 0.0, "command": float(pressure)}
+        inputs = {f"input{number}.{key}": value for key, value in given.items()}
+        try:
+            force = evaluate(module, find_function(module.functions, f"force{number}"), lines, inputs)["force"][0]
+            expressions.append(lines.text(force if rest is None else lines["neg"](force)))
+        except ExportError as error:
+            parts = f"{type(muscle.law).__name__}, {type(joint.geometry).__name__}"
+            raise ExportError(
+                f"OpenSim cannot hold the force of muscle {number} ({parts}) as an expression: {error.message}",
+                field=f"muscle{number}",
+                value=parts,
+                remedy="take a law that gives the force in closed form, and paths without tables",
+            ) from None
+        rests.append(rest)
+        if rest is None:
+            left_out.append(f"path of muscle {number}: OpenSim has none such; its torque turns the joint")
+        forces.append(_force(number, moved, rest, expressions[-1], float(pressure)))
+    point = mass_point(plant.load)
+    text = _osim(plant, name, point, "".join(forces))
+    return OsimModel(text, tuple(expressions), tuple(rests), (*left_out, *point.chosen))
+
+
+class _Condition(NamedTuple):
+    """A condition as an expression that is 1 or 0; of a comparison what is below what."""
+
+    share: str
+    below: str = ""
+    above: str = ""
+
+
+class _Expression(dict[str, Callable[..., Any]]):
+    """Operations that write an expression for OpenSim; numbers are computed at once.
+
+    What is long is given a name, and defined after the expression.
+    """
+
+    _SAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "floor",
+             "ceil", "max", "min")  # fmt: skip
+    _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "pow": "^"}  # noqa: RUF012
+
+    def __init__(self) -> None:
+        self._names: dict[str, str] = {}
+        written: dict[str, Callable[..., Any]] = {one: self._call(one) for one in self._SAME}
+        written |= {one: self._infix(one, sign) for one, sign in self._INFIX.items()}
+        written |= {one: self._comparison(one) for one in ("lt", "le", "gt", "ge")}
+        written["eq"] = lambda x, y: _Condition(f"(step({x}-{y})*step({y}-{x}))")
+        written |= {"neg": lambda x: f"(-{x})" if not x.startswith("(-") else x[2:-1], "real": lambda x: x}
+        super().__init__({one: self._folded(one, function) for one, function in written.items()})
+        self["select"] = self._select
+
+    def text(self, result: Any) -> str:
+        """The whole expression."""
+        sizes: dict[str, int] = {}
+        for text, name in [*self._names.items(), (str(result), "")]:
+            sizes[name] = len(text) + sum(sizes[one] for one in re.findall(r"\bv\d+", text))
+        if sizes[""] > _MOST:
+            raise ExportError(f"written out it has {sizes['']} characters, more than {_MOST}", field="expression")
+        definitions = [f"{name}={text}" for text, name in self._names.items()]
+        return ";".join([str(result), *reversed(definitions)])  # what is used comes after its use
+
+    def _folded(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def operation(*arguments: Any) -> Any:
+            if not any(isinstance(one, str) for one in arguments):
+                return NUMERIC[name](*arguments)
+            if name in ("add", "sub") and 0 in arguments[1:]:
+                return arguments[0]
+            return self._named(function(*(one if isinstance(one, str) else _number(one) for one in arguments)))
+
+        return operation
+
+    def _named(self, text: Any) -> Any:
+        if isinstance(text, str) and len(text) > _LONGEST:
+            return self._names.setdefault(text, f"v{len(self._names) + 1}")
+        return text
+
+    def _call(self, name: str) -> Callable[..., str]:
+        return lambda *xs: f"{name}({','.join(xs)})"
+
+    def _infix(self, name: str, sign: str) -> Callable[..., str]:
+        return lambda x, y: f"({x}{sign}{y})"
+
+    def _comparison(self, name: str) -> Callable[..., _Condition]:
+        def compared(x: str, y: str) -> _Condition:
+            below, above = (y, x) if name in ("gt", "ge") else (x, y)
+            return _Condition(f"step({above}-{below})", below, above)
+
+        return compared
+
+    def _select(self, condition: Any, yes: Any, no: Any) -> Any:
+        if not isinstance(condition, _Condition):
+            return yes if condition else no
+        share, below, above = condition
+        if above == _number(0.0) and yes == 0.0 and no == below:  # what keeps a muscle from pushing
+            return self._named(f"max(0,{no})")
+        return self._named(f"({share}*{_number(yes)}+(1-{share})*{_number(no)})")
+
+
+def _number(value: Any) -> str:
+    """Text of an atom."""
+    if isinstance(value, str):
+        return value
+    return repr(float(value)) if value >= 0 or math.isnan(value) else f"({float(value)!r})"
+
+
+def _force(number: int, moved: Transmission, rest: float | None, expression: str, pressure: float) -> str:
+    """A force of the model."""
+    name, where = f"muscle{number}", f"<!-- at {pressure / bar:.6g} bar -->"
+    if rest is None:
+        return f"""
+      <ExpressionBasedCoordinateForce name="{name}">{where}
+        <coordinate>angle</coordinate>
+        <expression>{escape(expression)}</expression>
+      </ExpressionBasedCoordinateForce>"""
+    points = "".join(
+        f"""
+          <PathPoint name="{kind}{number}">
+            <socket_parent_frame>{frame}</socket_parent_frame>
+            <location>{place[0]!r} {place[1]!r} 0</location>
+          </PathPoint>"""
+        for kind, frame, place in zip(("fixed", "moving"), ("/ground", "/bodyset/limb"), moved.points, strict=True)
+    )
+    return f"""
+      <ExpressionBasedPathForce name="{name}">{where}
+        <GeometryPath name="path"><PathPointSet><objects>{points}
+        </objects></PathPointSet></GeometryPath>
+        <resting_length>{rest!r}</resting_length>
+        <clamp_stretch>false</clamp_stretch>
+        <expression>{escape(expression)}</expression>
+      </ExpressionBasedPathForce>"""
+
+
+def _osim(plant: JointPlant, name: str, point: MassPoint, forces: str) -> str:
+    """The document; gravity is turned by the hanging angle, as the limb hangs along -y at the angle 0."""
+    hanging, gravity = float(plant.load.hanging_angle), gravity_of(plant.load)
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<!-- Written by mckibben {mckibben.__version__}. -->
+<OpenSimDocument Version="40600">
+  <Model name="{name}">
+    <gravity>{gravity * math.sin(hanging)!r} {-gravity * math.cos(hanging)!r} 0</gravity>
+    <BodySet><objects>
+      <Body name="limb">
+        <mass>{point.mass!r}</mass>
+        <mass_center>0 {-point.distance!r} 0</mass_center>
+        <inertia>{point.inertia!r} {point.inertia!r} {point.inertia!r} 0 0 0</inertia>
+      </Body>
+    </objects></BodySet>
+    <JointSet><objects>
+      <PinJoint name="joint">
+        <socket_parent_frame>/ground</socket_parent_frame>
+        <socket_child_frame>/bodyset/limb</socket_child_frame>
+        <coordinates><Coordinate name="angle"/></coordinates>
+      </PinJoint>
+    </objects></JointSet>
+    <ForceSet><objects>
+      <SpringGeneralizedForce name="damping">
+        <coordinate>angle</coordinate>
+        <stiffness>0</stiffness>
+        <viscosity>{float(plant.load.damping)!r}</viscosity>
+      </SpringGeneralizedForce>{forces}
+    </objects></ForceSet>
+  </Model>
+</OpenSimDocument>
+"""
+
+
+def osim_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+    """The joint of a scenario at the pressures of its start."""
+    plant = scenario.plant()
+    pressure1, pressure2 = (float(one) for one in scenario.initial(plant).pressures)
+    model = osim_model(plant, (pressure1, pressure2), name)
+    left_out = ("controller and reference of the scenario", *model.left_out)
+    return Exported({f"{name}.osim": model.text, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)

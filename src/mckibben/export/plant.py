@@ -1,0 +1,109 @@
+"""The program of a plant: torque, stiffness and tensions of its joint, the rate of its state, and a control period."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mckibben.codegen.source_module import SourceModule
+from mckibben.joint.antagonistic import NO_STATES
+from mckibben.numerics.calculus import derivative
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import JointPlant, NoDisturbance, PerfectSensors, PlantState
+from mckibben.plant.air_valve import AirState, AirValve, SwitchingValves
+from mckibben.plant.joint_plant import Motion
+
+Commands = tuple[Any, Any]
+
+
+class PlantModule(NamedTuple):
+    """Source of a plant, its state at rest at 0 rad without pressure, and what the source does not contain."""
+
+    module: SourceModule
+    state: PlantState
+    left_out: tuple[str, ...]
+
+
+def plant_module(
+    plant: JointPlant, control_period: float | None = None, substeps: int = 4, name: str = "plant"
+) -> PlantModule:
+    """SourceModule of a plant without sensors and disturbances.
+
+    Functions: `torque`, `stiffness`, `tensions` of the muscles' laws at an angle and pressures; `rate` of the state;
+    with a control period [s] `step`, the state after one. All its real numbers are parameters. Raises `ExportError` for
+    what cannot be lowered.
+    """
+    left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
+    plant = numeric(dataclasses.replace(plant, sensors=PerfectSensors(), disturbance=NoDisturbance()))
+    numbers, fixed = eqx.partition(plant, is_real)
+    module = SourceModule(name, {"plant": numbers, "control_period": np.asarray(control_period or 0.0)}, "plant.")
+    state = jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))
+
+    def of(parameters: Any) -> JointPlant:
+        return eqx.combine(parameters["plant"], fixed)
+
+    def torque(parameters: Any, angle: Any, pressures: Any) -> dict[str, Any]:
+        return {"torque": of(parameters).joint.torque(angle, pressures)}
+
+    def stiffness(parameters: Any, angle: Any, pressures: Any) -> dict[str, Any]:
+        return {"stiffness": of(parameters).joint.stiffness(angle, pressures)}
+
+    def tensions(parameters: Any, angle: Any, pressures: Any) -> dict[str, Any]:
+        return {"tensions": of(parameters).joint.tensions(angle, pressures)}
+
+    def rate(parameters: Any, state: PlantState, commands: Commands) -> dict[str, Any]:
+        return {"rate": state_rate(of(parameters), state, commands)}
+
+    def step(parameters: Any, state: PlantState, commands: Commands) -> dict[str, Any]:
+        plant = of(parameters)
+        following = plant.advance(state, plant.clip_commands(commands), parameters["control_period"], substeps)
+        return {"following": following}
+
+    number, pair = np.zeros(()), (np.zeros(()), np.zeros(()))
+    static = {"angle": number, "pressures": pair}
+    module.add("torque", "torque [N*m] of the muscles", torque, static)
+    module.add("stiffness", "isobaric stiffness [N*m/rad] of the muscles", stiffness, static)
+    module.add("tensions", "tension [N] of each muscle", tensions, static)
+    moving = {"state": state, "commands": pair}
+    if plant.joint.has_friction or plant.joint.has_creep:
+        left_out.append("rate: friction and creep slip after each integration step; step has them")
+    elif isinstance(plant.valve, SwitchingValves):
+        left_out.append("rate: the valves switch at integration steps; step has them")
+    else:
+        module.add("rate", "time derivative of the state under commands", rate, moving)
+    if control_period is not None:
+        module.add("step", f"state after a control period, {substeps} Runge-Kutta steps", step, moving)
+    return PlantModule(module, state, tuple(left_out))
+
+
+def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> PlantState:
+    """Time derivative of a state without friction and creep under commands within the limits of the valves.
+
+    The pressures of an ideal valve are its commands: their rate is 0.
+    """
+    commands = plant.clip_commands(commands)
+    state = plant.apply_commands(state, commands)
+    motion = plant.rate(state)
+    if isinstance(plant.valve, AirValve):
+        assert isinstance(state.air, AirState)
+        pressures, air = plant.valve.air_rate(state.pressures, state.air, commands, plant.air_volumes(state))
+    else:
+        valve: Any = plant.valve
+        after = lambda pressure, command: derivative(  # noqa: E731
+            lambda elapsed: valve.pressure_after(pressure, command, elapsed), jnp.zeros(())
+        )
+        first, second = map(after, state.pressures, commands)
+        pressures, air = (first, second), ()
+    return Motion(motion.angle, motion.velocity, ((), ()), pressures, air).applied_to(
+        PlantState(state.angle, state.velocity, state.pressures, NO_STATES), pressures
+    )
+
+
+def is_real(leaf: Any) -> bool:
+    """Whether a leaf is a real number or an array of them."""
+    return eqx.is_array_like(leaf) and np.asarray(leaf).dtype.kind == "f"

@@ -1,0 +1,179 @@
+"""Environments: spaces, seeds, the reward, and the same motion as the plant's, single and vectorised."""
+
+import warnings
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import ExportError, ParameterError
+from mckibben.study.parameters import with_values
+from mckibben.units import bar
+
+gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from mckibben.export.gym import JointEnv, JointVectorEnv, RewardTerms  # noqa: E402
+
+RANDOM = ("load.mass2=+-50 %", "reference.angle.amplitude=5..15 deg")
+STEPS, REPEAT = 4, 5
+REWARD = RewardTerms(stiffness_scale=3.0, air_price=0.1)
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    """20 control periods of the example."""
+    whole = mk.Scenario.read("examples/pre-contracted-step-pid.yaml")
+    return whole.model_copy(update={"duration": STEPS * REPEAT * whole.control_period})
+
+
+@pytest.fixture(scope="module")
+def env(scenario):
+    return JointEnv(scenario, random_plant=RANDOM, repeat=REPEAT, reward=REWARD, plants=8)
+
+
+@pytest.fixture(scope="module")
+def envs(scenario):
+    return JointVectorEnv(scenario, 3, random_plant=RANDOM, repeat=REPEAT, reward=REWARD, plants=8)
+
+
+def episode(env, **reset):
+    """Observations, rewards and ends of an episode with actions from its own seed."""
+    observation, info = env.reset(**reset)
+    draw, rows = np.random.default_rng(1), [[*observation, 0.0, False, False]]
+    while not (rows[-1][-1] or rows[-1][-2]):
+        observation, reward, *ends, _ = env.step(draw.uniform(-1, 1, 2).astype(np.float32))
+        rows.append([*observation, reward, *ends])
+    return np.array(rows), info
+
+
+def test_it_passes_the_check_of_gymnasium_without_a_warning(env):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env, skip_render_check=True)
+
+
+def test_spaces_have_units(env):
+    assert len(env.metadata["observation_units"]) == env.observation_space.shape[0]
+    assert env.metadata["observation_units"]["reference_stiffness"] == "N*m/rad"
+    assert env.metadata["action_ranges"]["command2"] == (0.0, 8.0, "bar")
+    assert env.metadata["step"] == pytest.approx(5e-3)
+
+
+def test_the_same_seed_is_the_same_episode(env):
+    first, info = episode(env, seed=3)
+    again, _ = episode(env, seed=3)
+    np.testing.assert_array_equal(first, again)
+    assert len(first) == STEPS + 1
+    assert first[-1, -1]  # truncated, not terminated
+    assert not first[:, -2].any()
+    others = {episode(env)[1]["plant"] for _ in range(8)}
+    assert len(others | {info["plant"]}) > 3
+    assert np.abs(episode(env, options={"plant": 0})[0] - episode(env, options={"plant": 1})[0]).max() > 1e-3
+
+
+@eqx.filter_jit
+def advanced(plant, state, commands):
+    state = plant.advance(state, commands, 1e-3, 4)
+    return state, plant.joint.stiffness(state.angle, state.pressures)
+
+
+def test_it_moves_as_the_plant_does_and_the_reward_is_the_documented_one(scenario):
+    env = JointEnv(scenario, reward=RewardTerms(stiffness_scale=3.0))
+    observation, _ = env.reset(seed=0)
+    plant, reference = scenario.plant(), scenario.reference()
+    state = scenario.initial(plant)
+    assert observation[:4] == pytest.approx([0, 0, *(float(one) / bar for one in state.pressures)], rel=1e-6)
+    for period in range(1, 4):
+        low, high, _ = env.metadata["action_ranges"]["command1"]
+        action = np.array([-0.5, 0.25], np.float32)
+        before = state
+        commands = tuple((low + (high - low) * (action.astype(float) + 1) / 2) * bar)
+        state, stiffness = advanced(plant, state, commands)
+        observation, reward, terminated, _, info = env.step(action)
+        setpoint = [float(one) for one in reference(period * 1e-3)]
+        wanted = [state.angle, (state.angle - before.angle) / 1e-3, *(one / bar for one in state.pressures), *setpoint]
+        assert observation == pytest.approx(np.array(wanted, float), rel=1e-6, abs=1e-9)
+        assert info["stiffness"] == pytest.approx(float(stiffness), rel=1e-9)
+        cost = ((float(state.angle) - setpoint[0]) / np.radians(2)) ** 2
+        cost += ((float(stiffness) - setpoint[1]) / 3.0) ** 2
+        assert reward == pytest.approx(1 / (1 + cost), rel=1e-9)
+        assert not terminated
+
+
+def test_air_costs(env, scenario):
+    free = JointEnv(scenario, random_plant=RANDOM, repeat=REPEAT, reward=REWARD._replace(air_price=0.0), plants=8)
+    action = np.array([1.0, 1.0], np.float32)
+    rewards, used = [], []
+    for one in (env, free):
+        one.reset(seed=0)
+        _, reward, _, _, info = one.step(action)
+        rewards.append(reward)
+        used.append(info["air"])
+    assert used[0] == used[1] > 0
+    assert rewards[1] - rewards[0] == pytest.approx(0.1 * used[0] / 5e-3, rel=1e-9)
+
+
+def test_random_plants_are_within_their_ranges_and_belong_to_a_seed(env, envs, scenario):
+    masses = np.asarray(env.joint.plants.varying.plant.load.mass2)
+    assert masses.shape == (8,)
+    assert 0.25 <= masses.min() < masses.max() <= 0.75
+    np.testing.assert_array_equal(masses, envs.joint.plants.varying.plant.load.mass2)
+    other = JointEnv(scenario, random_plant=RANDOM, repeat=REPEAT, plants=8, plants_seed=1)
+    assert not np.any(np.isin(masses, other.joint.plants.varying.plant.load.mass2))
+
+
+def test_many_are_as_single_ones_and_begin_anew(env, envs):
+    observations, info = envs.reset(seed=5)
+    plants, draw, steps = info["plant"], np.random.default_rng(2), []
+    for _ in range(STEPS):
+        actions = draw.uniform(-1, 1, (3, 2)).astype(np.float32)
+        steps.append((actions, envs.step(actions)))
+    for lane, plant in enumerate(plants):
+        alone, _ = env.reset(options={"plant": int(plant)})
+        np.testing.assert_allclose(observations[lane], alone, rtol=1e-6, atol=1e-7)
+        for actions, (observation, reward, terminated, truncated, told) in steps:
+            found = env.step(actions[lane])
+            np.testing.assert_allclose(observation[lane], found[0], rtol=1e-6, atol=1e-7)
+            assert reward[lane] == pytest.approx(found[1], rel=1e-9)
+            assert (terminated[lane], truncated[lane]) == found[2:4]
+            assert told["stiffness"][lane] == pytest.approx(found[4]["stiffness"], rel=1e-9)
+    assert truncated.all()
+    observation, reward, terminated, truncated, info = envs.step(actions)
+    assert not (terminated | truncated | reward.astype(bool)).any()
+    for lane, plant in enumerate(info["plant"]):
+        np.testing.assert_allclose(observation[lane], env.reset(options={"plant": int(plant)})[0], rtol=1e-6, atol=1e-7)
+    assert envs.observation_space.contains(observation)
+
+
+def test_an_episode_that_swings_over_ends_without_reward(scenario):
+    env = JointEnv(with_values(scenario, {"reference.angle.offset": np.radians(95)}))
+    env.reset(seed=0)
+    _, reward, terminated, truncated, _ = env.step(np.zeros(2, np.float32))
+    assert (reward, terminated, truncated) == (0.0, True, False)
+
+
+def test_gymnasium_makes_both_by_their_id():
+    scenario = "examples/pre-contracted-step-pid.yaml"
+    name = "mckibben.export.gym:mckibben/Joint-v0"
+    made = gymnasium.make(name, scenario=scenario)
+    assert isinstance(made.unwrapped, JointEnv)
+    many = gymnasium.make_vec(name, num_envs=2, vectorization_mode="vector_entry_point", scenario=scenario)
+    assert isinstance(many.unwrapped, JointVectorEnv)
+
+
+def test_mistakes_are_refused(scenario):
+    with pytest.raises(ParameterError):
+        JointEnv(scenario, random_plant=["load.mass3=+-50 %"])
+    with pytest.raises(ExportError) as caught:
+        JointEnv(scenario, repeat=0)
+    assert caught.value.field == "repeat"
+    with pytest.raises(ExportError) as caught:
+        JointEnv(scenario, random_plant=["controller.position.kp=+-50 %"])
+    assert caught.value.field == "random_plant"
+    own = mk.Scenario.read("examples/your-muscle/joint.yaml")
+    with pytest.raises(ExportError) as caught:
+        JointEnv(own, reward=RewardTerms(air_price=1.0))
+    assert caught.value.field == "air_price"
