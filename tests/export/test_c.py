@@ -89,12 +89,6 @@ def test_wrong_arguments_are_named(scenarios, target, name, field, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_only_c_has_numbers_of_32_bits(scenarios, tmp_path):
-    with pytest.raises(ParameterError) as caught:
-        export(scenarios["PID"], "js", tmp_path / "out", single=True)
-    assert caught.value.field == "single"
-
-
 def test_what_c_cannot_hold_is_said_before_anything_is_written(scenarios, tmp_path, monkeypatch):
     import jax.numpy as jnp
 

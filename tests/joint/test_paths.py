@@ -9,6 +9,7 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 from mckibben import AntagonisticJoint, Cam, KneeGeometry, PairedPaths, Pulley, TabulatedPath, TwoBonePath, catalog
+from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.errors import RangeError
 from mckibben.joint import Geometry
 from mckibben.units import deg, mm

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from mckibben.codegen.graph import ForLoop, Kind, Scope, StoredArray, Value, needed
+from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Value, needed
 from mckibben.codegen.source_module import Function, Member, SourceModule, element
 from mckibben.errors import ExportError
 
@@ -57,12 +57,25 @@ class _Evaluation:
         for statement in scope.statements:
             if isinstance(statement, ForLoop):
                 self._loop(statement)
+            elif isinstance(statement, Branch):
+                self._branch(statement)
             elif id(statement) not in self._wanted:
                 continue
             elif isinstance(statement, StoredArray):
                 self._arrays[id(statement)] = [self.value(one) for one in statement.elements]
             else:
                 self._known[id(statement)] = self._computed(statement)
+
+    def _branch(self, branch: Branch) -> None:
+        """Both blocks are computed, and one result is selected."""
+        if id(branch) not in self._wanted:
+            return
+        for scope in branch.scopes:
+            self.scope(scope)
+        for one in branch.chosen:
+            if id(one) in self._wanted:
+                yes, no = (self.value(values[one.data[1]]) for values in branch.values)
+                self._known[id(one)] = self._operations["select"](self.value(branch.condition), yes, no)
 
     def _computed(self, value: Value) -> Any:
         arguments = [self.value(one) for one in value.arguments]
@@ -85,6 +98,12 @@ class _Evaluation:
         arrays = [one for one in loop.arrays if id(one) in self._wanted]
         if not carried and not arrays:
             return
+        if loop.going is not None:
+            raise ExportError(
+                "a loop that ends by a condition cannot be written out",
+                field="while",
+                remedy="use another option of this part, such as rigid tendons",
+            )
         for one in carried:
             self._known[id(one)] = self.value(one.initial)
         for array in arrays:

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from mckibben.codegen.source_module import SourceModule
-from mckibben.errors import ExportError
 from mckibben.export.controller import controller_functions, is_real, units_of
 from mckibben.export.fmi2 import FunctionalUnit, fmu
 from mckibben.export.targets import Exported
@@ -54,7 +53,6 @@ _CONTROLLER_INPUTS = {
 
 def plant_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
-    _check_doubles(single)
     given = scenario.plant()
     plant = dataclasses.replace(given, sensors=PerfectSensors(), disturbance=NoDisturbance())
     plant, initial = numeric((plant, scenario.initial(given)))
@@ -160,7 +158,6 @@ def plant_unit(
 
 def muscle_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
     """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ."""
-    _check_doubles(single)
     joint = numeric(scenario.plant().joint)
     muscles = {name: joint.muscle1}
     if not eqx.tree_equal(joint.muscle1, joint.muscle2):
@@ -208,7 +205,6 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
 
 def controller_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
     """The controller for co-simulation with steps of the control period."""
-    _check_doubles(single)
     source = controller_functions(scenario)
     module = SourceModule(name, source.parameters, "controller.")
     inputs = {
@@ -257,8 +253,3 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path, single: bool) ->
     )
     content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, tuple(filter(None, [missing])))
-
-
-def _check_doubles(single: bool) -> None:
-    if single:
-        raise ExportError("numbers of an FMU have 64 bits", field="single", remedy="leave out --single")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import mckibben
 from mckibben.codegen.javascript import write_js
-from mckibben.errors import ExportError
 from mckibben.export.controller import controller_functions, controller_program
 from mckibben.export.targets import Exported
 from mckibben.study.scenario import Scenario
@@ -14,8 +13,6 @@ from mckibben.study.scenario import Scenario
 
 def js_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
     """The controller of a scenario as a script for pages and Node."""
-    if single:
-        raise ExportError("numbers of JavaScript have 64 bits", field="single", remedy="leave out --single")
     module, left_out = controller_program(controller_functions(scenario), name)
     period = f"{scenario.control_period * 1e3:g} ms"
     comment = (

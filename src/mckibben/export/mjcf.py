@@ -18,7 +18,7 @@ from mckibben.errors import ExportError
 from mckibben.export.c_folder import filled
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported
-from mckibben.joint import Geometry, KneeGeometry, Load, PairedPaths, Pulley, TwoBonePath
+from mckibben.joint import Geometry, KneeGeometry, Load, PairedPaths, Pulley, RigidTendon, TwoBonePath
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.compiled import numeric
@@ -116,6 +116,8 @@ def joint_model(
         raise _cannot("valve", "valves that switch between steps", "give it a FlowValve")
     if isinstance(valve, AirValve) and valve.reservoir_volume is not None:
         raise _cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
+    if not isinstance(plant.joint.tendon, RigidTendon):
+        raise _cannot("tendon", "springs in series with the muscles", "give the joint rigid tendons")
     moved = transmissions(plant.joint.geometry)
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     for number, one in enumerate(moved, 1):

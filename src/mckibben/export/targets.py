@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mckibben.codegen.source_module import identifier
-from mckibben.errors import ParameterError, quoted
+from mckibben.errors import ExportError, ParameterError, quoted
 from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.study.scenario import Scenario
 
@@ -67,7 +67,7 @@ def export(
         )
     if single and target != "c":
         remedy = "leave it out, or write the format c"
-        raise ParameterError(f"{target} has numbers of 64 bits only", field="single", value=single, remedy=remedy)
+        raise ExportError(f"{target} has numbers of 64 bits only", field="single", value=single, remedy=remedy)
     name = name or _NAMES.get(target, "controller")
     if identifier(name) != name:
         remedy = "give an identifier of C, such as knee"
