@@ -47,3 +47,12 @@ def test_required_torque_is_that_of_motion_less_gravity(load):
     assert float(load.required_torque(0.3, 0.0, 0.0)) == -float(load.gravity_torque(0.3))
     expected = 0.045 * 7.0 + float(load.damping) * 2.0
     assert float(load.dynamic_torque(2.0, 7.0)) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("hanging", [True, False])
+def test_a_weight_at_the_place_of_the_second_mass_is_more_of_that_mass(load, hanging):
+    load = dataclasses.replace(load, hanging=hanging)
+    heavier = dataclasses.replace(load, mass2=load.mass2 + 0.3)
+    weighted = load.with_weight(0.3, load.distance2)
+    for angle in (-0.5, 0.0, 0.4):
+        assert weighted.required_torque(angle, 0.2, 3.0) == pytest.approx(heavier.required_torque(angle, 0.2, 3.0))

@@ -55,10 +55,15 @@ class Load(eqx.Module, Displayed):
         """G [N*m], the largest torque of gravity; negative for an inverted load."""
 
     def with_weight(self, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
-        """Return the load with a further point mass [kg] on the limb, at a distance [m] from the axis."""
+        """Return the load with a further point mass [kg] on the limb, at a distance [m] from the axis.
+
+        It is on the side of the load's own mass: an inverted load gets more inverted.
+        """
+        moment = jnp.asarray(self.gravity_moment)
+        weight = jnp.where(moment < 0, -1.0, 1.0) * mass * distance * _GRAVITY
         return GeneralLoad(
             inertia=self.total_inertia + mass * distance**2,  # type: ignore
-            greatest_gravity_torque=self.gravity_moment + mass * distance * _GRAVITY,  # type: ignore
+            greatest_gravity_torque=moment + weight,  # type: ignore
             damping=self.damping,
             hanging_angle=self.hanging_angle,
         )
