@@ -119,7 +119,7 @@ class UnreachableError(McKibbenError, ValueError):
 
 
 class ExportError(McKibbenError, ValueError):
-    """What cannot be written in another language or format."""
+    """A model or function that another language or format cannot hold."""
 
 
 class RigError(McKibbenError, RuntimeError):

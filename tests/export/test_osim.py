@@ -4,6 +4,8 @@ import math
 import subprocess
 import sys
 from importlib.util import find_spec
+from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
@@ -12,7 +14,6 @@ import mckibben as mk
 from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.osim import osim_model
-from mckibben.muscle import HuntLaw
 
 LOAD = mk.KneeLoad(0.5, 0.5, 0.1, 0.2, 0.02, 0.015)
 FUNCTIONS = {name: getattr(math, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan")}
@@ -28,20 +29,20 @@ def value(expression: str, **variables: float) -> float:
     return eval(whole.replace("^", "**"), FUNCTIONS | variables)
 
 
-@pytest.fixture
-def known(known):
-    """Without the law whose force is the root of an equation, and without series of tables: they are refused."""
-    joint = known.joint
-    tables = any(isinstance(getattr(joint.geometry, path, None), mk.TabulatedPath) for path in ("path1", "path2"))
-    if tables or isinstance(joint.muscle1.law, HuntLaw):
-        with pytest.raises(ExportError) as caught:
-            osim_model(mk.JointPlant(joint, LOAD, mk.IdealValve()), (2e5, 3e5))
-        assert caught.value.field == "muscle1"
-        assert caught.value.remedy
-        pytest.skip("refused, as it should be")
-    return known
+REFUSED = ("HuntLaw", "tables", "arms and a pulley")
+"""The law whose force is the root of an equation, and series of tables."""
+WRITTEN = [name for name in run_path(str(Path(__file__).with_name("conftest.py")))["JOINTS"] if name not in REFUSED]
 
 
+@pytest.mark.parametrize("name", REFUSED)
+def test_roots_and_tables_are_refused(joints, name):
+    with pytest.raises(ExportError) as caught:
+        osim_model(mk.JointPlant(joints[name](), LOAD, mk.IdealValve()), (2e5, 3e5))
+    assert caught.value.field == "muscle1"
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize("known", WRITTEN, indirect=True)
 def test_expressions_give_the_torque_and_none_pushes(known):
     plant = mk.JointPlant(known.joint, LOAD, mk.IdealValve())
     for at in range(0, 40, 8):
@@ -79,6 +80,7 @@ for file, angle, velocity in zip(*[iter(sys.argv[1:])] * 3):
 """
 
 
+@pytest.mark.parametrize("known", WRITTEN, indirect=True)
 @pytest.mark.skipif(find_spec("opensim") is None, reason="OpenSim has 72 MB, and is not needed to write a model")
 def test_opensim_gives_the_same_acceleration(known, tmp_path):
     """In a process of its own: it brings a CasADi that does not go with another one."""

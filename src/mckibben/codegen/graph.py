@@ -169,12 +169,9 @@ FOLDED: dict[str, Callable[..., Any]] = {
     "integer": int,
     "boolean": bool,
 }
-"""Operations on known numbers, by name."""
-OPERATIONS = frozenset(FOLDED) | {"select"}
-"""Names of the operations.
+"""Operations of values by name, on known numbers; `select`, of a condition and both values, is the one without.
 
-`select` has the condition, then both values; `bits` are those of a real number as an integer, `from_bits` the reverse;
-`single` is the nearest number of 32 bits.
+`bits` are those of a real number as an integer, `from_bits` the reverse; `single` is the nearest number of 32 bits.
 """
 
 
@@ -184,7 +181,6 @@ class Graph:
     def __init__(self, *, lanes: bool = False) -> None:
         self.root = Scope()
         self.scope = self.root
-        self.exact_single = True  # whether numbers of 32 bits are rounded where others have 64
         self.lanes = lanes  # whether the program is for many runs side by side
         self._kept: list[Value] = []  # expressions are told apart by the identities of values
 

@@ -86,18 +86,22 @@ class Lowering(ShapeRules):
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
 
-    def function(self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]) -> Any:
-        """Lower a function of trees: example arguments, the values of their leaves; returns the tree of results."""
+    def function(
+        self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]
+    ) -> tuple[list[Array], Any]:
+        """Lower a function of trees: example arguments, the values of their leaves; returns the leaves of its results.
+
+        And the tree of their shapes and types.
+        """
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         try:
-            results = self._closed(closed, inputs)
+            return self._closed(closed, inputs), shape
         except _UnsupportedError as error:
             raise ExportError(
                 f"{error.name} cannot be written as a program: {error.place or 'of an unknown source'}",
                 field=error.name,
                 remedy="use another option of this part, or write the function without it",
             ) from None
-        return jax.tree.unflatten(jax.tree.structure(shape), results)
 
     def _closed(self, closed: Any, arguments: Sequence[Array]) -> list[Array]:
         if not hasattr(closed, "consts"):
@@ -182,7 +186,7 @@ class Lowering(ShapeRules):
     def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
         """Result of an operation, of 32 bits where its type has no more."""
         result = self._graph.operation(name, kind_of(dtype), *arguments)
-        if dtype == np.float32 and self._graph.exact_single:
+        if dtype == np.float32:
             return self._graph.operation("single", Kind.REAL, result)
         if dtype == np.uint32 and name in _WRAPPING:
             return self._graph.operation("and", Kind.INTEGER, result, self._graph.constant(MASK, Kind.INTEGER))

@@ -55,22 +55,19 @@ class NativeFunction:
         self._lock = threading.Lock()
 
     def __call__(self, shared: Any, lanes: Any = None) -> Any:
-        return self.compiled(shared, lanes)()
-
-    def compiled(self, shared: Any, lanes: Any = None) -> Callable[[], Any]:
-        """What computes the results for these arguments; raises `ExportError` where it cannot be compiled."""
-        trees = _Split.of(shared), _Split.of(lanes, lanes=True)
-        key = tuple(one.key for one in trees)
+        """Results; raises `ExportError` where the function cannot be emitted or compiled."""
+        given, varying = _Split.of(shared), _Split.of(lanes, lanes=True)
+        key = given.key, varying.key
         with self._lock:
             if key not in self._known:
                 try:
-                    self._known[key] = self._compiled(*trees)
+                    self._known[key] = self._compiled(given, varying)
                 except ExportError as error:  # nor will it the next time
                     self._known[key] = error
         found = self._known[key]
         if isinstance(found, ExportError):
             raise found
-        return functools.partial(found, trees[0].arrays, trees[1].arrays)
+        return found(given.arrays, varying.arrays)
 
     def _compiled(self, shared: _Split, lanes: _Split) -> _Compiled:
         """From the program cache, or compiled."""
@@ -99,7 +96,6 @@ class _Split:
     structure: Any
     static: tuple[Any, ...]  # `ARRAY` in place of arrays
     arrays: list[Any]
-
     lanes: bool
 
     @classmethod
@@ -112,7 +108,7 @@ class _Split:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """What a program is compiled for, whatever the number of runs."""
+        """Cache key: structure, static leaves, shapes and types, without the number of runs."""
         kinds = tuple((x.shape[:-1] if self.lanes else x.shape, x.dtype.str) for x in self.arrays)
         return self.structure, self.static, tuple(map(type, self.static)), kinds
 
@@ -156,9 +152,7 @@ def write_native(function: Callable[..., Any], given: Sequence[Any], varying: Se
     graph = Graph(lanes=bool(varying))
     graph.scope = graph.root.inner()
     inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
-    shape = jax.eval_shape(function, given, varying)
-    tree = Lowering(graph).function(function, (given, varying), inputs)
-    results = jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, Stored))
+    results, shape = Lowering(graph).function(function, (given, varying), inputs)
     values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
     writer = VectorWriter([graph.scope], values) if varying else Writer([graph.scope], c_language(), values)
     leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
@@ -245,7 +239,7 @@ def load_library(library: bytes) -> Any:
 
 @functools.cache
 def _compiler_state() -> str:
-    """What tells one compiler from another."""
+    """Identity of the compiler, and its options, for the program cache."""
     name = compiler()
     if name is None:
         return ""

@@ -1,4 +1,4 @@
-"""Which values of a program in single precision are `double`: those that depend on some arguments alone.
+"""Mixed precision: values of a program in single precision that are `double`, as they depend on some arguments alone.
 
 Derivatives of a sampled reference, for example, are differences of nearly equal numbers.
 """

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from mckibben.codegen.graph import Graph, Kind, Scope, Value
-from mckibben.codegen.lowering import Lowering, Stored, kind_of
+from mckibben.codegen.lowering import Lowering, kind_of
 
 _RESERVED = frozenset(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
@@ -70,7 +70,7 @@ class SourceModule:
     def __post_init__(self) -> None:
         self.graph = Graph()
         self.members = members_of(self.parameters, self.prefix)
-        """Of the structure of parameters."""
+        """Members of the parameter structure."""
         self._lowering = Lowering(self.graph)
         self._inputs = self._arrays("parameters", self.members)
 
@@ -83,17 +83,16 @@ class SourceModule:
         inputs = [*self._inputs]
         for argument, members in given.items():
             inputs += self._arrays(argument, members)
-        results = self._lowering.function(
+        leaves, shape = self._lowering.function(
             lambda parameters, *trees: dict(function(parameters, **dict(zip(arguments, trees, strict=True)))),
             (self.parameters, *arguments.values()),
             inputs,
         )
-        results = jax.tree.map(self._lowering.plain, results, is_leaf=lambda x: isinstance(x, Stored))
+        rest = map(self._lowering.plain, leaves)
         found, values = {}, {}
-        for result, tree in results.items():
-            leaves = jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, np.ndarray))
-            found[result] = members_of(jax.tree.map(_example, tree, is_leaf=lambda x: isinstance(x, np.ndarray)))
-            values[result] = [value for leaf in leaves for value in leaf.flat]
+        for result, tree in shape.items():
+            found[result] = members_of(jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), tree))
+            values[result] = [value for _ in jax.tree.leaves(tree) for value in next(rest).flat]
         self.graph.scope = self.graph.root
         self.functions.append(Function(name, given, found, scope, values, text))
 
@@ -104,7 +103,7 @@ class SourceModule:
 
     @property
     def scopes(self) -> list[Scope]:
-        """Of what depends on parameters alone, and of each function."""
+        """Scope of the parameters, and those of the functions."""
         return [self.graph.root, *(one.scope for one in self.functions)]
 
     def results(self) -> list[Value]:
@@ -146,12 +145,6 @@ def element(structure: str, member: Member, number: int) -> str:
 def inputs_of(scope: Scope) -> list[Value]:
     """Inputs of a scope."""
     return [one for one in scope.statements if isinstance(one, Value) and one.operation == "input"]
-
-
-def _example(array: Any) -> Any:
-    """An array of zeros in place of values."""
-    kind = array.flat[0].kind if array.size else Kind.REAL
-    return np.zeros(array.shape, {Kind.REAL: float, Kind.INTEGER: np.int64, Kind.BOOLEAN: bool}[kind])
 
 
 def members_of(tree: Any, prefix: str = "") -> list[Member]:

@@ -16,7 +16,7 @@ _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
 _BROADCAST = {Kind.REAL: "real", Kind.INTEGER: "integer", Kind.BOOLEAN: "mask"}
 _ATOM = 8
 SUFFIX = {Kind.REAL: "", Kind.INTEGER: "_integer", Kind.BOOLEAN: "_mask"}
-"""Of the functions that load and store vectors, by kind."""
+"""Suffix of the functions that load and store vectors, by kind."""
 
 HEADERS = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
 PRELUDE = (

@@ -35,7 +35,7 @@ Text = tuple[str, int]
 
 @dataclass(frozen=True, slots=True)
 class Language:
-    """What differs between programming languages."""
+    """Syntax of a programming language."""
 
     types: Mapping[Kind, str]  # of declarations of what changes
     constants: Mapping[Kind, str]  # of declarations of what does not

@@ -89,7 +89,7 @@ class Plants(NamedTuple):
 
 
 class Episode(NamedTuple):
-    """Number of control periods so far, state of the plant, and what its sensors told last."""
+    """Number of control periods so far, state of the plant, and the last measurement."""
 
     period: Array
     state: PlantState
@@ -97,7 +97,7 @@ class Episode(NamedTuple):
 
 
 class EpisodeStep(NamedTuple):
-    """What an agent is told: observation (6,), reward, whether the episode failed; true stiffness, and air [L]."""
+    """Result of a step: observation (6,), reward, whether the episode failed; true stiffness, and air [L]."""
 
     observation: Any
     reward: Any
@@ -189,7 +189,7 @@ def advance(
 
 
 class _FlatEpisodes:
-    """`begin` and `advance` with an array for an episode, and one for what an agent is told."""
+    """`begin` and `advance` with an array for an episode, and one for an `EpisodeStep`."""
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
         self._layout = FlatTree(jax.eval_shape(lambda: begin(*plants.row(0), settings.period)[0]))
@@ -208,7 +208,7 @@ class _FlatEpisodes:
 
 
 def _step(values: Any) -> EpisodeStep:
-    """What was told, from an array whose last axis has all of it."""
+    """`EpisodeStep` from an array with its numbers along the last axis."""
     values = np.asarray(values)
     return EpisodeStep(values[..., : len(OBSERVATION)], *np.moveaxis(values[..., len(OBSERVATION) :], -1, 0))
 

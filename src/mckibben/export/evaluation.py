@@ -11,7 +11,7 @@ from mckibben.errors import ExportError
 
 _OF_INTEGERS = {"and", "or", "xor", "not", "div"}  # which mean something else there
 Operations = Mapping[str, Callable[..., Any]]
-"""By their names in `codegen.graph.OPERATIONS`; those of integers that truncate or are bitwise end in ``_integer``."""
+"""By their names in `codegen.graph.FOLDED`; those of integers that truncate or are bitwise end in ``_integer``."""
 
 
 def evaluate(

@@ -36,7 +36,7 @@ DEFAULT_REWARD = RewardTerms()
 
 
 class _Joint:
-    """What both environments share: the plants, the spaces, and the numbers of a step."""
+    """Part of both environments: plants, spaces, and the numbers of a step."""
 
     def __init__(
         self,

@@ -72,7 +72,7 @@ def read_program(path: Path) -> bytes | None:
 
 def write_program(path: Path, content: bytes) -> None:
     """Store a program, but where our sources were edited since they were imported, or nothing can be stored."""
-    if _source_files() == _SOURCE:
+    if _source_files() == _SOURCE:  # else some of it may run as edited, some as imported
         with suppress(OSError):
             _write(path, content)
 
@@ -95,8 +95,7 @@ def load_or_compile(
     try:
         payload, _, answer = serialize(program)
         jax.block_until_ready(deserialize_and_load(payload, given, answer)(*arrays))  # not every program loads again
-        if _source_files() == _SOURCE:  # else some of it may run as edited, some as imported
-            _write(path, pickle.dumps((payload, jax.tree.unflatten(answer, [0] * answer.num_leaves))))
+        write_program(path, pickle.dumps((payload, jax.tree.unflatten(answer, [0] * answer.num_leaves))))
     except Exception:  # it runs even where it cannot be stored, such as on a full disk
         pass
     return program

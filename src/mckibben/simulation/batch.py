@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ExportError, ParameterError, SimulationError
+from mckibben.errors import ParameterError, SimulationError
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.engine import check_engine
+from mckibben.simulation.engine import compute_with
 from mckibben.simulation.loop import Streamed, streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
 from mckibben.simulation.problem import (
@@ -178,29 +178,21 @@ def simulate_many(
     size = _chunk_size(chunk, count, cores() if workers is None else _check_count("workers", workers))
     period = jnp.asarray(control_period, float)
 
-    chosen = check_engine(engine, asked.precision)
-    if chosen == "native":
-        try:
-            _native_chunk(pad_chunk(lanes, slice(1), size), shared, times, period, asked)
-        except ExportError:
-            if engine == "native":
-                raise
-            chosen = "xla"
-
-    def compute(piece: slice) -> dict[str, NDArray]:
-        parts = pad_chunk(lanes, piece, size), shared, times, period, asked
-        answer = _native_chunk(*parts)() if chosen == "native" else _chunk(*parts)
-        return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}
+    def compute(piece: slice) -> tuple[dict[str, NDArray], str]:
+        given = pad_chunk(lanes, piece, size), shared, times, period, asked
+        answer, used = compute_with(engine, asked.precision, lambda: _native_chunk(*given), lambda: _chunk(*given))
+        return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}, used
 
     progress = progress or notebook_progress()
-    parts = []
+    answers = []
     for piece, answer in map_chunks(compute, count, size, workers):
-        parts.append(answer)
+        answers.append(answer)
         if progress:
             progress(f"{piece.stop} of {count} runs", piece.stop / count)
+    parts, used = zip(*answers, strict=True)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     table = _table(columns, over or {}, times[::stride], asked)
-    return Batch(table.assign_attrs(engine=chosen))
+    return Batch(table.assign_attrs(engine=used[0]))  # one program, so the same for all
 
 
 class _Asked(NamedTuple):
@@ -304,17 +296,17 @@ def _native_run(shared: Any, lane: Any) -> dict[str, Array]:
 
 def _native_chunk(
     lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64], period: Array, asked: _Asked
-) -> Callable[[], dict[str, NDArray]]:
-    """`_chunk` by the C compiler of the machine, compiled; `ExportError` where it cannot be."""
+) -> dict[str, Any]:
+    """`_chunk` by the C compiler of the machine; raises `ExportError` where it cannot be emitted."""
     begun = _begun(lanes, shared, times, asked)
     each = bool(jax.tree.leaves(lanes.reference))
     spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
     of_each, of_all = eqx.partition(begun, spec)
     unused: Any = {"reference": None, "initial": None}
     varying = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), lanes._replace(**unused))
-    run = _native_run.compiled((shared._replace(**unused), of_all, period, asked), (varying, of_each))
+    columns = _native_run((shared._replace(**unused), of_all, period, asked), (varying, of_each))
     span = np.asarray(_span(begun.setpoints, lanes))
-    return lambda: {name: np.moveaxis(values, -1, 0) for name, values in run().items()} | {"_span": span}
+    return {name: np.moveaxis(values, -1, 0) for name, values in columns.items()} | {"_span": span}
 
 
 _DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
@@ -12,6 +13,8 @@ from mckibben.control.base import Controller, Setpoint
 from mckibben.errors import ExportError, ParameterError, quoted
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import Record, compiled_episode, episode
+
+R = TypeVar("R")
 
 ENGINES = ("auto", "native", "xla")
 """Engines: programs emitted as C and compiled by the machine's compiler, XLA's, or the first where it can be used."""
@@ -39,6 +42,17 @@ def check_engine(engine: str, precision: Any = np.float64) -> str:
     return "xla" if missing else "native"
 
 
+def compute_with(engine: str, precision: Any, native: Callable[[], R], xla: Callable[[], R]) -> tuple[R, str]:
+    """Result and engine of a computation; "auto" takes XLA where the native one cannot be emitted."""
+    if check_engine(engine, precision) == "native":
+        try:
+            return native(), "native"
+        except ExportError:
+            if engine == "native":
+                raise
+    return xla(), "xla"
+
+
 def run_alone(
     engine: str,
     plant: JointPlant,
@@ -50,13 +64,8 @@ def run_alone(
 ) -> tuple[Record, str]:
     """Record of one run, and the engine that computed it; `numeric` parts."""
     parts = plant, controller, setpoints, start, period, substeps
-    if check_engine(engine, np.asarray(period).dtype) == "native":
-        try:
-            return _native_episode(parts), "native"
-        except ExportError:
-            if engine == "native":
-                raise
-    return compiled_episode(*parts)[1], "xla"
+    precision = np.asarray(period).dtype
+    return compute_with(engine, precision, lambda: _native_episode(parts), lambda: compiled_episode(*parts)[1])
 
 
 @NativeFunction
