@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -36,9 +37,9 @@ Scalar = Float[Array, ""]
 
 
 class AirState(NamedTuple):
-    """State of the valves of both muscles, and the gauge pressure [Pa] of the reservoir where there is one."""
+    """State of the valve of each muscle, and the gauge pressure [Pa] of the reservoir where there is one."""
 
-    valves: tuple[Any, Any]
+    valves: tuple[Any, ...]
     reservoir: Any = ()
 
 
@@ -141,11 +142,10 @@ class AirValve(ValveModel):
         """Return a command within the rated pressures [Pa] of a muscle."""
         return jnp.clip(jnp.asarray(command), rated.pressure_min, rated.pressure_max)
 
-    def init_air(self, pressures: tuple[Scalar, Scalar]) -> AirState:
+    def init_air(self, pressures: tuple[Scalar, ...]) -> AirState:
         """Return the state of the valves at rest, and of the reservoir at the pressure of the supply."""
-        pressure1, pressure2 = pressures
-        filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressure1), self.supply)
-        return AirState((self.init(pressure1), self.init(pressure2)), filled)
+        filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressures[0]), self.supply)
+        return AirState(tuple(map(self.init, pressures)), filled)
 
     def telemetry(
         self, air: AirState, commands: tuple[ArrayLike, ArrayLike], pressures: tuple[ArrayLike, ArrayLike]
@@ -157,12 +157,12 @@ class AirValve(ValveModel):
 
     def air_rate(
         self,
-        pressures: tuple[Scalar, Scalar],
+        pressures: Sequence[Scalar],
         air: AirState,
-        commands: tuple[ArrayLike, ArrayLike],
-        volumes: tuple[AirVolume, AirVolume],
-    ) -> tuple[tuple[Array, Array], AirState]:
-        """Return the rates of the pressures [Pa/s] and of the state."""
+        commands: Sequence[ArrayLike],
+        volumes: Sequence[AirVolume],
+    ) -> tuple[tuple[Array, ...], AirState]:
+        """Return the rates of the pressures [Pa/s] of all muscles, and of the state."""
         inlet = ATMOSPHERE + (self.supply if self.reservoir_volume is None else air.reservoir)
         rates, valve_rates, drawn = [], [], 0.0
         for pressure, state, command, volume in zip(pressures, air.valves, commands, volumes, strict=True):
@@ -176,7 +176,7 @@ class AirValve(ValveModel):
         if self.reservoir_volume is not None:
             line = mass_flow(self.line_conductance, self.critical_ratio, self.supply + ATMOSPHERE, inlet)
             reservoir = pressure_rate(self.polytropic_index, inlet, line - drawn, self.reservoir_volume, 0.0)
-        return (rates[0], rates[1]), AirState((valve_rates[0], valve_rates[1]), reservoir)
+        return tuple(rates), AirState(tuple(valve_rates), reservoir)
 
     def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""

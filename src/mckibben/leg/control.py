@@ -1,0 +1,292 @@
+"""Controllers of a leg: pressures over time, and a controller for each joint with setpoints by phase."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from numbers import Real
+from typing import Annotated, Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.control import Controller, Reference
+from mckibben.control.base import Setpoint
+from mckibben.errors import RangeError
+from mckibben.joint import Measurement
+from mckibben.notebook import Displayed
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.elementary import exp
+from mckibben.units import COMPONENT, Force, Instant, PositiveTime, Pressure, ShortTime, ms
+
+Scalar = Float[Array, ""]
+
+
+class LegMeasurement(NamedTuple):
+    """Measured time [s], angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
+
+    time: Scalar
+    angles: tuple[Scalar, ...]
+    pressures: tuple[Scalar, ...]
+    ground_force: Scalar
+
+
+class LegController(eqx.Module, Displayed):
+    """Interface from measurements to pressure commands of all muscles."""
+
+    @abc.abstractmethod
+    def init(self, measurement: LegMeasurement) -> Any:
+        """Return the state before the first step."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Array, ...]]:
+        """Return the next state, and the commands [Pa] for the coming control period [s]."""
+
+    def telemetry(self, state: Any) -> dict[str, Array]:
+        """Return the signals to record each period, by name."""
+        return {}
+
+
+class PressureSchedule(LegController):
+    """Commands that are constant between switching times, which need not be multiples of the control period.
+
+    The command of a control period is the mean of the schedule over it, so that results depend continuously on the
+    switching times, and have derivatives with respect to them.
+
+    Parameters
+    ----------
+    levels
+        Gauge pressures [Pa] of each muscle, in the order of the leg: one more than its switching times.
+    switches
+        Increasing switching times [s] of each muscle; none for constant commands.
+
+    Examples
+    --------
+    >>> schedule = PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ()))
+    >>> start = LegMeasurement(jnp.asarray(1e-3), (), (), jnp.zeros(()))
+    >>> [float(one) for one in schedule.step((), start, 1e-3)[1]]
+    [325000.0, 200000.0]
+    """
+
+    levels: tuple[tuple[Pressure, ...], ...]
+    switches: tuple[tuple[Instant, ...], ...] = ()
+
+    def __check_init__(self) -> None:
+        times = self.switches or ((),) * len(self.levels)
+        if len(times) != len(self.levels):
+            raise RangeError(
+                f"switching times of {len(times)} of {len(self.levels)} muscles",
+                field="switches",
+                value=len(times),
+                remedy="give those of each muscle, () for none",
+            )
+        for number, (levels, own) in enumerate(zip(self.levels, times, strict=True), 1):
+            if len(levels) != len(own) + 1:
+                raise RangeError(
+                    f"muscle {number}: {len(levels)} levels for {len(own)} switching times",
+                    field="levels",
+                    value=len(levels),
+                    remedy=f"give {len(own) + 1}",
+                )
+            if all(isinstance(one, Real) for one in own) and any(np.diff(own) < 0):  # type: ignore[arg-type]
+                raise RangeError(
+                    f"muscle {number}: switching times {', '.join(f'{one:g}' for one in own)} s",
+                    field="switches",
+                    value=own,
+                    remedy="give them in increasing order",
+                )
+
+    def init(self, measurement: LegMeasurement) -> tuple[()]:
+        return ()
+
+    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Array, ...]]:
+        commands = []
+        for levels, times in zip(self.levels, self.switches or ((),) * len(self.levels), strict=True):
+            command = jnp.asarray(levels[0])
+            for before, after, at in zip(levels, levels[1:], times, strict=False):
+                part = jnp.clip((measurement.time + period - at) / period, 0.0, 1.0)
+                command = command + (jnp.asarray(after) - before) * part
+            commands.append(command)
+        return (), tuple(commands)
+
+
+class LegReference(eqx.Module, Displayed):
+    """Interface from measurements to the setpoints of all joints."""
+
+    @abc.abstractmethod
+    def init(self, measurement: LegMeasurement) -> Any:
+        """Return the state before the first step."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Setpoint, ...]]:
+        """Return the next state, and the setpoint of each joint."""
+
+    def telemetry(self, state: Any) -> dict[str, Array]:
+        """Return the signals to record each period, by name."""
+        return {}
+
+
+class TimedReference(LegReference):
+    """References of the joints over time."""
+
+    references: tuple[Reference, ...]
+
+    def init(self, measurement: LegMeasurement) -> tuple[()]:
+        return ()
+
+    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Setpoint, ...]]:
+        return (), tuple(reference(measurement.time) for reference in self.references)
+
+
+FLIGHT, TOUCHDOWN, STANCE, PUSH_OFF = range(4)
+"""Phases: foot in the air; a set time from its touch on; until the leg lengthens; until the foot leaves the ground."""
+
+
+class PhaseState(NamedTuple):
+    """Phase and its time [s], setpoints, length of the leg [rad] by its joints, and the last time in the air [s]."""
+
+    phase: Array
+    since: Scalar
+    setpoints: tuple[Setpoint, ...]
+    extension: Scalar
+    flight: Scalar
+    thrust: Scalar
+
+
+class PhasedReference(LegReference):
+    """Setpoints by phase of a hop, with detection of touchdown, of the deepest point, and of take-off.
+
+    Phases are flight; touchdown, from the first force on the foot for a set time; stance, until the angle of the
+    `extensor` joint has turned around; push-off, until the foot is free of force. Setpoints follow those of the phase
+    with a first-order lag. With `flight_time` the push-off is adapted from hop to hop, as the thrust in M. H. Raibert,
+    Legged Robots That Balance, MIT Press 1986, ch. 2: its angle of the extensor moves by `gain` times the error of the
+    last time in the air.
+
+    Parameters
+    ----------
+    flight, touchdown, stance, push_off
+        Setpoint of each joint in each phase: angle [rad] and stiffness [N*m/rad].
+    threshold
+        Force [N] on the foot that counts as contact.
+    touchdown_time, lag
+        Duration of the touchdown [s], and time constant [s] of the setpoints.
+    extensor
+        Index of the joint whose angle grows as the leg gets longer.
+    flight_time, gain
+        Wanted time in the air [s], and gain [rad/s]; without them the push-off is as given.
+    """
+
+    flight: tuple[Setpoint, ...]
+    touchdown: tuple[Setpoint, ...]
+    stance: tuple[Setpoint, ...]
+    push_off: tuple[Setpoint, ...]
+    threshold: Force = 5.0
+    touchdown_time: ShortTime = 20 * ms
+    lag: PositiveTime = 5 * ms
+    extensor: int = eqx.field(static=True, default=-1)
+    flight_time: PositiveTime | None = None
+    gain: float = 0.5
+
+    def __check_init__(self) -> None:
+        check_positive("PhasedReference", "N", threshold=self.threshold)
+        check_positive("PhasedReference", "s", lag=self.lag)
+        counts = {len(phase) for phase in (self.flight, self.touchdown, self.stance, self.push_off)}
+        if len(counts) != 1:
+            raise RangeError(
+                "phases with setpoints of different numbers of joints",
+                field="flight",
+                value=sorted(counts),
+                remedy="give one setpoint for each joint in each phase",
+            )
+
+    def init(self, measurement: LegMeasurement) -> PhaseState:
+        zero = jnp.zeros(())
+        setpoints = tuple(Setpoint(*map(jnp.asarray, one)) for one in self.flight)
+        begun = jnp.where(measurement.ground_force > self.threshold, STANCE, FLIGHT)
+        return PhaseState(begun, zero, setpoints, measurement.angles[self.extensor], zero, zero)
+
+    def step(
+        self, state: PhaseState, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[PhaseState, tuple[Setpoint, ...]]:
+        touching = measurement.ground_force > self.threshold
+        extension = measurement.angles[self.extensor]
+        phase = state.phase
+        ended = (
+            ((phase == FLIGHT) & touching)
+            | ((phase == TOUCHDOWN) & (state.since >= self.touchdown_time))
+            | ((phase == STANCE) & (extension > state.extension))
+            | ((phase == PUSH_OFF) & ~touching)
+        )
+        landed = (phase == FLIGHT) & touching
+        flight = jnp.where(landed, state.since, state.flight)
+        thrust = state.thrust
+        if self.flight_time is not None:
+            thrust = jnp.where(landed, thrust + self.gain * (self.flight_time - flight), thrust)
+        phase = jnp.where(ended, (phase + 1) % 4, phase)
+        since = jnp.where(ended, 0.0, state.since + period)
+        part = 1 - exp(-jnp.asarray(period) / self.lag)
+        setpoints = []
+        for index, held in enumerate(state.setpoints):
+            each = [getattr(self, name)[index] for name in ("flight", "touchdown", "stance", "push_off")]
+            more = thrust if index == self.extensor % len(state.setpoints) else 0.0
+            angle = _select(phase, [one.angle for one in each[:3]] + [each[3].angle + more])
+            stiffness = _select(phase, [one.stiffness for one in each])
+            setpoints.append(
+                Setpoint(held.angle + part * (angle - held.angle), held.stiffness + part * (stiffness - held.stiffness))
+            )
+        following = PhaseState(phase, since, tuple(setpoints), extension, flight, thrust)
+        return following, tuple(setpoints)
+
+    def telemetry(self, state: PhaseState) -> dict[str, Array]:
+        return {"phase": state.phase, "flight_time": state.flight, "thrust": state.thrust}
+
+
+def _select(phase: Array, values: Sequence[ArrayLike]) -> Array:
+    """Value of a phase."""
+    chosen = jnp.asarray(values[0])
+    for number, value in enumerate(values[1:], 1):
+        chosen = jnp.where(phase == number, value, chosen)
+    return chosen
+
+
+class JointwiseControl(LegController):
+    """A controller of position and stiffness for each joint, and constant pressures of the biarticular muscles.
+
+    Parameters
+    ----------
+    controllers
+        One controller of a joint for each joint of the leg; each has its own model.
+    reference
+        Setpoints of the joints.
+    biarticular
+        Gauge pressures [Pa] of the biarticular muscles.
+    """
+
+    controllers: tuple[Annotated[Controller, COMPONENT], ...]
+    reference: LegReference
+    biarticular: tuple[Pressure, ...] = ()
+
+    def init(self, measurement: LegMeasurement) -> Any:
+        states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
+        return self.reference.init(measurement), tuple(states)
+
+    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Array, ...]]:
+        reference, setpoints = self.reference.step(state[0], measurement, period)
+        states, commands = [], []
+        for index, (one, held, setpoint) in enumerate(zip(self.controllers, state[1], setpoints, strict=True)):
+            held, pair = one.step(held, setpoint, _of_joint(measurement, index), period)
+            states.append(held)
+            commands += pair
+        return (reference, tuple(states)), (*commands, *map(jnp.asarray, self.biarticular))
+
+    def telemetry(self, state: Any) -> dict[str, Array]:
+        found = dict(self.reference.telemetry(state[0]))
+        for index, (one, held) in enumerate(zip(self.controllers, state[1], strict=True)):
+            found |= {f"{name}_{index}": value for name, value in one.telemetry(held).items()}
+        return found
+
+
+def _of_joint(measurement: LegMeasurement, index: int) -> Measurement:
+    return Measurement(measurement.angles[index], measurement.pressures[2 * index : 2 * index + 2])  # type: ignore

@@ -1,0 +1,418 @@
+"""Planar leg: trunk, links in a chain, joints with pairs of muscles, and muscles over two joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Real
+from typing import Annotated, Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.errors import McKibbenError, RangeError, quoted
+from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
+from mckibben.muscle import Muscle
+from mckibben.notebook import Displayed
+from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.units import (
+    COMPONENT,
+    Angle,
+    Damping,
+    Distance,
+    Inertia,
+    Length,
+    PositiveMass,
+    StiffnessScale,
+    StopDamping,
+    deg,
+)
+
+Scalar = Float[Array, ""]
+
+Freedom = Literal["fixed", "vertical", "planar", "free"]
+"""Motion of the trunk: none, up and down (a slider), in the plane without pitch (a boom), or all of it."""
+
+Action = Literal["lengthens", "shortens"]
+"""What a muscle does as the angle of a joint increases."""
+
+
+class Trunk(eqx.Module, Displayed):
+    """Body above the hip.
+
+    Parameters
+    ----------
+    mass, inertia
+        Mass [kg], and inertia about the centre of mass [kg*m^2], which matters for a free trunk alone.
+    centre
+        Height of the centre of mass above the hip [m].
+    freedom
+        "fixed", "vertical" (on a slider), "planar" (a boom: no pitch), or "free".
+    """
+
+    mass: PositiveMass
+    inertia: Inertia = 0.0
+    centre: Distance = 0.0
+    freedom: Freedom = eqx.field(static=True, default="vertical")
+
+    def __check_init__(self) -> None:
+        check_positive("Trunk", "kg", mass=self.mass)
+        check_positive("Trunk", "kg*m^2", zero=True, inertia=self.inertia)
+        if self.freedom not in get_args(Freedom):
+            raise RangeError(
+                f"Trunk: freedom is {self.freedom!r}",
+                field="freedom",
+                value=self.freedom,
+                remedy=f"give one of {', '.join(get_args(Freedom))}",
+            )
+        if self.freedom == "free":
+            check_positive("Trunk", "kg*m^2", inertia=self.inertia)
+
+
+class Link(eqx.Module, Displayed):
+    """Rigid link between two joints, or of the foot.
+
+    Parameters
+    ----------
+    length
+        From its upper joint to the next one, or to the foot's point [m].
+    mass, inertia
+        Mass [kg], and inertia about its centre of mass [kg*m^2].
+    centre
+        Distance of the centre of mass from the upper joint, along the link [m].
+    """
+
+    length: Length
+    mass: PositiveMass
+    centre: Distance
+    inertia: Inertia
+
+    def __check_init__(self) -> None:
+        check_positive("Link", "m", length=self.length)
+        check_positive("Link", "kg", mass=self.mass)
+        check_positive("Link", "m", zero=True, centre=self.centre)
+        check_positive("Link", "kg*m^2", zero=True, inertia=self.inertia)
+        if all(isinstance(one, Real) for one in (self.mass, self.centre, self.inertia)):
+            check_positive("Link", "kg*m^2", inertia_about_joint=self.inertia + self.mass * self.centre**2)
+
+
+class LegJoint(eqx.Module, Displayed):
+    """Hinge with two muscles between a link and the one above it.
+
+    Parameters
+    ----------
+    muscles
+        Pair of muscles with their geometry.
+    lower, upper
+        Range of the angle [rad]; beyond it stops act.
+    link_angle
+        Angle [rad] of the link from the line of the one above, at the angle 0 of the joint; positive forwards.
+    forward
+        Whether the link swings forwards as the angle increases.
+    damping
+        Viscous damping [N*m*s/rad].
+    stop_stiffness, stop_damping
+        Stops: k [N*m/rad] and c [s/rad] in the torque k d (1 + c d') at a depth d [rad], never pulling.
+    locked
+        Angle [rad] at which the joint is locked; movable unless given.
+    name
+        Name in results and errors.
+    """
+
+    muscles: AntagonisticJoint
+    lower: Angle
+    upper: Angle
+    link_angle: Angle = 0.0
+    forward: bool = eqx.field(static=True, default=True)
+    damping: Damping = 0.0
+    stop_stiffness: StiffnessScale = 1000.0
+    stop_damping: StopDamping = 0.2
+    locked: Angle | None = None
+    name: str = eqx.field(static=True, default="joint")
+
+    def __check_init__(self) -> None:
+        check_kind("LegJoint", muscles=(self.muscles, AntagonisticJoint))
+        check_positive("LegJoint", "N*m*s/rad", zero=True, damping=self.damping)
+        check_positive("LegJoint", "N*m/rad", stop_stiffness=self.stop_stiffness)
+        check_positive("LegJoint", "s/rad", zero=True, stop_damping=self.stop_damping)
+        if not all(isinstance(one, Real) for one in (self.lower, self.upper)):
+            return
+        if not self.lower < self.upper:
+            raise RangeError(
+                f"{self.name}: the range of the angle is {self.lower / deg:g}..{self.upper / deg:g} deg",
+                field="upper",
+                value=self.upper,
+                lower=self.lower,
+                unit="rad",
+                remedy="give the lower angle first",
+            )
+        _check_paths(self)
+
+    @property
+    def sign(self) -> int:
+        """1 where the link swings forwards as the angle increases, else -1."""
+        return 1 if self.forward else -1
+
+
+class BiarticularMuscle(eqx.Module, Displayed):
+    """Muscle over two joints, through a point of the link between them: its length is the sum of two paths.
+
+    Parameters
+    ----------
+    muscle
+        The muscle.
+    path1, path2
+        Path over each joint; the sum of both is the length of the muscle.
+    joint1, joint2
+        Names of its joints.
+    action1, action2
+        Whether it "lengthens" or "shortens" as the angle of that joint increases.
+    """
+
+    muscle: Muscle
+    path1: Annotated[MusclePath, COMPONENT]
+    path2: Annotated[MusclePath, COMPONENT]
+    joint1: str = eqx.field(static=True)
+    joint2: str = eqx.field(static=True)
+    action1: Action = eqx.field(static=True)
+    action2: Action = eqx.field(static=True)
+    name: str = eqx.field(static=True, default="biarticular")
+
+    def __check_init__(self) -> None:
+        check_kind("BiarticularMuscle", muscle=(self.muscle, Muscle), path1=(self.path1, MusclePath))
+        check_kind("BiarticularMuscle", path2=(self.path2, MusclePath))
+        for field in ("action1", "action2"):
+            if getattr(self, field) not in get_args(Action):
+                raise RangeError(
+                    f"{self.name}: {field} is {getattr(self, field)!r}",
+                    field=field,
+                    value=getattr(self, field),
+                    remedy=f"give {' or '.join(get_args(Action))}",
+                )
+        self.muscle.check_pressure_limit()
+
+    def parts(self, angle1: ArrayLike, angle2: ArrayLike) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Return the length [m] of the path over each joint, and its derivative [m/rad]."""
+        sides = [1 if action == "lengthens" else -1 for action in (self.action1, self.action2)]
+        return (
+            value_and_derivative(lambda x: self.path1.length(x, sides[0]), angle1),
+            value_and_derivative(lambda x: self.path2.length(x, sides[1]), angle2),
+        )
+
+
+class Unit(NamedTuple):
+    """A muscle in the leg: its path length [m], and the derivative [m/rad] of that over the angles of its joints."""
+
+    muscle: Muscle
+    tendon: Tendon
+    path: Array
+    slopes: dict[int, Array]
+
+
+class Leg(eqx.Module, Displayed):
+    """Planar leg: a trunk, and a chain of links, each on a joint with two muscles.
+
+    The plane is that of walking: x forwards, z up. A link with the angle 0 hangs below the one above. All sequences
+    over joints begin at the hip; those over muscles have muscles 1 and 2 of each joint, then the biarticular ones.
+
+    Parameters
+    ----------
+    trunk, links, joints
+        Bodies, and the joint above each link.
+    biarticular
+        Muscles over two joints.
+    foot_radius
+        Radius [m] of the foot, a sphere about the end of the last link.
+    side_swing
+        Joint between trunk and hip about the forward axis; for models in space alone (MuJoCo), else locked at 0.
+
+    Examples
+    --------
+    >>> from mckibben.leg import read_leg
+    >>> leg = read_leg("lei-leg")
+    >>> leg.muscle_names, round(float(leg.total_mass), 2)
+    (('hip1', 'hip2', 'knee1', 'knee2'), 1.8)
+    """
+
+    trunk: Trunk
+    links: tuple[Link, ...]
+    joints: tuple[LegJoint, ...]
+    biarticular: tuple[BiarticularMuscle, ...] = ()
+    foot_radius: Distance = 0.0
+    side_swing: LegJoint | None = None
+
+    def __check_init__(self) -> None:
+        check_positive("Leg", "m", zero=True, foot_radius=self.foot_radius)
+        if len(self.links) != len(self.joints) or not self.links:
+            raise RangeError(
+                f"a leg of {len(self.links)} links and {len(self.joints)} joints",
+                field="joints",
+                value=len(self.joints),
+                remedy="give one joint for each link, the joint above it",
+            )
+        names = [joint.name for joint in self.joints]
+        if len(set(self.muscle_names)) < len(self.muscle_names) or len(set(names)) < len(names):
+            raise RangeError(
+                f"joints {', '.join(names)}, and muscles {', '.join(self.muscle_names)}: a name is given twice",
+                field="name",
+                remedy="give each joint and each biarticular muscle a name of its own",
+            )
+        for one in self.biarticular:
+            for field in ("joint1", "joint2"):
+                if getattr(one, field) not in names or one.joint1 == one.joint2:
+                    raise RangeError(
+                        f"{one.name}: {field} is {getattr(one, field)!r}",
+                        field=field,
+                        value=getattr(one, field),
+                        remedy=f"name two different joints of {', '.join(names)}",
+                    )
+            _check_biarticular(one, *(self.joints[names.index(name)] for name in (one.joint1, one.joint2)))
+
+    @property
+    def total_mass(self) -> Float[Array, ""]:
+        """Mass of trunk and links [kg]."""
+        return jnp.asarray(self.trunk.mass) + sum(jnp.asarray(link.mass) for link in self.links)
+
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        """All muscles, in their order."""
+        pairs = [one for joint in self.joints for one in (joint.muscles.muscle1, joint.muscles.muscle2)]
+        return (*pairs, *(one.muscle for one in self.biarticular))
+
+    @property
+    def muscle_names(self) -> tuple[str, ...]:
+        """Names of all muscles, such as hip1, hip2, knee1, knee2."""
+        pairs = [f"{joint.name}{number}" for joint in self.joints for number in (1, 2)]
+        return (*pairs, *(one.name for one in self.biarticular))
+
+    def index(self, name: str) -> int:
+        """Return the place of a joint in the leg; `RangeError` for an unknown name."""
+        names = [joint.name for joint in self.joints]
+        if name not in names:
+            raise RangeError(
+                f"the leg has no joint {quoted(name)}", field="joint", value=name, remedy=f"it has {', '.join(names)}"
+            )
+        return names.index(name)
+
+    def held(self, angles: Sequence[ArrayLike]) -> tuple[Array, ...]:
+        """Return the angles [rad] with those of locked joints at their place."""
+        return tuple(
+            jnp.asarray(angle if joint.locked is None else joint.locked)
+            for angle, joint in zip(angles, self.joints, strict=True)
+        )
+
+    def units(self, angles: Sequence[ArrayLike]) -> list[Unit]:
+        """Return all muscles with their paths at angles [rad]."""
+        found = []
+        for index, (joint, angle) in enumerate(zip(self.joints, angles, strict=True)):
+            pair = joint.muscles
+            (path1, path2), (arm1, arm2) = pair.geometry.paths_and_arms(angle)
+            found.append(Unit(pair.muscle1, pair.tendon, path1, {index: arm1}))
+            found.append(Unit(pair.muscle2, pair.tendon, path2, {index: -arm2}))
+        for one in self.biarticular:
+            first, second = self.index(one.joint1), self.index(one.joint2)
+            (part1, slope1), (part2, slope2) = one.parts(angles[first], angles[second])
+            found.append(Unit(one.muscle, RigidTendon(), part1 + part2, {first: slope1, second: slope2}))
+        return found
+
+    def torques(self, angles: Sequence[ArrayLike], pressures: Sequence[ArrayLike]) -> tuple[Array, ...]:
+        """Return the torque [N*m] of all muscles' laws on each joint at angles [rad] and gauge pressures [Pa]."""
+        total: list[Array] = [jnp.zeros(())] * len(self.joints)
+        for unit, pressure in zip(self.units(angles), pressures, strict=True):
+            tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
+            for joint, slope in unit.slopes.items():
+                total[joint] = total[joint] - tension * slope
+        return tuple(total)
+
+    def pressures_for(
+        self,
+        angles: Sequence[float],
+        torques: Sequence[float],
+        stiffness: Sequence[float | None],
+        biarticular: Sequence[float] = (),
+    ) -> tuple[float, ...]:
+        """Return gauge pressures [Pa] of all muscles for torques [N*m] and stiffness [N*m/rad] of the joints.
+
+        Stiffness is that of a joint's own pair, None for the middle of what is attainable. Those of biarticular
+        muscles are given; the pairs take over their torque.
+
+        Raises
+        ------
+        UnreachableError
+            If a joint cannot have them; with its name and the attainable range.
+        """
+        given = tuple(biarticular) or (0.0,) * len(self.biarticular)
+        needed = [jnp.asarray(torque) for torque in torques]
+        for unit, pressure in zip(self.units(angles)[2 * len(self.joints) :], given, strict=True):
+            tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
+            for joint, slope in unit.slopes.items():
+                needed[joint] = needed[joint] + tension * slope
+        found: list[float] = []
+        for joint, angle, torque, wanted in zip(self.joints, angles, needed, stiffness, strict=True):
+            try:
+                found += map(float, joint.muscles.pressures_for(angle, torque, wanted))
+            except McKibbenError as error:
+                error.message = f"{joint.name}: {error.message}"
+                raise
+        return (*found, *given)
+
+
+def _check_paths(joint: LegJoint) -> None:
+    """Raise unless both muscles are within their domain over the whole range of a joint."""
+    angles = np.array([joint.lower, joint.upper])
+    low, high = joint.muscles.geometry.angle_range
+    outside = (angles < low - 1e-9) | (angles > high + 1e-9)
+    if outside.any():
+        raise RangeError(
+            f"{joint.name}: its geometry is known for {low / deg:.4g}..{high / deg:.4g} deg",
+            field="lower" if outside[0] else "upper",
+            value=float(angles[outside][0]),
+            lower=low,
+            upper=high,
+            unit="rad",
+            remedy="give a smaller range, or a geometry for all of it",
+        )
+    paths = joint.muscles.geometry.path_lengths(angles)
+    pair = joint.muscles
+    if not isinstance(pair.tendon, RigidTendon):
+        return  # a spring takes up what is beyond the muscle
+    for number, (muscle, path) in enumerate(zip((pair.muscle1, pair.muscle2), paths, strict=True), 1):
+        _check_contractions(f"{joint.name}, muscle {number}", muscle, path, [f"{a / deg:.4g} deg" for a in angles])
+
+
+def _check_biarticular(one: BiarticularMuscle, first: LegJoint, second: LegJoint) -> None:
+    """Raise unless a biarticular muscle is within its domain at all corners of the ranges of its joints."""
+    corners = [(a, b) for a in (first.lower, first.upper) for b in (second.lower, second.upper)]
+    if not all(isinstance(angle, Real) for corner in corners for angle in corner):
+        return
+    paths = [sum((part for part, _ in one.parts(*corner)), start=jnp.zeros(())) for corner in corners]
+    places = [f"{a / deg:.4g}, {b / deg:.4g} deg" for a, b in corners]
+    _check_contractions(one.name, one.muscle, jnp.stack(paths), places)
+
+
+def _check_contractions(owner: str, muscle: Muscle, paths: Array, places: Sequence[str]) -> None:
+    """Raise where a path of a muscle is longer or shorter than its domain permits."""
+    numbers = muscle.specimen.initial_length, muscle.domain.contraction_min, muscle.domain.contraction_max
+    if not all(isinstance(one, Real) for one in numbers):
+        return
+    try:
+        contractions = np.asarray(muscle.specimen.contraction_at(paths), float)
+    except (TypeError, ValueError):  # of a geometry with many values
+        return
+    lower, upper = muscle.domain.contraction_min, muscle.domain.contraction_max
+    for place, contraction in zip(places, contractions, strict=True):
+        if not lower - 1e-9 <= contraction <= upper + 1e-9:
+            long = contraction < lower
+            raise RangeError(
+                f"{owner}: at {place} its contraction is {contraction * 100:.3g} %: the muscle is too "
+                f"{'short' if long else 'long'} for its path",
+                field="muscle",
+                value=float(contraction),
+                lower=float(lower),
+                upper=float(upper),
+                unit="1",
+                remedy="reduce the range of the joint, or "
+                + ("lengthen the connectors or the muscle" if long else "shorten the connectors or the muscle"),
+            )

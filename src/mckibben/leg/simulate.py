@@ -1,0 +1,448 @@
+"""Runs of a leg: one with its time traces, or many at once with metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.codegen.native import NativeFunction
+from mckibben.errors import ParameterError, SimulationError
+from mckibben.leg.control import LegController, LegMeasurement
+from mckibben.leg.dynamics import motion
+from mckibben.leg.plant import LegPlant, LegState
+from mckibben.muscle.air import ATMOSPHERE, ENERGY
+from mckibben.notebook import Progress, notebook_progress
+from mckibben.numerics.batching import batched_program, cores, lanes_of, map_chunks, pad_chunk, recheck, with_leaves
+from mckibben.numerics.compiled import compiled_as_given, compiled_batch, numeric
+from mckibben.simulation.batch import CHUNK
+from mckibben.simulation.engine import compute_with
+from mckibben.simulation.problem import sampling_times
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Scalar = Float[Array, ""]
+
+IMPACT = 10e-3
+"""Time [s] after the first touch in which the force is that of the foot's own impact, `peak_force_late` leaves out."""
+
+
+class LegStart(NamedTuple):
+    """Start of a run: angles [rad], pressures [Pa], clearance of the foot [m], and upward speed [m/s].
+
+    Numbers, or arrays over runs; see `LegPlant.init_state`.
+    """
+
+    angles: tuple[ArrayLike, ...]
+    pressures: tuple[ArrayLike, ...]
+    clearance: ArrayLike = 0.0
+    upward_speed: ArrayLike = 0.0
+
+
+class LegSample(NamedTuple):
+    """What is observed at the start of a control period; tuples are over joints or muscles."""
+
+    x: Scalar
+    z: Scalar
+    pitch: Scalar
+    angle: tuple[Scalar, ...]
+    velocity: tuple[Scalar, ...]
+    pressure: tuple[Scalar, ...]
+    tension: tuple[Scalar, ...]
+    contraction: tuple[Scalar, ...]
+    stop_torque: tuple[Scalar, ...]
+    ground_forward: Scalar
+    ground_up: Scalar
+    mass_height: Scalar
+    mass_speed: Scalar
+    muscle_power: Scalar
+    air_mass: tuple[Scalar, ...]
+    outside: Array  # whether a contraction is outside its muscle's domain
+
+
+def observe(plant: LegPlant, state: LegState) -> LegSample:
+    """Return a sample of a state."""
+    forces, volumes = plant.forces(state), plant.air_volumes(state)
+    moving = motion(plant.leg, state.posture, state.velocity, plant.gravity)
+    tensions = zip(forces.tensions, forces.path_rates, strict=True)
+    air = zip(state.pressures, volumes, strict=True)
+    inside = [
+        muscle.domain.contains_contraction(one)
+        for muscle, one in zip(plant.leg.muscles, forces.contractions, strict=True)
+    ]
+    return LegSample(
+        x=state.posture.x,
+        z=state.posture.z,
+        pitch=state.posture.pitch,
+        angle=state.posture.angles,
+        velocity=state.velocity.angles,
+        pressure=state.pressures,
+        tension=forces.tensions,
+        contraction=forces.contractions,
+        stop_torque=forces.stops,
+        ground_forward=forces.ground[0],
+        ground_up=forces.ground[1],
+        mass_height=moving.height,
+        mass_speed=moving.upward_speed,
+        muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
+        air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
+        outside=~_all(inside),
+    )
+
+
+def _all(flags: Sequence[Array]) -> Array:
+    found = flags[0]
+    for one in flags[1:]:
+        found = found & one
+    return found
+
+
+class LegMetrics(NamedTuple):
+    """Metrics of a run.
+
+    Attributes
+    ----------
+    peak_force, peak_force_late
+        Largest upward force of the ground [N], and that later than 10 ms after the first touch: without the impact of
+        the foot's own mass.
+    deflection
+        How far the hip sinks below its height at the first touch [m].
+    stop_torque
+        Largest torque of a stop [N*m]; above 0 the leg bottoms out.
+    apex
+        Largest height of the centre of mass [m] that the run reaches or is on its way to when the foot is in the air,
+        after the first touch; NaN if the foot stays on the ground.
+    final_apex
+        Height [m] to which the centre of mass would rise ballistically from the end of the run: smooth in all numbers.
+    take_off_speed
+        Upward speed of the centre of mass [m/s] that belongs to `apex`.
+    muscle_work
+        Work of the muscles [J]: the integral of tension times rate of shortening.
+    air_mass
+        Mass of the air [kg] that flows into the muscles, at room temperature.
+    time_outside_domain
+        Time [s] with a contraction outside its muscle's domain.
+    """
+
+    peak_force: Scalar
+    peak_force_late: Scalar
+    deflection: Scalar
+    stop_torque: Scalar
+    apex: Scalar
+    final_apex: Scalar
+    take_off_speed: Scalar
+    muscle_work: Scalar
+    air_mass: Scalar
+    time_outside_domain: Scalar
+
+
+LEG_UNITS = {
+    "peak_force": "N",
+    "peak_force_late": "N",
+    "deflection": "m",
+    "stop_torque": "N*m",
+    "apex": "m",
+    "final_apex": "m",
+    "take_off_speed": "m/s",
+    "muscle_work": "J",
+    "air_mass": "kg",
+    "time_outside_domain": "s",
+}
+"""Units of `LegMetrics`."""
+
+
+class _Sums(NamedTuple):
+    """Metrics on their way."""
+
+    metrics: LegMetrics
+    touched: Scalar  # time since the first touch [s], below 0 before
+    height: Scalar  # of the hip at the first touch [m]
+    air: tuple[Scalar, ...]
+
+    @classmethod
+    def of(cls, first: LegSample) -> _Sums:
+        zero = jnp.zeros_like(first.z)
+        metrics = LegMetrics(*[zero] * len(LegMetrics._fields))._replace(apex=zero - jnp.inf)
+        return cls(metrics, zero - 1, first.z, first.air_mass)
+
+    def after(self, sample: LegSample, period: ArrayLike, gravity: ArrayLike) -> _Sums:
+        """With a further sample."""
+        last, force = self.metrics, sample.ground_up
+        before = self.touched < 0
+        touched = jnp.where(before, jnp.where(force > 0, 0.0, -1.0), self.touched + period)
+        height = jnp.where(touched <= 0, sample.z, self.height)
+        rising = jnp.maximum(sample.mass_speed, 0.0)
+        ballistic = sample.mass_height + rising * rising / (2 * gravity)
+        flying = (touched > 0) & (force <= 0)
+        higher = flying & (ballistic > last.apex)
+        stops = [jnp.abs(one) for one in sample.stop_torque]
+        deepest = last.stop_torque
+        for one in stops:
+            deepest = jnp.maximum(deepest, one)
+        drawn = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
+        metrics = LegMetrics(
+            peak_force=jnp.maximum(last.peak_force, force),
+            peak_force_late=jnp.where(touched > IMPACT, jnp.maximum(last.peak_force_late, force), last.peak_force_late),
+            deflection=jnp.where(touched >= 0, jnp.maximum(last.deflection, height - sample.z), last.deflection),
+            stop_torque=deepest,
+            apex=jnp.where(higher, ballistic, last.apex),
+            final_apex=ballistic,
+            take_off_speed=jnp.where(higher, sample.mass_speed, last.take_off_speed),
+            muscle_work=last.muscle_work + sample.muscle_power * period,
+            air_mass=last.air_mass + sum(drawn),
+            time_outside_domain=last.time_outside_domain + jnp.where(sample.outside, period, 0.0),
+        )
+        return _Sums(metrics, touched, height, sample.air_mass)
+
+    def finished(self) -> LegMetrics:
+        """The metrics; NaN for the apex of a foot that never left the ground."""
+        apex = self.metrics.apex
+        return self.metrics._replace(apex=jnp.where(apex > -jnp.inf, apex, jnp.nan))
+
+
+def _period(
+    plant: LegPlant, controller: LegController, state: tuple[LegState, Any], time: Array, period: Any, substeps: int
+) -> tuple[tuple[LegState, Any], tuple[Array, ...], LegMeasurement]:
+    """A control period: the next states, the commands, and the measurement."""
+    at, held = state
+    measured = _measure(plant, at, time)
+    held, wanted = controller.step(held, measured, period)
+    commands = plant.clip_commands(wanted)
+    return (plant.advance(at, commands, period, substeps), held), commands, measured
+
+
+def _measure(plant: LegPlant, state: LegState, time: ArrayLike) -> LegMeasurement:
+    return LegMeasurement(jnp.asarray(time), state.posture.angles, state.pressures, plant.forces(state).ground[1])
+
+
+def leg_episode(
+    plant: LegPlant, controller: LegController, start: LegStart, times: Array, period: ArrayLike, substeps: int
+) -> dict[str, Any]:
+    """Run a leg; a pure function, to be compiled, vmapped and differentiated: samples, commands and telemetry."""
+
+    def advance(state: tuple[LegState, Any], time: Array) -> tuple[Any, dict[str, Any]]:
+        sample = observe(plant, state[0])
+        following, commands, _ = _period(plant, controller, state, time, period, substeps)
+        return following, {"sample": sample, "command": commands, "telemetry": controller.telemetry(following[1])}
+
+    begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
+    return lax.scan(advance, (begun, controller.init(_measure(plant, begun, 0.0))), times)[1]
+
+
+def leg_metrics(
+    plant: LegPlant, controller: LegController, start: LegStart, times: Array, period: ArrayLike, substeps: int
+) -> LegMetrics:
+    """Run a leg and return its metrics alone; a pure function, whose memory does not grow with the duration."""
+
+    def advance(carry: tuple[Any, _Sums], time: Array) -> tuple[Any, None]:
+        state, sums = carry
+        state, _, _ = _period(plant, controller, state, time, period, substeps)
+        return (state, sums.after(observe(plant, state[0]), period, plant.gravity)), None
+
+    begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
+    first = observe(plant, begun)
+    state = begun, controller.init(_measure(plant, begun, 0.0))
+    sums = _Sums.of(first).after(first, jnp.zeros(()), plant.gravity)
+    return lax.scan(advance, (state, sums), times)[0][1].finished()
+
+
+def simulate_leg(
+    plant: LegPlant,
+    controller: LegController,
+    start: LegStart,
+    *,
+    duration: float,
+    control_period: float = 1e-3,
+    substeps: int = 4,
+    engine: str = "auto",
+) -> xr.Dataset:
+    """Simulate a leg; the dataset has all states, forces and commands over ``time``.
+
+    Columns of joints have the dimension ``joint``, those of muscles ``muscle``. Attributes: ``units`` of each, and the
+    ``engine`` that computed it.
+
+    Parameters
+    ----------
+    plant, controller, start
+        Leg, controller, and start of the run.
+    duration, control_period
+        [s]; the first is a multiple of the second.
+    substeps
+        Integration steps a control period.
+    engine
+        "native", "xla" or "auto", as for `mckibben.simulate`.
+
+    Raises
+    ------
+    SimulationError
+        If the times do not fit together, or the run diverges.
+    RangeError
+        If the start is not possible; see `LegPlant.init_state`.
+    """
+    _check_start(plant, start)
+    times = sampling_times(duration, control_period, substeps)
+    parts = numeric((plant, controller, start, times, np.asarray(control_period)))
+    answer, used = compute_with(
+        engine,
+        np.float64,
+        lambda: _native_episode((*parts, substeps), None),
+        lambda: _episode(*parts, substeps=substeps),
+    )
+    table = _table(plant, jax.tree.map(np.asarray, answer), times).assign_attrs(engine=used)
+    wrong = ~np.isfinite(table["z"].to_numpy())
+    if wrong.any():
+        raise SimulationError(
+            f"the run diverges at {times[wrong.argmax()]:.4g} s",
+            field="substeps",
+            value=substeps,
+            remedy="give more substeps, or softer stops and ground",
+        )
+    return table
+
+
+_episode = compiled_as_given(leg_episode)
+
+
+@NativeFunction
+def _native_episode(parts: Any, _: None) -> dict[str, Any]:
+    return leg_episode(*parts)
+
+
+def simulate_legs(
+    plant: LegPlant,
+    controller: LegController,
+    start: LegStart,
+    *,
+    over: Mapping[str, ArrayLike] | None = None,
+    duration: float,
+    control_period: float = 0.5e-3,
+    substeps: int = 1,
+    chunk: int = CHUNK,
+    workers: int | None = None,
+    engine: str = "auto",
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    """Simulate a leg many times, as `simulate_leg` does, and return the `LegMetrics` along ``run``.
+
+    Parameters
+    ----------
+    plant, controller, start
+        With arrays of shape (runs,) in place of numbers that differ between runs.
+    over
+        Arrays by the dotted name of a leaf, such as ``{"plant.leg.trunk.mass": [0.9, 1.1]}``; the names begin with
+        ``plant``, ``controller`` or ``start``.
+    duration, control_period, substeps, engine
+        As for `simulate_leg`; forces are sampled once a control period.
+    chunk, workers, progress
+        As for `mckibben.simulate_many`.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such leaf, or no number varies.
+    """
+    trees = with_leaves({"plant": plant, "controller": controller, "start": start}, over or {})
+    recheck(trees)
+    count, varying = lanes_of(trees)
+    if count is None:
+        raise ParameterError("all runs are the same", remedy="give an array in place of a number, or use simulate_leg")
+    times = sampling_times(duration, control_period, substeps)
+    lanes, shared = eqx.partition(numeric(trees), varying)
+    size = min(chunk, max(16, -(-count // (workers or cores()) // 16) * 16 or 16))
+    given = shared, times, np.asarray(control_period), substeps
+
+    def compute(piece: slice) -> tuple[dict[str, Any], str]:
+        lane = pad_chunk(lanes, piece, size)
+        answer, used = compute_with(
+            engine,
+            np.float64,
+            lambda: _native_metrics(given, _last_axis(lane)),
+            lambda: _metrics(lane, shared, *given[1:]),
+        )
+        return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}, used
+
+    progress = progress or notebook_progress()
+    answers = []
+    for piece, answer in map_chunks(compute, count, size, workers):
+        answers.append(answer)
+        if progress:
+            progress(f"{piece.stop} of {count} runs", piece.stop / count)
+    import xarray as xr
+
+    columns = {name: np.concatenate([one[name] for one, _ in answers]) for name in LegMetrics._fields}
+    table = xr.Dataset({name: ("run", values, {"units": LEG_UNITS[name]}) for name, values in columns.items()})
+    return table.assign_attrs(engine=answers[0][1])
+
+
+def _last_axis(tree: Any) -> Any:
+    return jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), tree)
+
+
+def _run(lane: Any, shared: Any, times: Any, period: Any, substeps: int) -> dict[str, Array]:
+    own = eqx.combine(lane, shared)
+    found = leg_metrics(own["plant"], own["controller"], own["start"], times, period, substeps)
+    return found._asdict()
+
+
+@compiled_batch
+def _metrics(lanes: Any, *given: Any) -> dict[str, Array]:
+    def run(lane: Any) -> dict[str, Array]:
+        with batched_program():
+            return _run(lane, *given)
+
+    return jax.vmap(run)(lanes)
+
+
+@NativeFunction
+def _native_metrics(given: Any, lane: Any) -> dict[str, Array]:
+    return _run(lane, *given)
+
+
+def _check_start(plant: LegPlant, start: LegStart) -> None:
+    """Raise unless a start is possible."""
+    plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
+
+
+_SAMPLE_UNITS = {
+    "x": "m",
+    "z": "m",
+    "pitch": "rad",
+    "angle": "rad",
+    "velocity": "rad/s",
+    "pressure": "Pa",
+    "tension": "N",
+    "contraction": "1",
+    "stop_torque": "N*m",
+    "ground_forward": "N",
+    "ground_up": "N",
+    "mass_height": "m",
+    "mass_speed": "m/s",
+    "muscle_power": "W",
+    "air_mass": "kg",
+    "command": "Pa",
+}
+
+
+def _table(plant: LegPlant, answer: dict[str, Any], times: Any) -> xr.Dataset:
+    import xarray as xr
+
+    columns: dict[str, Any] = {}
+    joints = [joint.name for joint in plant.leg.joints]
+    given = answer["sample"]._asdict() | {"command": answer["command"]}
+    of_joints = ("angle", "velocity", "stop_torque")
+    for name, values in given.items():
+        about = {"units": _SAMPLE_UNITS[name]} if name in _SAMPLE_UNITS else {}
+        if isinstance(values, tuple):
+            columns[name] = (("joint" if name in of_joints else "muscle", "time"), np.stack(values), about)
+        else:
+            columns[name] = ("time", values, about)
+    columns |= {name: ("time", values) for name, values in answer["telemetry"].items()}
+    coords = {"time": ("time", times, {"units": "s"}), "joint": joints, "muscle": list(plant.leg.muscle_names)}
+    return xr.Dataset(columns, coords=coords)
