@@ -18,16 +18,41 @@ from typing import TYPE_CHECKING, Any
 from mckibben.errors import NotInCatalogError
 
 if TYPE_CHECKING:
-    from mckibben.catalog.entries import dataset, geometry, joint, law, load, specimen, valve, valve_section
+    from mckibben.catalog.entries import (
+        dataset,
+        geometry,
+        joint,
+        law,
+        leg_section,
+        load,
+        specimen,
+        valve,
+        valve_section,
+    )
 
-__all__ = ["cite", "dataset", "geometry", "joint", "law", "load", "names", "specimen", "valve", "valve_section"]
+__all__ = [
+    "cite",
+    "dataset",
+    "geometry",
+    "joint",
+    "law",
+    "leg_section",
+    "load",
+    "names",
+    "specimen",
+    "valve",
+    "valve_section",
+]
 
-KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints", "valves")
+KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs")
 FOLDER = resources.files("mckibben.catalog")
 
 
 def names(kind: str) -> list[str]:
-    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads", "joints" or "valves"."""
+    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads", "joints", "valves" or "legs".
+
+    Raises `NotInCatalogError` for another one.
+    """
     if kind not in KINDS:
         raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
     return [name for publication in _publications() for name in publication.get(kind, {})]
@@ -57,7 +82,7 @@ def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
 
 
 _SINGULAR: dict[str, str] = dict(
-    zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint", "valve"), strict=True)
+    zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint", "valve", "leg"), strict=True)
 )
 
 

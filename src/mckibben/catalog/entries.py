@@ -88,6 +88,11 @@ def valve_section(name: str) -> dict[str, Any]:
     return section
 
 
+def leg_section(name: str) -> dict[str, Any]:
+    """Return what a section `leg` gets by `from`."""
+    return {key: value for key, value in find("legs", name)[0].items() if key != "where"}
+
+
 def _quantities(kind: type, entry: dict[str, Any]) -> dict[str, Any]:
     """Fields of a class with the unit of each, in SI."""
     hints = get_type_hints(kind, include_extras=True).items()

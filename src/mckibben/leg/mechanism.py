@@ -233,7 +233,7 @@ class Leg(eqx.Module, Displayed):
     >>> from mckibben.leg import read_leg
     >>> leg = read_leg("lei-leg")
     >>> leg.muscle_names, round(float(leg.total_mass), 2)
-    (('hip1', 'hip2', 'knee1', 'knee2'), 1.8)
+    (('hip1', 'hip2', 'knee1', 'knee2'), 2.2)
     """
 
     trunk: Trunk
@@ -269,6 +269,9 @@ class Leg(eqx.Module, Displayed):
                         remedy=f"name two different joints of {', '.join(names)}",
                     )
             _check_biarticular(one, *(self.joints[names.index(name)] for name in (one.joint1, one.joint2)))
+
+    def __repr__(self) -> str:
+        return f"Leg({', '.join(joint.name for joint in self.joints)}; {len(self.muscles)} muscles)"
 
     @property
     def total_mass(self) -> Float[Array, ""]:

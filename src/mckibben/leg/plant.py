@@ -133,6 +133,9 @@ class LegPlant(eqx.Module, Displayed):
     def __check_init__(self) -> None:
         check_kind("LegPlant", leg=(self.leg, Leg), valve=(self.valve, ValveModel), ground=(self.ground, Ground))
 
+    def __repr__(self) -> str:
+        return f"LegPlant({self.leg!r}, {type(self.valve).__name__})"
+
     def init_state(
         self,
         angles: Sequence[ArrayLike],

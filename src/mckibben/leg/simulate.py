@@ -51,6 +51,7 @@ class LegSample(NamedTuple):
 
     x: Scalar
     z: Scalar
+    speed: Scalar
     pitch: Scalar
     angle: tuple[Scalar, ...]
     velocity: tuple[Scalar, ...]
@@ -80,6 +81,7 @@ def observe(plant: LegPlant, state: LegState) -> LegSample:
     return LegSample(
         x=state.posture.x,
         z=state.posture.z,
+        speed=state.velocity.z,
         pitch=state.posture.pitch,
         angle=state.posture.angles,
         velocity=state.velocity.angles,
@@ -112,10 +114,12 @@ class LegMetrics(NamedTuple):
     peak_force, peak_force_late
         Largest upward force of the ground [N], and that later than 10 ms after the first touch: without the impact of
         the foot's own mass.
+    peak_trunk_force
+        Largest upward force [N] on the trunk: its mass times its acceleration, gravity included.
     deflection
         How far the hip sinks below its height at the first touch [m].
     stop_torque
-        Largest torque of a stop [N*m]; above 0 the leg bottoms out.
+        Largest torque of the stops of each joint [N*m]; above 0 it has bottomed out.
     apex
         Largest height of the centre of mass [m] that the run reaches or is on its way to when the foot is in the air,
         after the first touch; NaN if the foot stays on the ground.
@@ -133,8 +137,9 @@ class LegMetrics(NamedTuple):
 
     peak_force: Scalar
     peak_force_late: Scalar
+    peak_trunk_force: Scalar
     deflection: Scalar
-    stop_torque: Scalar
+    stop_torque: tuple[Scalar, ...]
     apex: Scalar
     final_apex: Scalar
     take_off_speed: Scalar
@@ -146,6 +151,7 @@ class LegMetrics(NamedTuple):
 LEG_UNITS = {
     "peak_force": "N",
     "peak_force_late": "N",
+    "peak_trunk_force": "N",
     "deflection": "m",
     "stop_torque": "N*m",
     "apex": "m",
@@ -164,16 +170,20 @@ class _Sums(NamedTuple):
     metrics: LegMetrics
     touched: Scalar  # time since the first touch [s], below 0 before
     height: Scalar  # of the hip at the first touch [m]
+    speed: Scalar  # of the hip, upwards [m/s]
     air: tuple[Scalar, ...]
 
     @classmethod
     def of(cls, first: LegSample) -> _Sums:
         zero = jnp.zeros_like(first.z)
-        metrics = LegMetrics(*[zero] * len(LegMetrics._fields))._replace(apex=zero - jnp.inf)
-        return cls(metrics, zero - 1, first.z, first.air_mass)
+        stops = tuple(zero for _ in first.stop_torque)
+        start: dict[str, Any] = dict.fromkeys(LegMetrics._fields, zero)
+        metrics = LegMetrics(**start | {"stop_torque": stops, "apex": zero - jnp.inf})
+        return cls(metrics, zero - 1, first.z, first.speed, first.air_mass)
 
-    def after(self, sample: LegSample, period: ArrayLike, gravity: ArrayLike) -> _Sums:
-        """With a further sample."""
+    def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> _Sums:
+        """With a further sample, a period [s] later."""
+        gravity, mass = plant.gravity, plant.leg.trunk.mass
         last, force = self.metrics, sample.ground_up
         before = self.touched < 0
         touched = jnp.where(before, jnp.where(force > 0, 0.0, -1.0), self.touched + period)
@@ -181,17 +191,17 @@ class _Sums(NamedTuple):
         rising = jnp.maximum(sample.mass_speed, 0.0)
         ballistic = sample.mass_height + rising * rising / (2 * gravity)
         flying = (touched > 0) & (force <= 0)
-        higher = flying & (ballistic > last.apex)
-        stops = [jnp.abs(one) for one in sample.stop_torque]
-        deepest = last.stop_torque
-        for one in stops:
-            deepest = jnp.maximum(deepest, one)
+        higher = flying & (ballistic > last.apex + 1e-6)  # in flight it is constant but for rounding
+        stops = zip(last.stop_torque, sample.stop_torque, strict=True)
         drawn = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
         metrics = LegMetrics(
             peak_force=jnp.maximum(last.peak_force, force),
             peak_force_late=jnp.where(touched > IMPACT, jnp.maximum(last.peak_force_late, force), last.peak_force_late),
+            peak_trunk_force=jnp.maximum(
+                last.peak_trunk_force, mass * ((sample.speed - self.speed) / period + gravity)
+            ),
             deflection=jnp.where(touched >= 0, jnp.maximum(last.deflection, height - sample.z), last.deflection),
-            stop_torque=deepest,
+            stop_torque=tuple(jnp.maximum(most, jnp.abs(now)) for most, now in stops),
             apex=jnp.where(higher, ballistic, last.apex),
             final_apex=ballistic,
             take_off_speed=jnp.where(higher, sample.mass_speed, last.take_off_speed),
@@ -199,7 +209,7 @@ class _Sums(NamedTuple):
             air_mass=last.air_mass + sum(drawn),
             time_outside_domain=last.time_outside_domain + jnp.where(sample.outside, period, 0.0),
         )
-        return _Sums(metrics, touched, height, sample.air_mass)
+        return _Sums(metrics, touched, height, sample.speed, sample.air_mass)
 
     def finished(self) -> LegMetrics:
         """The metrics; NaN for the apex of a foot that never left the ground."""
@@ -244,12 +254,12 @@ def leg_metrics(
     def advance(carry: tuple[Any, _Sums], time: Array) -> tuple[Any, None]:
         state, sums = carry
         state, _, _ = _period(plant, controller, state, time, period, substeps)
-        return (state, sums.after(observe(plant, state[0]), period, plant.gravity)), None
+        return (state, sums.after(observe(plant, state[0]), period, plant)), None
 
     begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
     first = observe(plant, begun)
     state = begun, controller.init(_measure(plant, begun, 0.0))
-    sums = _Sums.of(first).after(first, jnp.zeros(()), plant.gravity)
+    sums = _Sums.of(first)
     return lax.scan(advance, (state, sums), times)[0][1].finished()
 
 
@@ -358,7 +368,7 @@ def simulate_legs(
     size = min(chunk, max(16, -(-count // (workers or cores()) // 16) * 16 or 16))
     given = shared, times, np.asarray(control_period), substeps
 
-    def compute(piece: slice) -> tuple[dict[str, Any], str]:
+    def compute(piece: slice) -> tuple[LegMetrics, str]:
         lane = pad_chunk(lanes, piece, size)
         answer, used = compute_with(
             engine,
@@ -366,7 +376,7 @@ def simulate_legs(
             lambda: _native_metrics(given, _last_axis(lane)),
             lambda: _metrics(lane, shared, *given[1:]),
         )
-        return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}, used
+        return jax.tree.map(lambda x: np.asarray(x)[..., : piece.stop - piece.start], answer), used
 
     progress = progress or notebook_progress()
     answers = []
@@ -376,24 +386,27 @@ def simulate_legs(
             progress(f"{piece.stop} of {count} runs", piece.stop / count)
     import xarray as xr
 
-    columns = {name: np.concatenate([one[name] for one, _ in answers]) for name in LegMetrics._fields}
-    table = xr.Dataset({name: ("run", values, {"units": LEG_UNITS[name]}) for name, values in columns.items()})
-    return table.assign_attrs(engine=answers[0][1])
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts, axis=-1), *(found for found, _ in answers))
+    table: dict[str, Any] = {}
+    for name, values in joined._asdict().items():
+        dims = ("joint", "run") if isinstance(values, tuple) else ("run",)
+        table[name] = (dims, np.stack(values) if isinstance(values, tuple) else values, {"units": LEG_UNITS[name]})
+    coords = {"joint": [joint.name for joint in plant.leg.joints]}
+    return xr.Dataset(table, coords=coords, attrs={"engine": answers[0][1]})
 
 
 def _last_axis(tree: Any) -> Any:
     return jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), tree)
 
 
-def _run(lane: Any, shared: Any, times: Any, period: Any, substeps: int) -> dict[str, Array]:
+def _run(lane: Any, shared: Any, times: Any, period: Any, substeps: int) -> LegMetrics:
     own = eqx.combine(lane, shared)
-    found = leg_metrics(own["plant"], own["controller"], own["start"], times, period, substeps)
-    return found._asdict()
+    return leg_metrics(own["plant"], own["controller"], own["start"], times, period, substeps)
 
 
 @compiled_batch
-def _metrics(lanes: Any, *given: Any) -> dict[str, Array]:
-    def run(lane: Any) -> dict[str, Array]:
+def _metrics(lanes: Any, *given: Any) -> LegMetrics:
+    def run(lane: Any) -> LegMetrics:
         with batched_program():
             return _run(lane, *given)
 
@@ -401,7 +414,7 @@ def _metrics(lanes: Any, *given: Any) -> dict[str, Array]:
 
 
 @NativeFunction
-def _native_metrics(given: Any, lane: Any) -> dict[str, Array]:
+def _native_metrics(given: Any, lane: Any) -> LegMetrics:
     return _run(lane, *given)
 
 
@@ -413,6 +426,7 @@ def _check_start(plant: LegPlant, start: LegStart) -> None:
 _SAMPLE_UNITS = {
     "x": "m",
     "z": "m",
+    "speed": "m/s",
     "pitch": "rad",
     "angle": "rad",
     "velocity": "rad/s",

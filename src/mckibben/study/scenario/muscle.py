@@ -255,10 +255,10 @@ class MuscleSpec(ConfigModel):
             fail_validation(f"{quoted(value)} is no muscle's file", remedy)
         return expanded(cls, value, info)
 
-    def build(self) -> Muscle:
-        """The muscle."""
+    def build(self, law: ForceLaw | None = None) -> Muscle:
+        """The muscle; with another law of the same kind in place of its own, if given."""
         specimen = self.specimen.build()
-        law = build_law(self.law, specimen)
+        law = build_law(self.law, specimen) if law is None else law
         if self.strength is not None:
             law = scaled_law(law, self.strength)
         return Muscle(

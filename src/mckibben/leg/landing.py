@@ -1,0 +1,291 @@
+"""Drop landings over stiffness, drop height and valve, with what scatter of muscles and masses does to them."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import McKibbenError, Problem, ScenarioError
+from mckibben.leg.control import PressureSchedule
+from mckibben.leg.plant import LegPlant
+from mckibben.leg.scenario import LegScenario
+from mckibben.leg.simulate import LEG_UNITS, LegMetrics, LegStart, simulate_legs
+from mckibben.leg.uncertainty import drawn_plant, take
+from mckibben.notebook import Progress
+from mckibben.plant import AirValve, IdealValve
+from mckibben.units import bar, deg, mm, ms
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Floats = NDArray[np.float64]
+
+ISOBARIC, CLOSED = "constant pressures", "closed valves"
+BEST_WITHIN = 0.02
+"""The softest stiffness whose force on the trunk is within this part of the least one is the best."""
+_SHUT = 1e-6  # of the conductance
+_EDGES = (5.0, 95.0)  # percentiles of an interval
+
+
+@dataclass(frozen=True)
+class LandingStudy:
+    """Landings of a leg.
+
+    Attributes
+    ----------
+    scenario
+        File of the leg.
+    table
+        `LegMetrics` over ``valve``, ``drop`` [m], ``stiffness`` [N*m/rad] and ``draw``, of which 0 is nominal.
+    pressures
+        Commands [Pa] for each stiffness, shape (stiffness, muscles).
+    attainable
+        Attainable stiffness [N*m/rad] of the joint at the touch.
+    """
+
+    scenario: LegScenario
+    table: xr.Dataset
+    pressures: Floats
+    attainable: tuple[float, float]
+
+    @property
+    def weight(self) -> Floats:
+        """Weight [N] of each draw."""
+        return self.table["weight"].to_numpy()
+
+    def body_weights(self, name: str = "peak_force") -> Floats:
+        """A force in weights of the leg, shape (valve, drop, stiffness, draw)."""
+        return self.table[name].to_numpy() / self.weight
+
+    def best(self) -> Floats:
+        """Best stiffness [N*m/rad]: the softest with a force on the trunk within 2 % of the least one.
+
+        Shape (valve, drop, draw). Between two commanded ones it is interpolated.
+        """
+        forces = np.moveaxis(self.table["peak_trunk_force"].to_numpy(), 2, -1)
+        stiffness = self.table["stiffness"].to_numpy()
+        limit = forces.min(axis=-1, keepdims=True) * (1 + BEST_WITHIN)
+        first = np.argmax(forces <= limit, axis=-1)
+        before = np.maximum(first - 1, 0)
+        pick = lambda at: np.take_along_axis(forces, at[..., None], axis=-1)[..., 0]  # noqa: E731
+        drop = pick(before) - pick(first)
+        part = np.where(drop > 0, (pick(before) - limit[..., 0]) / np.where(drop > 0, drop, 1.0), 1.0)
+        return stiffness[before] + np.where(first > 0, part, 0.0) * (stiffness[first] - stiffness[before])
+
+    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Headers and rows of a table: one for each valve and drop, at its best stiffness."""
+        headers = (
+            "valve",
+            "drop",
+            "best stiffness [N*m/rad]",
+            "peak of the ground [weights]",
+            "after 10 ms [weights]",
+            "deflection [mm]",
+            "bottoms out",
+            "rebound [mm]",
+        )
+        rows = []
+        for record in self.records()["landings"]:
+            low, high = record["best_stiffness_interval"]
+            rows.append(
+                (
+                    record["valve"],
+                    f"{record['drop_mm']:g} mm",
+                    f"{record['best_stiffness']:.3g} ({low:.3g} to {high:.3g})",
+                    f"{record['peak_force_weights']:.2f}",
+                    f"{record['peak_force_late_weights']:.2f}",
+                    f"{record['deflection_mm']:.0f}",
+                    f"{record['bottoms_out_share'] * 100:.0f} % of draws",
+                    f"{record['rebound_mm']:.0f}",
+                )
+            )
+        return headers, rows
+
+    def records(self) -> dict[str, Any]:
+        """The results as plain data; intervals are 5 to 95 % of the draws."""
+        best, table = self.best(), self.table
+        stiffness = table["stiffness"].to_numpy()
+        forces, late = self.body_weights(), self.body_weights("peak_force_late")
+        deflection, speed = table["deflection"].to_numpy(), table["take_off_speed"].to_numpy()
+        bottoms = self.bottoms_out()
+        landings = []
+        for v, valve in enumerate(table["valve"].to_numpy()):
+            for d, drop in enumerate(table["drop"].to_numpy()):
+                at = int(np.abs(stiffness - best[v, d, 0]).argmin())
+                low, high = np.percentile(best[v, d, 1:], _EDGES)
+                landings.append(
+                    {
+                        "valve": str(valve),
+                        "drop_mm": float(drop / mm),
+                        "best_stiffness": float(best[v, d, 0]),
+                        "best_stiffness_interval": [float(low), float(high)],
+                        "peak_force_weights": float(forces[v, d, at, 0]),
+                        "peak_force_interval": np.percentile(forces[v, d, at, 1:], _EDGES).tolist(),
+                        "peak_force_late_weights": float(late[v, d, at, 0]),
+                        "softest_peak_force_weights": float(forces[v, d, 0, 0]),
+                        "deflection_mm": float(deflection[v, d, at, 0] / mm),
+                        "bottoms_out_share": float(bottoms[v, d, at, 1:].mean()),
+                        "rebound_mm": float(speed[v, d, at, 0] ** 2 / (2 * 9.81) / mm),
+                    }
+                )
+        return {
+            "scenario": self.scenario.name,
+            "touchdown_deg": {name: angle / deg for name, angle in self._landing.touchdown.items()},
+            "attainable_stiffness": list(self.attainable),
+            "stiffness": stiffness.tolist(),
+            "pressures_bar": (self.pressures / bar).tolist(),
+            "runs": int(table["peak_force"].size),
+            "engine": table.attrs["engine"],
+            "landings": landings,
+        }
+
+    def bottoms_out(self) -> NDArray[np.bool_]:
+        """Whether the joint whose stiffness varies meets a stop, shape (valve, drop, stiffness, draw)."""
+        return self.table["stop_torque"].to_numpy() > 0
+
+    @property
+    def _landing(self) -> Any:
+        return self.scenario.landing
+
+    def __repr__(self) -> str:
+        return f"<LandingStudy of {self.scenario.name!r}: {self.table['peak_force'].size} landings>"
+
+
+def study_landing(
+    scenario: LegScenario, *, source: str = "", engine: str = "auto", progress: Progress | None = None
+) -> LandingStudy:
+    """Simulate the landings of a scenario.
+
+    The leg touches the ground at the speed of the drop, in the posture `touchdown`; the commands are constant, those of
+    the nominal leg for a stiffness and no torque, as in free fall.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no section `landing`, or a joint cannot have the stiffness; with the attainable range.
+    """
+    landing = scenario.landing
+    source = source or scenario.name
+    if landing is None:
+        raise ScenarioError(source, [Problem("lacks the section `landing`", remedy="see examples/leg/lei-leg.yaml")])
+    nominal = scenario.plant()
+    leg = nominal.leg
+    index = leg.index(landing.joint)
+    angles = tuple(landing.touchdown.get(joint.name, 0.0) for joint in leg.joints)
+    pair = leg.joints[index].muscles
+    low, high = (float(one) for one in pair.attainable_stiffness(angles[index], 0.0))
+    given = landing.stiffness
+    stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if given is None else np.array(given)
+
+    def pressures_at(wanted: float) -> tuple[float, ...]:
+        each = [wanted if at == index else None for at in range(len(leg.joints))]
+        return leg.pressures_for(angles, [0.0] * len(angles), each)
+
+    try:
+        pressures = np.array([pressures_at(float(one)) for one in stiffness])
+    except McKibbenError as error:
+        raise ScenarioError(source, [Problem.of(error, field="landing.stiffness")]) from error
+
+    drops, draws = np.array(landing.drop), scenario.uncertainty.draws + 1
+    drop, level, draw = (x.ravel() for x in np.indices((drops.size, stiffness.size, draws)))
+    plant = take(drawn_plant(scenario), draw)
+    commands = tuple(pressures[level].T)
+    start = LegStart(angles, commands, 0.0, -np.sqrt(2 * nominal.gravity * drops[drop]))
+    controller = PressureSchedule(tuple((one,) for one in commands))
+    tables = []
+    valves = _valves(nominal, landing.time_constants)
+    for place, (name, valve) in enumerate(valves.items()):
+
+        def report(what: str, part: float, name: str = name, place: int = place) -> None:
+            if progress:
+                progress(f"{name}: {what}", (place + part) / len(valves))
+
+        own: Any = eqx.tree_at(lambda x: x.valve, plant, valve)
+        found = simulate_legs(
+            own,
+            controller,
+            start,
+            duration=scenario.step * round(landing.duration / scenario.step),
+            control_period=scenario.step,
+            engine=engine,
+            progress=report,
+        )
+        tables.append(found)
+    shape = (len(valves), drops.size, stiffness.size, draws)
+    table = _table(tables, index, shape, list(valves), drops, stiffness)
+    masses = np.broadcast_to(np.asarray(drawn_plant(scenario).leg.total_mass), (draws,))
+    table["weight"] = ("draw", masses * nominal.gravity, {"units": "N"})
+    return LandingStudy(scenario, table, pressures, (low, high))
+
+
+def _valves(plant: LegPlant, time_constants: tuple[float, ...]) -> dict[str, Any]:
+    """Valves by name: constant pressures, given time constants, and closed."""
+    valve = plant.valve
+    found: dict[str, Any] = {ISOBARIC: IdealValve()}
+    if isinstance(valve, AirValve):
+        found |= {f"{one / ms:g} ms": valve_with(valve, plant, one) for one in time_constants}
+        found[CLOSED] = _scaled(valve, _SHUT)
+    return found
+
+
+def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirValve:
+    """Return a valve with a conductance for a time constant [s] at small changes of its command.
+
+    For the first muscle of the leg, in the middle of its pressures and contractions (`AirValve.time_constant_at`).
+
+    Raises
+    ------
+    ScenarioError
+        If the time constant is below the valve's own lag.
+    """
+    muscle = plant.leg.muscles[0]
+    domain = muscle.domain
+    volume = float(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
+    now = float(valve.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume))
+    lag = float(np.asarray(valve.lag))
+    if not time_constant > lag:
+        raise ScenarioError(
+            "landing",
+            [
+                Problem(
+                    f"a time constant of {time_constant / ms:g} ms is below the lag of the valve, {lag / ms:g} ms",
+                    field="landing.time_constants",
+                    remedy="give a longer one, or a valve with less lag",
+                )
+            ],
+        )
+    return _scaled(valve, (now - lag) / (time_constant - lag))
+
+
+def _scaled(valve: AirValve, factor: float) -> AirValve:
+    exhaust = None if valve.exhaust_conductance is None else valve.exhaust_conductance * factor
+    return dataclasses.replace(valve, conductance=valve.conductance * factor, exhaust_conductance=exhaust)
+
+
+def _table(
+    tables: list[xr.Dataset], joint: int, shape: tuple[int, ...], valves: list[str], drops: Floats, stiffness: Floats
+) -> xr.Dataset:
+    import xarray as xr
+
+    dims = ("valve", "drop", "stiffness", "draw")
+    own = [table.isel(joint=joint) for table in tables]
+    columns = {
+        name: (
+            dims,
+            np.stack([table[name].to_numpy() for table in own]).reshape(shape),
+            {"units": LEG_UNITS[name]},
+        )
+        for name in LegMetrics._fields
+    }
+    coords = {
+        "valve": valves,
+        "drop": ("drop", drops, {"units": "m"}),
+        "stiffness": ("stiffness", stiffness, {"units": "N*m/rad"}),
+    }
+    engines = sorted({table.attrs["engine"] for table in tables})
+    return xr.Dataset(columns, coords=coords, attrs={"engine": ", ".join(engines)})

@@ -1,0 +1,286 @@
+"""Files of a leg: bodies, joints, muscles, valves, ground, and the studies of landing and jumping."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from mckibben.config.fields import Title
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
+from mckibben.config.schema import model_of
+from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
+from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
+from mckibben.leg.plant import Ground, LegPlant
+from mckibben.plant import AirValve, IdealValve
+from mckibben.study.scenario.building import build_joint
+from mckibben.study.scenario.muscle import CatalogName, MuscleSpec
+from mckibben.study.scenario.plant import AnyValve, JointSpec
+from mckibben.study.scenario.scenario import RunSpec
+from mckibben.units import (
+    Angle,
+    BoundedInt,
+    DropHeight,
+    Duration,
+    PositiveTime,
+    Pressure,
+    Spread,
+    Stiffness,
+)
+
+
+class TrunkSpec(model_of(Trunk)):
+    """Body above the hip."""
+
+
+class LinkSpec(model_of(Link)):
+    """Link below a joint."""
+
+
+class GroundSpec(model_of(Ground)):
+    """Ground below the foot."""
+
+
+_JOINT_FIELDS = tuple(name for name in LegJoint.__dataclass_fields__ if name not in ("muscles", "name"))
+
+
+class LegJointSpec(model_of(LegJoint, base=JointSpec, without=("muscles",), name=(Title, Field(examples=["knee"])))):
+    """A joint of a leg: geometry and muscles as in a scenario's `joint`, its range, and the link below it."""
+
+    link: LinkSpec | None = None
+
+    def build(self) -> LegJoint:
+        """The joint."""
+        given = {name: one for name, one in explicit_fields(self).items() if name in _JOINT_FIELDS}
+        return LegJoint(build_joint(self), name=self.name, **given)
+
+
+class BiarticularSpec(model_of(BiarticularMuscle, without=("muscle",))):
+    """Muscle over two joints."""
+
+    name: Title = "biarticular"
+    muscle: MuscleSpec
+    joint1: Title
+    joint2: Title
+
+    def build(self, *args: Any, **others: Any) -> BiarticularMuscle:
+        """The muscle."""
+        return super().build(
+            muscle=self.muscle.build(), name=self.name, joint1=self.joint1, joint2=self.joint2, **others
+        )
+
+
+class LegSpec(model_of(Leg, without=("trunk", "links", "joints", "biarticular", "side_swing"), base=ConfigModel)):
+    """A leg: an entry of the catalog by `from`, with changes, or all its parts, joints from the hip down.
+
+    In text the name alone will do: ``leg: lei-leg``. A change of a part of `joints` names the joint.
+    """
+
+    trunk: TrunkSpec
+    joints: tuple[LegJointSpec, ...]
+    biarticular: tuple[BiarticularSpec, ...] = ()
+    side_swing: LegJointSpec | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_catalog(cls, value: Any) -> Any:
+        section = {"from": value} if isinstance(value, str) else value
+        if not isinstance(section, dict) or "from" not in section:
+            return value
+        from mckibben import catalog
+
+        entry = catalog.leg_section(CatalogName("legs").read(section["from"]))
+        return _tuples(_changed(entry, {key: one for key, one in section.items() if key != "from"}))
+
+    @field_validator("joints", mode="after")
+    @classmethod
+    def _with_links(cls, value: tuple[LegJointSpec, ...]) -> tuple[LegJointSpec, ...]:
+        if not value:
+            fail_validation("has no joint", "list them from the hip down")
+        for joint in value:
+            if joint.link is None:
+                fail_validation(f"{joint.name} has no link", "give `link: {length, mass, centre, inertia}`")
+        return value
+
+    @model_validator(mode="after")
+    def _fits(self) -> LegSpec:
+        try:
+            self.build()
+        except RangeError as error:
+            fail_validation(error.message, error.remedy, value=error.value)
+        return self
+
+    def build(self) -> Leg:
+        """The leg."""
+        links = tuple(joint.link.build() for joint in self.joints if joint.link is not None)
+        return Leg(
+            self.trunk.build(),
+            links,
+            tuple(joint.build() for joint in self.joints),
+            tuple(one.build() for one in self.biarticular),
+            side_swing=None if self.side_swing is None else self.side_swing.build(),
+            **explicit_fields(self, "trunk", "joints", "biarticular", "side_swing"),
+        )
+
+
+def _changed(entry: Any, changes: Any) -> Any:
+    """An entry with changes, key by key; in a list of named parts, part by part."""
+    if isinstance(entry, dict) and isinstance(changes, dict):
+        return {**entry, **{key: _changed(entry.get(key), one) for key, one in changes.items()}}
+    if isinstance(entry, list) and isinstance(changes, dict):
+        known = [part["name"] for part in entry]
+        for name in changes:
+            if name not in known:
+                fail_validation(f"there is no joint {quoted(name)}", suggest(name, known))
+        return tuple(_changed(part, changes.get(part["name"], {})) for part in entry)
+    return changes if entry is None or not isinstance(entry, dict | list) or changes else entry
+
+
+def _tuples(value: Any) -> Any:
+    """Lists of the catalog as tuples, as documents are read."""
+    if isinstance(value, dict):
+        return {key: _tuples(one) for key, one in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
+
+
+Angles = dict[str, Angle]
+"""Angles [rad] by the name of the joint; 0 for those not named."""
+
+
+class UncertaintySpec(ConfigModel):
+    """What is uncertain: relative standard deviations of the muscles' strength and of the bodies' masses.
+
+    Muscles whose law is a fit file vary within the covariance of the fit as well.
+    """
+
+    strength: Spread = 0.05
+    mass: Spread = 0.03
+    draws: Annotated[int, BoundedInt(2, 10_000)] = 64
+    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
+
+
+class LandingSpec(ConfigModel):
+    """Drops on the ground over stiffness of a joint, drop height and valve.
+
+    Attributes
+    ----------
+    joint
+        Name of the joint whose stiffness varies; the others have the middle of what they can attain.
+    touchdown
+        Angles at the touch [rad].
+    stiffness
+        Commanded isobaric stiffness [N*m/rad]; unless given, `levels` of them over the attainable range.
+    drop
+        Drop heights [m].
+    time_constants
+        Time constants [s] of the valve at small changes of its command, beside constant pressures and closed valves.
+    """
+
+    joint: Title
+    touchdown: Angles = Field(default_factory=dict)
+    stiffness: tuple[Stiffness, ...] | None = None
+    levels: Annotated[int, BoundedInt(3, 200)] = 13
+    drop: tuple[DropHeight, ...] = (0.02, 0.05, 0.1)
+    time_constants: tuple[PositiveTime, ...] = (0.02,)
+    duration: Duration = 0.3
+
+
+class JumpSpec(ConfigModel):
+    """A jump from a squat.
+
+    Attributes
+    ----------
+    squat
+        Angles of the joints at the start [rad], held by the muscles at rest.
+    low, high
+        Gauge pressures [Pa] between which the muscles are switched.
+    latest
+        Latest switching time [s].
+    """
+
+    squat: Angles = Field(default_factory=dict)
+    low: Pressure = 0.0
+    high: Pressure = 6e5
+    latest: Duration = 0.15
+    duration: Duration = 0.5
+
+
+class LegScenario(RunSpec):
+    """Leg, valves, ground, and the studies of it; `read` and `dumps` know the units.
+
+    Examples
+    --------
+    >>> scenario = LegScenario.read("examples/leg/lei-leg.yaml")
+    >>> scenario.plant()
+    LegPlant(...)
+    """
+
+    name: Title
+    leg: LegSpec
+    valve: AnyValve | None = None
+    ground: GroundSpec | None = None
+    landing: LandingSpec | None = None
+    jump: JumpSpec | None = None
+    uncertainty: UncertaintySpec = UncertaintySpec()
+    step: PositiveTime = 0.25e-3
+
+    @field_validator("landing", "jump", mode="after")
+    @classmethod
+    def _joints_known(cls, value: Any, info: ValidationInfo) -> Any:
+        leg = info.data.get("leg")
+        if value is None or leg is None:
+            return value
+        ranges = {joint.name: (joint.lower, joint.upper) for joint in leg.joints}
+        angles = value.touchdown if isinstance(value, LandingSpec) else value.squat
+        for name in [*angles, *([value.joint] if isinstance(value, LandingSpec) else [])]:
+            if name not in ranges:
+                fail_validation(f"there is no joint {quoted(name)}", suggest(name, list(ranges)))
+        for name, angle in angles.items():
+            lower, upper = ranges[name]
+            if not lower <= angle <= upper:
+                fail_validation(
+                    f"{name} is at {angle * 57.29577951308232:.4g} deg, beyond its stops",
+                    f"give an angle of {lower * 57.29577951308232:.4g} to {upper * 57.29577951308232:.4g} deg",
+                    value=angle,
+                )
+        return value
+
+    @model_validator(mode="after")
+    def _with_air(self) -> LegScenario:
+        if self.landing is not None and self.landing.time_constants:
+            runtime = None if self.valve is None else self.valve.runtime
+            if runtime is None or not issubclass(runtime, AirValve):
+                fail_validation(
+                    "a landing compresses the air, which a valve without it does not show",
+                    "give a valve with air, such as {class: PressureRegulator, ...}, or `time_constants: []`",
+                )
+        return self
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> LegScenario:
+        """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
+        source = os.fspath(path)
+        return cls.parse(read_text(path, "a leg", "examples/leg/"), source=source, folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "leg", folder: str | os.PathLike[str] = ".") -> LegScenario:
+        """Read YAML text; errors as for `read`."""
+        return parse_model(cls, text, source=source, folder=folder)[0]
+
+    def plant(self) -> LegPlant:
+        """The simulated leg."""
+        ground = Ground() if self.ground is None else self.ground.build()
+        return LegPlant(self.leg.build(), IdealValve() if self.valve is None else self.valve.build(), ground)
+
+
+def read_leg(name: str | os.PathLike[str]) -> Leg:
+    """The leg of the catalog of that name, or of a file; raises ScenarioError."""
+    text = os.fspath(name)
+    if text.endswith((".yaml", ".yml")):
+        return LegScenario.read(name).leg.build()
+    try:
+        return LegSpec.model_validate(text).build()
+    except ValueError as error:
+        raise ScenarioError(text, [Problem(str(error))]) from error
