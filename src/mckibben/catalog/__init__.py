@@ -44,12 +44,13 @@ __all__ = [
     "valve_section",
 ]
 
-KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs")
+KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs", "robots")
 FOLDER = resources.files("mckibben.catalog")
 
 
 def names(kind: str) -> list[str]:
-    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads", "joints", "valves" or "legs".
+    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs" or
+    "robots".
 
     Raises `NotInCatalogError` for another one.
     """
@@ -82,7 +83,7 @@ def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
 
 
 _SINGULAR: dict[str, str] = dict(
-    zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint", "valve", "leg"), strict=True)
+    zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint", "valve", "leg", "robot"), strict=True)
 )
 
 

@@ -24,6 +24,7 @@ from mckibben.cli.calibrate import calibrate
 from mckibben.cli.compare import compare
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, points, validate
+from mckibben.cli.leg import leg
 from mckibben.cli.options import (
     INTERRUPTED,
     Force,
@@ -154,6 +155,7 @@ app.command()(compare)
 app.command()(calibrate)
 app.command()(export)
 app.add_typer(rig)
+app.add_typer(leg)
 
 
 @app.command()

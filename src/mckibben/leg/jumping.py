@@ -138,6 +138,11 @@ class JumpStudy:
             rows.append((name, height, f"{one['rise_mm']:.1f}", f"{one['muscle_work_J']:.2f} J", share))
         return headers, rows
 
+    def describe(self) -> str:
+        """What timing adds, as text."""
+        gain, low, high = (one / mm for one in self.gain())
+        return f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
+
     def __repr__(self) -> str:
         heights = (f"{jump.heights[0] / mm:.0f} mm" for jump in (self.constant, self.timed))
         return f"<JumpStudy of {self.scenario.name!r}: constant {', timed '.join(heights)}>"
@@ -223,8 +228,8 @@ class JumpRuns(NamedTuple):
         return simulate_legs(plant, schedule, self.start, duration=self.duration, control_period=self.step)
 
     def heights(self, variables: Floats) -> Floats:
-        """Height [m] at the end of the run or ballistically after it, for columns of variables."""
-        found = self.simulate(self.plant, self.variables.schedule(np.asarray(variables)))["final_apex"].to_numpy()
+        """Height [m] of the apex for columns of variables; 0 where the foot stays on the ground."""
+        found = self.simulate(self.plant, self.variables.schedule(np.asarray(variables)))["apex"].to_numpy()
         return np.where(np.isfinite(found), found, 0.0)
 
     def height_and_gradient(self, variables: Floats, engine: str = "auto") -> tuple[float, Floats]:
@@ -247,7 +252,7 @@ def _derivative(shared: Any, direction: Any) -> tuple[Array, Array]:
     plant, start, given, variables, times, period = shared
 
     def height(x: Array) -> Array:
-        return leg_metrics(plant, given.schedule(x), start, times, period, 1).final_apex
+        return leg_metrics(plant, given.schedule(x), start, times, period, 1).apex
 
     return jax.jvp(height, (variables,), (direction,))
 

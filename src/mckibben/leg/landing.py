@@ -58,6 +58,11 @@ class LandingStudy:
         """Weight [N] of each draw."""
         return self.table["weight"].to_numpy()
 
+    @property
+    def joint(self) -> str:
+        """Name of the joint whose stiffness varies."""
+        return self._landing.joint
+
     def body_weights(self, name: str = "peak_force") -> Floats:
         """A force in weights of the leg, shape (valve, drop, stiffness, draw)."""
         return self.table[name].to_numpy() / self.weight
@@ -193,7 +198,8 @@ def study_landing(
 
     drops, draws = np.array(landing.drop), scenario.uncertainty.draws + 1
     drop, level, draw = (x.ravel() for x in np.indices((drops.size, stiffness.size, draws)))
-    plant = take(drawn_plant(scenario), draw)
+    drawn = drawn_plant(scenario)
+    plant = take(drawn, draw)
     commands = tuple(pressures[level].T)
     start = LegStart(angles, commands, 0.0, -np.sqrt(2 * nominal.gravity * drops[drop]))
     controller = PressureSchedule(tuple((one,) for one in commands))
@@ -218,8 +224,9 @@ def study_landing(
         tables.append(found)
     shape = (len(valves), drops.size, stiffness.size, draws)
     table = _table(tables, index, shape, list(valves), drops, stiffness)
-    masses = np.broadcast_to(np.asarray(drawn_plant(scenario).leg.total_mass), (draws,))
-    table["weight"] = ("draw", masses * nominal.gravity, {"units": "N"})
+    masses = {"weight": drawn.leg.total_mass, "trunk_weight": drawn.leg.trunk.mass}
+    for name, mass in masses.items():
+        table[name] = ("draw", np.broadcast_to(np.asarray(mass), (draws,)) * nominal.gravity, {"units": "N"})
     return LandingStudy(scenario, table, pressures, (low, high))
 
 

@@ -123,8 +123,6 @@ class LegMetrics(NamedTuple):
     apex
         Largest height of the centre of mass [m] that the run reaches or is on its way to when the foot is in the air,
         after the first touch; NaN if the foot stays on the ground.
-    final_apex
-        Height [m] to which the centre of mass would rise ballistically from the end of the run: smooth in all numbers.
     take_off_speed
         Upward speed of the centre of mass [m/s] that belongs to `apex`.
     muscle_work
@@ -141,7 +139,6 @@ class LegMetrics(NamedTuple):
     deflection: Scalar
     stop_torque: tuple[Scalar, ...]
     apex: Scalar
-    final_apex: Scalar
     take_off_speed: Scalar
     muscle_work: Scalar
     air_mass: Scalar
@@ -155,7 +152,6 @@ LEG_UNITS = {
     "deflection": "m",
     "stop_torque": "N*m",
     "apex": "m",
-    "final_apex": "m",
     "take_off_speed": "m/s",
     "muscle_work": "J",
     "air_mass": "kg",
@@ -203,7 +199,6 @@ class _Sums(NamedTuple):
             deflection=jnp.where(touched >= 0, jnp.maximum(last.deflection, height - sample.z), last.deflection),
             stop_torque=tuple(jnp.maximum(most, jnp.abs(now)) for most, now in stops),
             apex=jnp.where(higher, ballistic, last.apex),
-            final_apex=ballistic,
             take_off_speed=jnp.where(higher, sample.mass_speed, last.take_off_speed),
             muscle_work=last.muscle_work + sample.muscle_power * period,
             air_mass=last.air_mass + sum(drawn),

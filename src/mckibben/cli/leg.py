@@ -1,0 +1,88 @@
+"""`mckibben leg`: landing and jumping of a leg."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Argument
+
+from mckibben.cli.options import Force, Json, Out, echo, job_progress, keeping, notify, results_folder, table
+from mckibben.storage.files import to_json, write_json
+
+if TYPE_CHECKING:
+    from mckibben.leg.scenario import LegScenario
+
+leg = typer.Typer(name="leg", help="Landing and jumping of a leg.", no_args_is_help=True)
+
+LegFile = Annotated[Path, Argument(metavar="LEG.yaml", help="Leg; see examples/leg/.")]
+
+
+@leg.command()
+def land(file: LegFile, json: Json = False, out: Out = None, force: Force = False) -> None:
+    """Simulate drop landings over stiffness, drop height and valve, with intervals."""
+    results_folder(out, ("results.json", "landing.nc", "leg.yaml", "landing.html"), force)
+    from mckibben.leg.landing import study_landing
+
+    read = _read(file)
+    with job_progress(quiet=json) as report:
+        study = study_landing(read, source=str(file), progress=report)
+    numbers = study.records()
+    if out:
+        from mckibben.report.leg import write_landing
+
+        with keeping(out):
+            write_json(out / "results.json", numbers)
+            study.table.to_netcdf(out / "landing.nc")
+            _keep(read, out)
+            write_landing(study, out)
+    _show(read.name, study, numbers, json)
+    if out:
+        notify(f"kept landing.html, results.json, landing.nc and leg.yaml in {out}", json)
+
+
+@leg.command()
+def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = False) -> None:
+    """Find the highest jumps with constant and with timed pressures, with intervals."""
+    results_folder(out, ("results.json", "constant.nc", "timed.nc", "leg.yaml", "jump.html"), force)
+    from mckibben.leg.jumping import study_jump
+
+    read = _read(file)
+    with job_progress(quiet=json) as report:
+        study = study_jump(read, source=str(file), progress=report)
+    numbers = study.records()
+    if out:
+        from mckibben.report.leg import write_jump
+
+        with keeping(out):
+            write_json(out / "results.json", numbers)
+            study.constant.run.to_netcdf(out / "constant.nc")
+            study.timed.run.to_netcdf(out / "timed.nc")
+            _keep(read, out)
+            write_jump(study, out)
+    _show(read.name, study, numbers, json)
+    if not json:
+        echo(study.describe())
+    if out:
+        notify(f"kept jump.html, results.json, constant.nc, timed.nc and leg.yaml in {out}", json)
+
+
+def _read(file: Path) -> LegScenario:
+    from mckibben.leg.scenario import LegScenario
+
+    return LegScenario.read(file)
+
+
+def _keep(read: LegScenario, out: Path) -> None:
+    from mckibben.storage.files import atomic_write
+
+    with atomic_write(out / "leg.yaml", overwrite=True) as part:
+        part.write_text(read.dumps(folder=out), encoding="utf-8")
+
+
+def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
+    if json:
+        echo(to_json(numbers))
+    else:
+        table(f"{name}; intervals are 5 to 95 % of the draws", *study.rows())

@@ -1,0 +1,168 @@
+"""Figures and pages of the leg: landings over stiffness, and time traces of jumps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import markupsafe
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mckibben import catalog
+from mckibben.leg.jumping import JumpStudy
+from mckibben.leg.landing import LandingStudy
+from mckibben.report.figures import ReportFigure
+from mckibben.report.page import embedded, style_sheet, template_of, write_page
+from mckibben.report.style import (
+    BLUE,
+    DOUBLE,
+    ORANGE,
+    VERMILLION,
+    blank,
+    draw_band,
+    legend_above,
+    letter,
+    looks_of,
+    styled,
+)
+from mckibben.report.tables import Table
+from mckibben.units import bar, mm, ms
+
+_EDGES = (5.0, 95.0)
+
+
+@styled
+def landing_forces(study: LandingStudy) -> Figure:
+    """Force on the trunk, deflection and share of landings that bottom out over the commanded stiffness.
+
+    A column for each drop; bands hold 90 % of the draws, triangles are at the best stiffness.
+    """
+    table = study.table
+    stiffness, drops = table["stiffness"].to_numpy(), table["drop"].to_numpy()
+    trunk = table["peak_trunk_force"].to_numpy() / table["trunk_weight"].to_numpy()
+    rows = (
+        ("force on the trunk\n[its weight]", trunk),
+        ("deflection [mm]", table["deflection"].to_numpy() / mm),
+        ("force of the ground\n[weight of the leg]", study.body_weights()),
+    )
+    valves = [str(name) for name in table["valve"].to_numpy()]
+    best = study.best()
+    figure = blank(DOUBLE, 6.0)
+    grid = figure.subplots(len(rows), drops.size, sharex=True, sharey="row", squeeze=False)
+    for i, (label, values) in enumerate(rows):
+        for j, drop in enumerate(drops):
+            axes: Axes = grid[i, j]
+            for v, (name, look) in enumerate(looks_of(valves).items()):
+                low, high = np.percentile(values[v, j, :, 1:], _EDGES, axis=-1)
+                draw_band(axes, stiffness, low, high, color=look["color"], alpha=0.15)
+                axes.plot(stiffness, values[v, j, :, 0], label=name, **look)
+                at = np.interp(best[v, j, 0], stiffness, values[v, j, :, 0])
+                axes.plot(best[v, j, 0], at, "v", color=look["color"], markersize=6, markeredgecolor="white")
+            if i == 0:
+                letter(axes, j, f"drop of {drop / mm:g} mm")
+        grid[i, 0].set_ylabel(label)
+    for axes in grid[-1]:
+        axes.set_xlabel("stiffness of the " + study.joint + " [N·m/rad]")
+    figure.align_ylabels(list(grid[:, 0]))
+    legend_above(figure, grid[0, 0])
+    return figure
+
+
+@styled
+def jump_traces(study: JumpStudy) -> Figure:
+    """Pressures, force of the ground and height of the centre of mass of the constant and of the timed jump."""
+    figure = blank(DOUBLE, 5.6)
+    grid = figure.subplots(3, 2, sharex=True, sharey="row")
+    jumps = (("constant pressures", study.constant), ("timed pressures", study.timed))
+    for j, (title, jump) in enumerate(jumps):
+        run = jump.run
+        time = run["time"].to_numpy() / ms
+        names = [str(name) for name in run["muscle"].to_numpy()]
+        for i, (name, look) in enumerate(looks_of(names).items()):
+            grid[0, j].plot(time, run["pressure"].to_numpy()[i] / bar, label=name, **look)
+            grid[0, j].plot(time, run["command"].to_numpy()[i] / bar, color=look["color"], linewidth=0.6, alpha=0.6)
+        grid[1, j].plot(time, run["ground_up"].to_numpy(), color=VERMILLION)
+        height = (run["mass_height"].to_numpy() - study.standing) / mm
+        grid[2, j].plot(time, height, color=BLUE)
+        grid[2, j].axhline(jump.heights[0] / mm, color=ORANGE, linewidth=0.8, linestyle=(0, (4, 2)))
+        letter(grid[0, j], j, title)
+        grid[2, j].set_xlabel("time [ms]")
+    grid[0, 0].set_ylabel("pressure [bar]")
+    grid[1, 0].set_ylabel("force of the\nground [N]")
+    grid[2, 0].set_ylabel("centre of mass above\nthat of standing [mm]")
+    figure.align_ylabels(list(grid[:, 0]))
+    legend_above(figure, grid[0, 0])
+    return figure
+
+
+def write_landing(study: LandingStudy, folder: str | os.PathLike[str], player: str = "") -> Path:
+    """Write `landing.html`, self-contained, and its figure in `figures/`; return its path."""
+    low, high = study.attainable
+    text = (
+        f"{study.table['peak_force'].size} landings: {study.joint} at its stiffness, commands constant. At the touch "
+        f"{low:.3g} to {high:.3g} N*m/rad are attainable. Best is the softest stiffness whose force on the trunk is "
+        "within 2 % of the least one; intervals are 5 to 95 % of the draws of muscles and masses."
+    )
+    caption = (
+        "Largest force on the trunk, deflection of the hip and largest force of the ground over the commanded "
+        "stiffness, by valve. Bands: 90 % of the draws. Triangles: best stiffness. Soft joints bottom out, and the "
+        "closed valve compresses its air, so that the best stiffness moves with the valve and the drop."
+    )
+    figure = ReportFigure("landing", "", "Landings", caption, "Forces over stiffness", landing_forces(study))
+    tables = [Table("Landings at the best stiffness", *study.rows())]
+    return _page(Path(folder), "landing.html", study.scenario, text, tables, [figure], player)
+
+
+def write_jump(study: JumpStudy, folder: str | os.PathLike[str], player: str = "") -> Path:
+    """Write `jump.html`, self-contained, and its figure in `figures/`; return its path."""
+    gain, low, high = (one / mm for one in study.gain())
+    text = (
+        f"From the squat the centre of mass rises {study.constant.heights[0] / mm:.0f} mm above that of the stretched "
+        f"leg with the best constant pressures, {study.timed.heights[0] / mm:.0f} mm with the best timed ones: "
+        f"{gain:.0f} mm more ({low:.0f} to {high:.0f} mm in 5 to 95 % of the draws of muscles and masses)."
+    )
+    caption = (
+        "Pressures (thin: commands), force of the ground and height of the centre of mass. Dashed: apex, above the "
+        "height of the stretched leg that stands."
+    )
+    figure = ReportFigure("jump", "", "Jumps", caption, "Time traces of two jumps", jump_traces(study))
+    tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _published(study)]
+    return _page(Path(folder), "jump.html", study.scenario, text, tables, [figure], player)
+
+
+def _published(study: JumpStudy) -> Table:
+    """Published jumps beside ours, with what differs."""
+    head = ("robot", "jump", "of its height", "actuators", "what differs")
+    rows = []
+    for name in catalog.names("robots"):
+        found = catalog.find("robots", name)[0]
+        rows.append((found["title"], found["jump"], found["of_height"], found["actuators"], found["differs"]))
+    height, length = study.timed.heights[0] / mm, study.leg_length / mm
+    ours = f"{height:.0f} mm, centre of mass", f"{height / length * 100:.0f} % of the leg", "four PAMs of 10 mm"
+    rows.append(("this leg, timed pressures", *ours, "simulated, on a slider, one leg, from a squat"))
+    return Table("Beside published jumps", head, rows)
+
+
+def _page(
+    folder: Path,
+    name: str,
+    scenario: Any,
+    text: str,
+    tables: Sequence[Table],
+    figures: Sequence[ReportFigure],
+    player: str,
+) -> Path:
+    page = template_of("leg.html.jinja").render(
+        style=style_sheet(),
+        title=scenario.name,
+        text=text,
+        tables=tables,
+        figures=[embedded(figure, folder) for figure in figures],
+        player=markupsafe.Markup(player),
+        scenario=scenario.dumps(folder=folder),
+    )
+    return write_page(folder / name, page)
