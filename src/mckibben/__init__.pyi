@@ -1,4 +1,4 @@
-from . import catalog as catalog, report as report, units as units
+from . import catalog as catalog, leg as leg, report as report, units as units
 from .control import (
     PID as PID,
     BackpropPID as BackpropPID,

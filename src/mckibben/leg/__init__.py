@@ -9,14 +9,21 @@ from mckibben.leg.control import (
     PressureSchedule,
     TimedReference,
 )
+from mckibben.leg.foot import FootStiffness, attainable_foot_stiffness, foot_stiffness
+from mckibben.leg.jumping import JumpStudy, study_jump
+from mckibben.leg.landing import LandingStudy, study_landing
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
 from mckibben.leg.plant import Ground, LegPlant, LegState
+from mckibben.leg.scenario import LegScenario, read_leg
 from mckibben.leg.simulate import LegMetrics, LegStart, leg_metrics, simulate_leg, simulate_legs
 
 __all__ = [
     "BiarticularMuscle",
+    "FootStiffness",
     "Ground",
     "JointwiseControl",
+    "JumpStudy",
+    "LandingStudy",
     "Leg",
     "LegController",
     "LegJoint",
@@ -24,6 +31,7 @@ __all__ = [
     "LegMetrics",
     "LegPlant",
     "LegReference",
+    "LegScenario",
     "LegStart",
     "LegState",
     "Link",
@@ -31,7 +39,12 @@ __all__ = [
     "PressureSchedule",
     "TimedReference",
     "Trunk",
+    "attainable_foot_stiffness",
+    "foot_stiffness",
     "leg_metrics",
+    "read_leg",
     "simulate_leg",
     "simulate_legs",
+    "study_jump",
+    "study_landing",
 ]

@@ -145,14 +145,13 @@ FLIGHT, TOUCHDOWN, STANCE, PUSH_OFF = range(4)
 
 
 class PhaseState(NamedTuple):
-    """Phase and its time [s], setpoints, length of the leg [rad] by its joints, and the last time in the air [s]."""
+    """Phase and its time [s], setpoints, angle of the extensor [rad], and duration of the last flight [s]."""
 
     phase: Array
     since: Scalar
     setpoints: tuple[Setpoint, ...]
     extension: Scalar
     flight: Scalar
-    thrust: Scalar
 
 
 class PhasedReference(LegReference):
@@ -160,9 +159,8 @@ class PhasedReference(LegReference):
 
     Phases are flight; touchdown, from the first force on the foot for a set time; stance, until the angle of the
     `extensor` joint has turned around; push-off, until the foot is free of force. Setpoints follow those of the phase
-    with a first-order lag. With `flight_time` the push-off is adapted from hop to hop, as the thrust in M. H. Raibert,
-    Legged Robots That Balance, MIT Press 1986, ch. 2: its angle of the extensor moves by `gain` times the error of the
-    last time in the air.
+    with a first-order lag. A push-off that is the same in each hop leads to hops of equal height, where the energy that
+    it adds is that which a hop loses: M. H. Raibert, Legged Robots That Balance, MIT Press 1986, ch. 2.
 
     Parameters
     ----------
@@ -170,12 +168,11 @@ class PhasedReference(LegReference):
         Setpoint of each joint in each phase: angle [rad] and stiffness [N*m/rad].
     threshold
         Force [N] on the foot that counts as contact.
-    touchdown_time, lag
-        Duration of the touchdown [s], and time constant [s] of the setpoints.
+    touchdown_time, blanking, lag
+        Duration of the touchdown [s], time [s] after an event in which the foot may bounce without another one, and
+        time constant [s] of the setpoints.
     extensor
         Index of the joint whose angle grows as the leg gets longer.
-    flight_time, gain
-        Wanted time in the air [s], and gain [rad/s]; without them the push-off is as given.
     """
 
     flight: tuple[Setpoint, ...]
@@ -184,10 +181,9 @@ class PhasedReference(LegReference):
     push_off: tuple[Setpoint, ...]
     threshold: Force = 5.0
     touchdown_time: ShortTime = 20 * ms
+    blanking: ShortTime = 30 * ms
     lag: PositiveTime = 5 * ms
     extensor: int = eqx.field(static=True, default=-1)
-    flight_time: PositiveTime | None = None
-    gain: float = 0.5
 
     def __check_init__(self) -> None:
         check_positive("PhasedReference", "N", threshold=self.threshold)
@@ -205,7 +201,7 @@ class PhasedReference(LegReference):
         zero = jnp.zeros(())
         setpoints = tuple(Setpoint(*map(jnp.asarray, one)) for one in self.flight)
         begun = jnp.where(measurement.ground_force > self.threshold, STANCE, FLIGHT)
-        return PhaseState(begun, zero, setpoints, measurement.angles[self.extensor], zero, zero)
+        return PhaseState(begun, zero, setpoints, measurement.angles[self.extensor], zero)
 
     def step(
         self, state: PhaseState, measurement: LegMeasurement, period: ArrayLike
@@ -213,34 +209,31 @@ class PhasedReference(LegReference):
         touching = measurement.ground_force > self.threshold
         extension = measurement.angles[self.extensor]
         phase = state.phase
+        settled = state.since >= self.blanking
+        landed = (phase == FLIGHT) & touching & settled
         ended = (
-            ((phase == FLIGHT) & touching)
+            landed
             | ((phase == TOUCHDOWN) & (state.since >= self.touchdown_time))
-            | ((phase == STANCE) & (extension > state.extension))
-            | ((phase == PUSH_OFF) & ~touching)
+            | ((phase == STANCE) & (extension > state.extension) & settled)
+            | ((phase == PUSH_OFF) & ~touching & settled)
         )
-        landed = (phase == FLIGHT) & touching
         flight = jnp.where(landed, state.since, state.flight)
-        thrust = state.thrust
-        if self.flight_time is not None:
-            thrust = jnp.where(landed, thrust + self.gain * (self.flight_time - flight), thrust)
         phase = jnp.where(ended, (phase + 1) % 4, phase)
         since = jnp.where(ended, 0.0, state.since + period)
         part = 1 - exp(-jnp.asarray(period) / self.lag)
         setpoints = []
         for index, held in enumerate(state.setpoints):
             each = [getattr(self, name)[index] for name in ("flight", "touchdown", "stance", "push_off")]
-            more = thrust if index == self.extensor % len(state.setpoints) else 0.0
-            angle = _select(phase, [one.angle for one in each[:3]] + [each[3].angle + more])
+            angle = _select(phase, [one.angle for one in each])
             stiffness = _select(phase, [one.stiffness for one in each])
             setpoints.append(
                 Setpoint(held.angle + part * (angle - held.angle), held.stiffness + part * (stiffness - held.stiffness))
             )
-        following = PhaseState(phase, since, tuple(setpoints), extension, flight, thrust)
+        following = PhaseState(phase, since, tuple(setpoints), extension, flight)
         return following, tuple(setpoints)
 
     def telemetry(self, state: PhaseState) -> dict[str, Array]:
-        return {"phase": state.phase, "flight_time": state.flight, "thrust": state.thrust}
+        return {"phase": state.phase, "flight_time": state.flight}
 
 
 def _select(phase: Array, values: Sequence[ArrayLike]) -> Array:

@@ -88,7 +88,7 @@ def centres(leg: Leg) -> list[tuple[Any, Any, Any]]:
     return [(trunk.mass, -trunk.centre, trunk.inertia), *((one.mass, one.centre, one.inertia) for one in leg.links)]
 
 
-class Motion(NamedTuple):
+class BodyMotion(NamedTuple):
     """Mechanical state in sums: energies [J], and height [m], speeds [m/s] of the centre of mass."""
 
     kinetic: Scalar
@@ -98,7 +98,7 @@ class Motion(NamedTuple):
     upward_speed: Scalar
 
 
-def motion(leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike) -> Motion:
+def motion(leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike) -> BodyMotion:
     """Return energies and the motion of the centre of mass; the potential energy of the height 0 is 0."""
     kinetic = moment = forward = upward = jnp.zeros(())
     for frame, (mass, along, inertia) in zip(frames(leg, posture, velocity), centres(leg), strict=True):
@@ -106,7 +106,7 @@ def motion(leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike) -
         kinetic = kinetic + (mass * (vx * vx + vz * vz) + inertia * frame.rate * frame.rate) / 2
         moment, forward, upward = moment + mass * z, forward + mass * vx, upward + mass * vz
     each = 1 / leg.total_mass
-    return Motion(kinetic, moment * gravity, moment * each, forward * each, upward * each)
+    return BodyMotion(kinetic, moment * gravity, moment * each, forward * each, upward * each)
 
 
 class _Articulated(NamedTuple):

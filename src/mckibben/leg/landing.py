@@ -63,6 +63,11 @@ class LandingStudy:
         """Name of the joint whose stiffness varies."""
         return self._landing.joint
 
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Angles [rad] of the joints at the touch."""
+        return tuple(self._landing.touchdown.get(joint.name, 0.0) for joint in self.scenario.leg.joints)
+
     def body_weights(self, name: str = "peak_force") -> Floats:
         """A force in weights of the leg, shape (valve, drop, stiffness, draw)."""
         return self.table[name].to_numpy() / self.weight
@@ -193,6 +198,8 @@ def study_landing(
 
     try:
         pressures = np.array([pressures_at(float(one)) for one in stiffness])
+        for each in pressures:
+            nominal.init_state(angles, tuple(map(float, each)))  # within the supply
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="landing.stiffness")]) from error
 

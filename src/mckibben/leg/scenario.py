@@ -28,6 +28,8 @@ from mckibben.units import (
     Pressure,
     Spread,
     Stiffness,
+    bar,
+    deg,
 )
 
 
@@ -241,10 +243,22 @@ class LegScenario(RunSpec):
             lower, upper = ranges[name]
             if not lower <= angle <= upper:
                 fail_validation(
-                    f"{name} is at {angle * 57.29577951308232:.4g} deg, beyond its stops",
-                    f"give an angle of {lower * 57.29577951308232:.4g} to {upper * 57.29577951308232:.4g} deg",
+                    f"{name} is at {angle / deg:.4g} deg, beyond its stops",
+                    f"give an angle of {lower / deg:.4g} to {upper / deg:.4g} deg",
                     value=angle,
                 )
+        return value
+
+    @field_validator("jump", mode="after")
+    @classmethod
+    def _supplied(cls, value: JumpSpec | None, info: ValidationInfo) -> JumpSpec | None:
+        supply = getattr(info.data.get("valve"), "supply", None)
+        if value is not None and supply is not None and value.high > supply:
+            fail_validation(
+                f"high is {value.high / bar:g} bar, above the supply of {supply / bar:g} bar",
+                "lower it, or give the valve a higher supply",
+                value=value.high,
+            )
         return value
 
     @model_validator(mode="after")

@@ -63,6 +63,7 @@ class LegSample(NamedTuple):
     ground_up: Scalar
     mass_height: Scalar
     mass_speed: Scalar
+    kinetic: Scalar
     muscle_power: Scalar
     air_mass: tuple[Scalar, ...]
     outside: Array  # whether a contraction is outside its muscle's domain
@@ -93,6 +94,7 @@ def observe(plant: LegPlant, state: LegState) -> LegSample:
         ground_up=forces.ground[1],
         mass_height=moving.height,
         mass_speed=moving.upward_speed,
+        kinetic=moving.kinetic,
         muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
         air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
         outside=~_all(inside),
@@ -433,6 +435,7 @@ _SAMPLE_UNITS = {
     "ground_up": "N",
     "mass_height": "m",
     "mass_speed": "m/s",
+    "kinetic": "J",
     "muscle_power": "W",
     "air_mass": "kg",
     "command": "Pa",

@@ -13,11 +13,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mckibben import catalog
+from mckibben.leg.foot import attainable_foot_stiffness
 from mckibben.leg.jumping import JumpStudy
 from mckibben.leg.landing import LandingStudy
+from mckibben.leg.mechanism import Leg
 from mckibben.report.figures import ReportFigure
 from mckibben.report.page import embedded, style_sheet, template_of, write_page
 from mckibben.report.style import (
+    BAND,
+    BLACK,
     BLUE,
     DOUBLE,
     ORANGE,
@@ -73,6 +77,37 @@ def landing_forces(study: LandingStudy) -> Figure:
 
 
 @styled
+def foot_ellipses(leg: Leg, angles: Sequence[float], *, force: float = 1.0) -> Figure:
+    """Posture of a leg, and displacements of its foot by forces of one size [N] in all directions.
+
+    Grey: over all attainable stiffness of the joints without torque; coloured: the softest and the stiffest joints.
+    """
+    found = attainable_foot_stiffness(leg, angles, [0.0] * len(angles))
+    figure = blank(DOUBLE * 0.8, 3.0)
+    posture_axes, axes = figure.subplots(1, 2, width_ratios=(1, 1.6))
+    chain = np.cumsum([joint.link_angle + joint.sign * at for joint, at in zip(leg.joints, angles, strict=True)])
+    lengths = np.array([float(link.length) for link in leg.links])
+    x = np.concatenate([[0.0], np.cumsum(lengths * np.sin(chain))]) / mm
+    z = np.concatenate([[0.0], -np.cumsum(lengths * np.cos(chain))]) / mm
+    posture_axes.plot(x, z, "o-", color=BLACK, linewidth=3)
+    for joint, at_x, at_z in zip(leg.joints, x, z, strict=False):
+        posture_axes.annotate(joint.name, (at_x, at_z), xytext=(8, 0), textcoords="offset points", va="center")
+    posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")
+    posture_axes.margins(x=0.6, y=0.1)
+    letter(posture_axes, 0, "posture")
+    for one in found:
+        axes.plot(*(one.ellipse(force) / mm), color=BAND, linewidth=0.8, zorder=1)
+    for name, one, colour in (("softest", found[0], VERMILLION), ("stiffest", found[-1], BLUE)):
+        axes.plot(*(one.ellipse(force) / mm), color=colour, label=f"{name} joints")
+    axes.set(xlabel="forwards [mm]", ylabel="up [mm]")
+    axes.legend(loc="upper right")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.35 * (high - low))  # space for the legend
+    letter(axes, 1, f"foot under {force:g} N in all directions")
+    return figure
+
+
+@styled
 def jump_traces(study: JumpStudy) -> Figure:
     """Pressures, force of the ground and height of the centre of mass of the constant and of the timed jump."""
     figure = blank(DOUBLE, 5.6)
@@ -113,8 +148,18 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str], player: s
         "closed valve compresses its air, so that the best stiffness moves with the valve and the drop."
     )
     figure = ReportFigure("landing", "", "Landings", caption, "Forces over stiffness", landing_forces(study))
+    leg, posture = study.scenario.leg.build(), study.angles
+    ellipses = ReportFigure(
+        "foot",
+        "",
+        "Stiffness of the foot",
+        "Displacement of the foot at the touch, with the trunk held, by a force of 1 N in each direction; the scales "
+        "of both axes differ. Grey: over the attainable stiffness of all joints.",
+        "Ellipses of the foot's displacement",
+        foot_ellipses(leg, posture),
+    )
     tables = [Table("Landings at the best stiffness", *study.rows())]
-    return _page(Path(folder), "landing.html", study.scenario, text, tables, [figure], player)
+    return _page(Path(folder), "landing.html", study.scenario, text, tables, [figure, ellipses], player)
 
 
 def write_jump(study: JumpStudy, folder: str | os.PathLike[str], player: str = "") -> Path:

@@ -1,0 +1,155 @@
+"""The planar dynamics: conservation laws, the paper's knee as a special case, statics, and gradients."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+import mckibben as mk
+from mckibben import catalog
+from mckibben.leg import Ground, Leg, LegJoint, LegPlant, Link, Trunk, attainable_foot_stiffness, foot_stiffness
+from mckibben.leg.dynamics import Posture, Velocity, acceleration, motion
+from mckibben.leg.jumping import standing_torques
+from mckibben.leg.plant import compliant_force
+from mckibben.numerics.calculus import rk4
+from mckibben.units import deg
+from tests.leg.conftest import leg_of
+
+zero = jnp.zeros(())
+
+
+def moving(freedom: str) -> tuple[Posture, Velocity]:
+    """A posture in motion, without the motions that the trunk has not."""
+    posture = Posture(zero, jnp.asarray(1.0), jnp.asarray(0.2), tuple(map(jnp.asarray, (0.5, -0.8, 0.3))))
+    velocity = Velocity(*map(jnp.asarray, (0.3, 1.0, 0.7)), tuple(map(jnp.asarray, (2.0, -3.0, 1.0))))
+    if freedom != "free":
+        posture, velocity = posture._replace(pitch=zero), velocity._replace(pitch=zero)
+    if freedom in ("vertical", "fixed"):
+        velocity = velocity._replace(x=zero)
+    return posture, velocity if freedom != "fixed" else velocity._replace(z=zero)
+
+
+@pytest.mark.parametrize("freedom", ["fixed", "vertical", "planar", "free"])
+def test_energy_and_momentum_in_flight(pair: mk.AntagonisticJoint, freedom: str) -> None:
+    leg = leg_of(pair, freedom)
+
+    def rate(state: tuple[Posture, Velocity]) -> tuple[Posture, Velocity]:
+        posture, velocity = state
+        return Posture(*velocity), acceleration(leg, posture, velocity, (0.0, 0.0, 0.0), (zero, zero), 9.81)
+
+    start = moving(freedom)
+    end = jax.jit(lambda state: jax.lax.fori_loop(0, 1000, lambda _, one: rk4(rate, one, 2e-4), state))(start)
+    before, after = motion(leg, *start, 9.81), motion(leg, *end, 9.81)
+    assert float(after.kinetic + after.potential) == pytest.approx(float(before.kinetic + before.potential), abs=1e-10)
+    if freedom in ("planar", "free"):
+        assert float(after.forward_speed) == pytest.approx(float(before.forward_speed), abs=1e-12)
+    if freedom != "fixed":
+        assert float(after.upward_speed) == pytest.approx(float(before.upward_speed) - 9.81 * 0.2, abs=1e-12)
+
+
+@pytest.mark.parametrize("valve", [mk.FirstOrderValve(0.02), mk.PressureRegulator(0.5e-8, 7e5, time_constant=0.005)])
+def test_knee_with_locked_hip_and_fixed_trunk_is_the_joint_of_the_paper(
+    pair: mk.AntagonisticJoint, valve: mk.FirstOrderValve
+) -> None:
+    load = catalog.load("knee-table-2")
+    inertia, moment = float(load.total_inertia), float(load.gravity_moment)
+    centre = moment / 9.81  # of a body of 1 kg
+    hip = LegJoint(pair, -5 * deg, 5 * deg, name="hip", locked=0.0)
+    knee = LegJoint(pair, -30 * deg, 30 * deg, link_angle=-load.hanging_angle, damping=load.damping, name="knee")
+    links = (Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 1.0, centre, inertia - centre**2))
+    plant = LegPlant(Leg(Trunk(1.0, freedom="fixed"), links, (hip, knee)), valve)
+    joint = mk.JointPlant(pair, load, valve)
+    pressures, commands = (3e5, 3.3e5), (2.8e5, 3.6e5)
+    start = plant.init_state((0.0, 0.05), (3e5, 3e5, *pressures), clearance=1.0)
+    torque = plant.leg.torques(start.posture.angles, start.pressures)[1]
+    assert float(torque) == pytest.approx(float(pair.torque(0.05, pressures)), abs=1e-12)
+
+    end = jax.jit(lambda state: plant.advance(state, (3e5, 3e5, *commands), 1.0, 2000))(start)
+    alone = jax.jit(lambda state: joint.advance(state, commands, 1.0, 2000))(joint.init_state(0.05, pressures))
+    assert abs(float(alone.angle)) < 30 * deg  # no stop
+    assert float(end.posture.angles[1]) == pytest.approx(float(alone.angle), abs=1e-9)
+    assert np.allclose(end.pressures[2:], alone.pressures, rtol=1e-9)
+
+
+def test_standing_torques_are_those_of_virtual_work(plant: LegPlant) -> None:
+    angles = (0.02, -0.3)
+    still = Velocity(zero, zero, zero, (zero, zero))
+
+    def potential_above_foot(at: np.ndarray) -> float:
+        posture = Posture(zero, zero, zero, tuple(map(jnp.asarray, at)))
+        state = plant.init_state(tuple(map(float, at)), (1e5,) * 4)
+        return float(motion(plant.leg, posture._replace(z=state.posture.z), still, 9.81).potential)
+
+    gradient = approx_fprime(np.array(angles), potential_above_foot, 1e-6)
+    assert standing_torques(plant, angles) == pytest.approx(gradient, abs=1e-4)
+
+
+def test_locked_joint_does_not_move_and_carries_its_link(pair: mk.AntagonisticJoint) -> None:
+    leg = leg_of(pair, "free")
+    locked = dataclasses.replace(
+        leg, joints=(leg.joints[0], dataclasses.replace(leg.joints[1], locked=0.0), leg.joints[2])
+    )
+    posture, velocity = moving("free")
+    posture = posture._replace(angles=(posture.angles[0], zero, posture.angles[2]))
+    velocity = velocity._replace(angles=(velocity.angles[0], zero, velocity.angles[2]))
+    found = acceleration(locked, posture, velocity, (1.0, 5.0, 0.3), (zero, zero), 9.81)
+    assert float(found.angles[1]) == 0.0
+    # The torque that the lock gives makes the free leg move alike.
+    gain = jax.grad(lambda t: acceleration(leg, posture, velocity, (1.0, t, 0.3), (zero, zero), 9.81).angles[1])(0.0)
+    offset = acceleration(leg, posture, velocity, (1.0, 0.0, 0.3), (zero, zero), 9.81).angles[1]
+    held = acceleration(leg, posture, velocity, (1.0, float(-offset / gain), 0.3), (zero, zero), 9.81)
+    assert np.allclose(jax.tree.leaves(held), jax.tree.leaves(found), atol=1e-9)
+
+
+def test_contact_pushes_only_and_begins_at_nought() -> None:
+    assert float(compliant_force(-0.001, 1.0, 2e4, 0.5)) == 0.0
+    assert float(compliant_force(0.001, 0.0, 2e4, 0.5)) == pytest.approx(20.0)
+    assert float(compliant_force(0.001, -10.0, 2e4, 0.5)) == 0.0  # leaves faster than the ground follows
+    with pytest.raises(mk.McKibbenError) as caught:
+        Ground(stiffness=-1.0)
+    assert caught.value.field == "stiffness"  # type: ignore[attr-defined]
+
+
+def test_friction_of_muscles_moves_with_the_leg(plant: LegPlant) -> None:
+    """A muscle with friction and creep in the leg has the state that it has in the joint."""
+    pair = plant.leg.joints[1].muscles
+    rough = dataclasses.replace(
+        pair.muscle1, friction=mk.MaxwellSlip(7.5, 0.5e-3), creep=mk.MaxwellCreep(4e3, time_constant=0.1)
+    )
+    joint = dataclasses.replace(plant.leg.joints[1], muscles=dataclasses.replace(pair, muscle1=rough))
+    leg = dataclasses.replace(plant.leg, joints=(plant.leg.joints[0], joint))
+    both = LegPlant(leg, mk.FirstOrderValve(0.02))
+    start = both.init_state((0.0, 0.0), (3e5,) * 4, clearance=0.5)
+    end = jax.jit(lambda state: both.advance(state, (3e5, 3e5, 2e5, 4e5), 0.1, 400))(start)
+    alone = joint.muscles.init_state(0.0, (3e5, 3e5))
+    assert jax.tree.structure(end.muscles[2]) == jax.tree.structure(alone[0])
+    assert any(
+        abs(float(x - y)) > 0
+        for x, y in zip(jax.tree.leaves(end.muscles[2]), jax.tree.leaves(start.muscles[2]), strict=True)
+    )
+
+
+def test_foot_stiffness_is_that_of_small_displacements(plant: LegPlant) -> None:
+    leg, angles, stiffness = plant.leg, (0.02, -0.2), (18.0, 14.0)
+    found = foot_stiffness(leg, angles, stiffness)
+
+    def foot(at: np.ndarray) -> np.ndarray:
+        absolute = np.cumsum([joint.link_angle + angle for joint, angle in zip(leg.joints, at, strict=True)])
+        lengths = np.array([link.length for link in leg.links])
+        return np.array([np.sum(lengths * np.sin(absolute)), -np.sum(lengths * np.cos(absolute))])
+
+    force = np.array([0.3, -0.2]) * 1e-3
+    jacobian = approx_fprime(np.array(angles), foot, 1e-7)
+    bent = np.array(angles) + (jacobian.T @ force) / stiffness
+    assert foot(bent) - foot(np.array(angles)) == pytest.approx(found.compliance @ force, rel=1e-3)
+    assert found.principal[0] < found.principal[1]
+    low, high = leg.joints[1].muscles.attainable_stiffness(-0.2, 0.0)
+    attainable = attainable_foot_stiffness(leg, angles, (0.0, 0.0), levels=3)
+    assert len(attainable) == 9 and float(low) < float(high)
+    softest = min(one.principal[0] for one in attainable)
+    assert softest < max(one.principal[0] for one in attainable)

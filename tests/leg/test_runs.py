@@ -1,0 +1,166 @@
+"""Runs of a leg: single and batches, both engines, controllers, and starts that are not possible."""
+
+from __future__ import annotations
+
+import dataclasses
+import runpy
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import ParameterError, RangeError
+from mckibben.leg import BiarticularMuscle, Leg, LegPlant, LegStart, PressureSchedule, simulate_leg, simulate_legs
+from mckibben.leg.control import LegMeasurement
+from mckibben.units import deg
+
+STEP = {"duration": 0.1, "control_period": 0.25e-3}
+
+
+@pytest.fixture(scope="module")
+def start(plant: LegPlant) -> LegStart:
+    angles = (0.0, 0.0)
+    return LegStart(angles, plant.leg.pressures_for(angles, (0.0, 0.0), (None, 15.0)), upward_speed=-1.0)
+
+
+def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: LegStart) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    run = simulate_leg(plant, schedule, start, substeps=1, **STEP)
+    again = simulate_leg(plant, schedule, start, substeps=1, engine="xla", **STEP)
+    assert run.attrs["engine"] == "native" and again.attrs["engine"] == "xla"
+    assert float(abs(run["z"] - again["z"]).max()) < 1e-12
+    over = {"start.upward_speed": [-0.5, -1.0, -1.4]}
+    tables = [simulate_legs(plant, schedule, start, over=over, engine=engine, **STEP) for engine in ("native", "xla")]
+    for name in tables[0]:
+        assert np.allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, equal_nan=True), name
+    assert tables[0].attrs["engine"] == "native"
+    assert float(tables[0]["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-2)
+    falls = tables[0]["deflection"].to_numpy()
+    assert (np.diff(falls) > 0).all()
+
+
+def test_closed_air_makes_the_landing_stiffer(plant: LegPlant, start: LegStart) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    table = simulate_legs(plant, schedule, start, over={"plant.valve.conductance": [5e-9, 5e-15]}, **STEP)
+    as_given, closed = table["deflection"].to_numpy()
+    assert closed < 0.9 * as_given
+
+
+def test_energy_is_kept_without_damping_and_valves(plant: LegPlant) -> None:
+    """On an elastic ground with constant pressures: bodies, muscles and ground exchange energy alone."""
+    leg = dataclasses.replace(
+        plant.leg, joints=tuple(dataclasses.replace(one, damping=0.0, stop_damping=0.0) for one in plant.leg.joints)
+    )
+    ground = dataclasses.replace(plant.ground, damping=0.0)
+    elastic = LegPlant(leg, mk.IdealValve(), ground)
+    angles = (0.0, 0.1)
+    pressures = leg.pressures_for(angles, (0.0, 0.0), (None, None))
+    start = LegStart(angles, pressures, upward_speed=-0.5)
+    run = simulate_leg(elastic, PressureSchedule(tuple((p,) for p in pressures)), start, substeps=4, **STEP)
+    power = run["muscle_power"].to_numpy()
+    work = np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2)])
+    force = run["ground_up"].to_numpy()
+    spring = force**2 / (2 * ground.stiffness)
+    stops = np.sum(run["stop_torque"].to_numpy() ** 2, axis=0) / (2 * leg.joints[0].stop_stiffness)
+    potential = 9.81 * float(leg.total_mass) * run["mass_height"].to_numpy()
+    total = run["kinetic"].to_numpy() + potential + spring + stops - work * 0.25e-3
+    assert np.ptp(total) < 2e-3 * run["kinetic"].to_numpy().max()
+
+
+def test_schedule_is_the_mean_over_the_period() -> None:
+    schedule = PressureSchedule(((1e5, 4e5, 2e5),), ((1.25e-3, 3e-3),))
+    at = lambda t: float(schedule.step((), LegMeasurement(jnp.asarray(t), (), (), jnp.zeros(())), 1e-3)[1][0])  # noqa: E731
+    assert [at(t * 1e-3) for t in range(5)] == pytest.approx([1e5, 3.25e5, 4e5, 2e5, 2e5])
+
+
+@pytest.mark.parametrize(
+    ("levels", "switches", "field"),
+    [
+        (((1e5,),), ((0.1,),), "levels"),
+        (((1e5, 2e5, 3e5),), ((0.2, 0.1),), "switches"),
+        (((1e5,),) * 2, ((),), "switches"),
+    ],
+)
+def test_schedules_that_do_not_fit(levels: object, switches: object, field: str) -> None:
+    with pytest.raises(RangeError) as caught:
+        PressureSchedule(levels, switches)  # type: ignore[arg-type]
+    assert caught.value.field == field and caught.value.remedy
+
+
+def test_biarticular_muscle_turns_both_joints(plant: LegPlant) -> None:
+    muscle = plant.leg.joints[0].muscles.muscle1
+    one = BiarticularMuscle(
+        muscle, mk.Pulley(0.03, 0.08), mk.Pulley(0.02, 0.082), "hip", "knee", "lengthens", "shortens", name="rectus"
+    )
+    leg = dataclasses.replace(plant.leg, biarticular=(one,))
+    pressures = (3e5,) * 5
+    with_it, without = leg.torques((0.0, 0.0), pressures), plant.leg.torques((0.0, 0.0), pressures[:4])
+    added = [float(a - b) for a, b in zip(with_it, without, strict=True)]
+    tension = float(muscle.force(muscle.specimen.contraction_at(0.162), 3e5))
+    assert added == pytest.approx([-0.03 * tension, 0.02 * tension])
+    held = leg.pressures_for((0.0, 0.0), (0.0, 0.0), (None, None), biarticular=(1e5,))
+    assert [float(x) for x in leg.torques((0.0, 0.0), held)] == pytest.approx([0.0, 0.0], abs=1e-6)
+    both = LegPlant(leg, plant.valve, plant.ground)
+    start = LegStart((0.0, 0.0), held, upward_speed=-0.5)
+    run = simulate_leg(both, PressureSchedule(tuple((p,) for p in held)), start, substeps=1, **STEP)
+    assert list(run["muscle"].to_numpy())[-1] == "rectus" and np.isfinite(run["z"]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"joint1": "ankle"}, "joint1"),
+        ({"joint2": "hip"}, "joint1"),
+        ({"action1": "pulls"}, "action1"),
+        ({"path1": mk.Pulley(0.03, 0.2)}, "muscle"),
+    ],
+)
+def test_biarticular_muscles_that_do_not_fit(plant: LegPlant, change: dict[str, object], field: str) -> None:
+    given = {
+        "muscle": plant.leg.joints[0].muscles.muscle1,
+        "path1": mk.Pulley(0.03, 0.08),
+        "path2": mk.Pulley(0.02, 0.082),
+        "joint1": "hip",
+        "joint2": "knee",
+        "action1": "lengthens",
+        "action2": "shortens",
+    }
+    with pytest.raises(RangeError) as caught:
+        Leg(plant.leg.trunk, plant.leg.links, plant.leg.joints, (BiarticularMuscle(**given | change),))  # type: ignore
+    assert caught.value.field == field and caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"angles": (0.0, 60 * deg)}, "angles"),
+        ({"angles": (0.0,)}, "angles"),
+        ({"pressures": (1e5,) * 3}, "pressures"),
+        ({"pressures": (1e5, 1e5, 1e5, 9e5)}, "pressures"),
+        ({"clearance": -0.01}, "clearance"),
+    ],
+)
+def test_starts_that_are_not_possible(plant: LegPlant, start: LegStart, change: dict[str, object], field: str) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    with pytest.raises(RangeError) as caught:
+        simulate_leg(plant, schedule, start._replace(**change), **STEP)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    with pytest.raises(ParameterError):
+        simulate_legs(plant, schedule, start, **STEP)
+    with pytest.raises(ParameterError) as caught:
+        simulate_legs(plant, schedule, start, over={"plant.leg.trunk.masss": [1.0, 2.0]}, **STEP)
+    assert "plant.leg.trunk.mass" in caught.value.remedy
+
+
+def test_hopping_in_place_settles_to_equal_hops() -> None:
+    example = runpy.run_path("examples/leg/hopping.py")
+    run = example["hop"]()
+    flights = example["flights"](run)
+    assert flights.size >= 8
+    assert flights[-5:].std() < 0.03 * flights[-5:].mean()
+    assert set(np.unique(run["phase"])) == {0, 1, 2, 3}

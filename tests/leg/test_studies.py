@@ -1,0 +1,154 @@
+"""Files of a leg, landing and jump studies, and the commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mckibben.cli import app
+from mckibben.errors import ScenarioError
+from mckibben.leg import LegScenario, LegStart, jumping, study_landing
+from mckibben.leg.landing import valve_with
+from mckibben.leg.uncertainty import drawn_plant
+from tests.leg.conftest import FILE
+
+HEAD = "name: x\nleg:\n  from: lei-leg\n"
+
+
+def test_text_reads_back(scenario: LegScenario) -> None:
+    assert LegScenario.parse(scenario.dumps()) == scenario
+
+
+def test_changes_of_the_catalog_name_the_joint() -> None:
+    read = LegScenario.parse(HEAD + "  trunk: {mass: 2 kg}\n  joints: {knee: {damping: 0.1 N*m*s/rad}}\n")
+    leg = read.leg.build()
+    assert leg.trunk.mass == 2.0 and leg.joints[1].damping == 0.1 and leg.joints[0].damping == 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        (HEAD + "  joints: {knee: {connector_length: 190 mm}}\n", 2, "too short"),
+        (HEAD + "  joints: {knee: {lower: -80 deg}}\n", 2, "too long"),
+        (HEAD + "  joints: {ankle: {damping: 0.1 N*m*s/rad}}\n", 2, "ankle"),
+        (HEAD + "  trunk: {mass: 2 kg, freedom: flying}\n", 4, "freedom"),
+        (HEAD + "landing: {joint: kne}\n", 4, "kne"),
+        (HEAD + "landing: {joint: knee, touchdown: {knee: 70 deg}, time_constants: []}\n", 4, "stops"),
+        (HEAD + "valve: {time_constant: 20 ms, supply: 4 bar}\njump: {high: 6 bar}\n", 5, "supply"),
+        (HEAD + "valve: {time_constant: 20 ms}\nlanding: {joint: knee}\n", None, "air"),
+    ],
+)
+def test_bad_files_name_line_and_remedy(text: str, line: int | None, word: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse(text)
+    problem = caught.value.problems[0]
+    assert word in str(problem) and problem.remedy
+    assert line is None or problem.line == line
+
+
+def test_stiffness_that_is_not_attainable(scenario: LegScenario) -> None:
+    assert scenario.landing is not None
+    beyond = scenario.landing.model_copy(update={"stiffness": (40.0,)})
+    with pytest.raises(ScenarioError) as caught:
+        study_landing(scenario.model_copy(update={"landing": beyond}))
+    assert "knee" in str(caught.value) and "attainable" in str(caught.value)
+
+
+def test_supply_that_is_too_low(scenario: LegScenario) -> None:
+    assert scenario.valve is not None
+    weak = scenario.model_copy(update={"valve": scenario.valve.model_copy(update={"supply": 1e5})})
+    with pytest.raises(ScenarioError) as caught:
+        study_landing(weak)
+    assert "supply" in str(caught.value)
+
+
+def test_landing_study(scenario: LegScenario) -> None:
+    study = study_landing(scenario)
+    assert study.table["peak_force"].shape == (3, 1, 4, 4)
+    forces = study.table["peak_trunk_force"].to_numpy()
+    best, stiffness = study.best(), study.table["stiffness"].to_numpy()
+    assert best.shape == (3, 1, 4)
+    for v in range(3):  # no softer one has so little force
+        softer = stiffness < best[v, 0, 0] - 1e-9
+        assert (forces[v, 0, softer, 0] > forces[v, 0, :, 0].min() * 1.0199).all()
+    deflection = study.table["deflection"].to_numpy()[:, 0, -1, 0]
+    assert deflection[2] < deflection[1] < deflection[0]  # closed valves are the stiffest
+    rows = study.rows()[1]
+    assert len(rows) == 3 and len(study.records()["landings"]) == 3
+
+
+def test_time_constant_of_the_valve(scenario: LegScenario) -> None:
+    plant = scenario.plant()
+    muscle = plant.leg.muscles[0]
+    volume = float(muscle.specimen.volume((muscle.domain.contraction_min + muscle.domain.contraction_max) / 2))
+    middle = (muscle.domain.pressure_min + muscle.domain.pressure_max) / 2
+    for wanted in (0.01, 0.05):
+        valve = valve_with(plant.valve, plant, wanted)  # type: ignore[arg-type]
+        assert float(valve.time_constant_at(middle, volume)) == pytest.approx(wanted, rel=1e-12)
+    with pytest.raises(ScenarioError):
+        valve_with(plant.valve, plant, 0.001)  # type: ignore[arg-type]
+
+
+def test_draws_scatter_about_the_nominal_leg(scenario: LegScenario) -> None:
+    many = scenario.model_copy(update={"uncertainty": scenario.uncertainty.model_copy(update={"draws": 2000})})
+    plant = drawn_plant(many)
+    strength = np.asarray(plant.leg.joints[1].muscles.muscle2.law.strength)  # type: ignore[attr-defined]
+    assert strength[0] == 1.0 and strength[1:].std() == pytest.approx(0.05, rel=0.1)
+    mass = np.asarray(plant.leg.trunk.mass)
+    assert mass[0] == 1.5 and mass[1:].std() == pytest.approx(0.03 * 1.5, rel=0.1)
+
+
+def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> None:
+    plant = scenario.plant()
+    angles = (0.0, -0.35)
+    pressures = plant.leg.pressures_for(angles, jumping.standing_torques(plant, angles).tolist(), (None, None))
+    variables = jumping.ScheduleVariables(pressures, 0.0, 6e5, 0.05, timed=True)
+    runs = jumping.JumpRuns(plant, LegStart(angles, pressures), variables, 0.25, 0.25e-3)
+    tried = np.random.default_rng(1).uniform(0.1, 0.9, (16, 64))
+    x = tried[:, runs.heights(tried).argmax()]
+    height, gradient = runs.height_and_gradient(x)
+    steps = 1e-6 * np.eye(16)
+    around = runs.heights(np.concatenate([x + steps, x - steps]).T)
+    assert height == pytest.approx(float(runs.heights(tried).max()), abs=1e-9)
+    assert np.abs(gradient - (around[:16] - around[16:]) / 2e-6).max() < 1e-6 * np.abs(gradient).max()
+
+
+def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jumping, "_GENERATIONS", 4)
+    monkeypatch.setattr(jumping, "_POPULATION", 2)
+    monkeypatch.setattr(jumping, "_POLISHING", 2)
+    study = jumping.study_jump(scenario)
+    assert study.timed.heights[0] >= study.constant.heights[0] - 1e-9 > 0
+    assert 0 < study.timed.work < study.timed.air_energy
+    assert study.constant.run.attrs["engine"] == "native"
+    record = study.records()
+    assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
+    assert len(study.rows()[1]) == 2 and "mm" in study.describe()
+
+
+def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> None:
+    file = tmp_path / "leg.yaml"
+    file.write_text(scenario.dumps(), encoding="utf-8")
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out), "--json"])
+    assert done.exit_code == 0
+    numbers = json.loads(done.stdout)
+    assert numbers == json.loads((out / "results.json").read_text())
+    page = (out / "landing.html").read_text()
+    assert "<table" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert LegScenario.read(out / "leg.yaml") == scenario
+    again = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out)])
+    assert again.exit_code != 0  # results are not replaced without --force
+
+
+def test_file_without_a_study(tmp_path: Path) -> None:
+    file = tmp_path / "leg.yaml"
+    file.write_text(HEAD, encoding="utf-8")
+    for command in ("land", "jump"):
+        done = CliRunner().invoke(app, ["leg", command, str(file)])
+        assert isinstance(done.exception, ScenarioError)
+    assert LegScenario.read(FILE).name
