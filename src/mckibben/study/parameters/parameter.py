@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from types import UnionType
@@ -94,6 +95,7 @@ class _Parameters:
             self.refused.setdefault(".".join(name), reason)
 
 
+@functools.lru_cache(maxsize=16)
 def _parameters(scenario: Scenario) -> _Parameters:
     """Walk the fields of a scenario."""
     found = _Parameters()
