@@ -69,7 +69,7 @@ def without_old_objects_in_collections():
 
 @pytest.fixture(scope="module")
 def optimized():
-    """For files whose programs run for long, or whose compilation is what is tested."""
+    """For files whose programs run for long, or are compared bit for bit."""
     optimize(True)
     yield
     optimize(not QUICK)
