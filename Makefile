@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OUT    ?= build/report
 WORKERS ?= 2
 
-.PHONY: reproduce test lint format bench clean help
+.PHONY: reproduce test lint style types tests format bench clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -33,14 +33,21 @@ $(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
 reproduce: $(VENV)/.installed
 	$(BIN)/mckibben reproduce --out $(OUT)
 
-lint: $(VENV)/.installed-dev
+lint: style types
+
+style: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-cache
+
+types: $(VENV)/.installed-dev
 	$(BIN)/pyright
 
-test: lint
+tests: $(VENV)/.installed-dev
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+
+test: style
+	@$(MAKE) --no-print-directory --jobs 2 types tests  # the checker of types leaves all cores but one idle
 
 #   make format      put the code in its house style
 format: $(VENV)/.installed-dev

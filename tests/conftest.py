@@ -28,11 +28,21 @@ gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage to
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # run in the background: what the tests start would ignore Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Two thirds of the time of the tests is compilation; an older code generator takes a third off, with the same numbers.
-# With MCKIBBEN_FULL_COMPILATION set, programs are compiled as users do. Older versions abort at flags unknown to them.
-if "MCKIBBEN_FULL_COMPILATION" not in os.environ and jax.__version_info__ >= (0, 10):
-    flags = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false"
+# Half of the time of the tests is compilation, of programs that run for a moment: here, and in subprocesses, they are
+# compiled with hardly any optimization, with the same numbers but for rounding. Files with `optimized`, and all with
+# MCKIBBEN_FULL_COMPILATION set, compile as users do. Older versions of JAX abort at flags unknown to them.
+QUICK = "MCKIBBEN_FULL_COMPILATION" not in os.environ
+if QUICK and jax.__version_info__ >= (0, 10):  # an older code generator
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+
+
+def optimize(programs: bool) -> None:
+    os.environ["MCKIBBEN_CFLAGS"] = "" if programs else "-O0"
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "0" if programs else "1"
+    jax.config.update("jax_disable_most_optimizations", not programs)
+
+
+optimize(not QUICK)
 
 # Workers, subprocesses and later runs share compiled programs; `make clean` removes them.
 for option, value in (
@@ -55,6 +65,14 @@ def pytest_unconfigure() -> None:
 def without_old_objects_in_collections():
     """What collects garbage, as a run on a rig does, does not go through the programs of earlier files."""
     gc.freeze()
+
+
+@pytest.fixture(scope="module")
+def optimized():
+    """For files whose programs run for long, or are compared bit for bit."""
+    optimize(True)
+    yield
+    optimize(not QUICK)
 
 
 @pytest.hookimpl(optionalhook=True)

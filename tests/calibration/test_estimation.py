@@ -12,6 +12,7 @@ from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ForceCorrection, corrected_law
 from mckibben.units import deg
 
+pytestmark = pytest.mark.usefixtures("optimized")
 NOISE = 2e3  # Pa
 DISTANCE, GRAVITY = 0.2, 9.81
 

@@ -12,7 +12,7 @@ def barely_compiled():
     """Like `equinox.filter_jit`, in two thirds of its time; the answers are the same but for rounding."""
 
     def barely_compiled(function):
-        program = eqx.filter_jit(function, compiler_options={"xla_backend_optimization_level": 0})
+        program = eqx.filter_jit(function)
 
         def call(*args):
             with batched_program():

@@ -27,6 +27,7 @@ from mckibben.plant import FirstOrderValve, JointPlant, PlantState, SampledSenso
 from mckibben.simulation import compiled_episode, sampled
 from mckibben.units import deg
 
+pytestmark = pytest.mark.usefixtures("optimized")  # two programs are compared bit for bit
 PERIOD, PERIODS = 1e-3, 3000
 SLOW = Reference(angle=Sine(8 * deg, 0.6, 0.0, np.pi / 2), stiffness=15.0)
 QUICK = Reference(angle=Sine(8 * deg, 1.6, 0.0, np.pi / 2), stiffness=15.0)

@@ -9,7 +9,8 @@ import pytest
 from mckibben.codegen import write_c
 from mckibben.codegen.native import compiler
 from mckibben.errors import ExportError, FileError, ParameterError
-from mckibben.export import controller_module, export
+from mckibben.export import export
+from mckibben.export.controller import controller_functions, controller_program
 from mckibben.study.benchmark import Suite
 from mckibben.study.scenario import Scenario
 
@@ -49,7 +50,7 @@ def test_it_repeats_the_recorded_run(scenarios, name, tmp_path):
 
 def test_all_compile_without_warnings(scenarios, tmp_path):
     for name, scenario in scenarios.items():
-        module = controller_module(scenario, "knee", 1).module
+        module, _ = controller_program(controller_functions(scenario), "knee")
         for file, text in zip(("knee.h", "knee.c"), write_c(module), strict=True):
             (tmp_path / file).write_text(text)
         flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O0", "-c", "-o", "knee.o"]

@@ -12,6 +12,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors, SampledSensors
 from mckibben.units import deg
 
+pytestmark = pytest.mark.usefixtures("optimized")  # noise, of 32 bits, is compared to the last bit of 64
 PERIOD, PERIODS = 1e-3, 4000
 STEP, NOISE = 0.022 * deg, 4e3
 

@@ -49,6 +49,11 @@ SCENARIOS = {
 }
 
 
+@pytest.fixture(autouse=True)
+def optimized_c(monkeypatch):
+    monkeypatch.setenv("MCKIBBEN_CFLAGS", "")
+
+
 @pytest.fixture(params=SCENARIOS)
 def scenario(request):
     return Scenario.parse(SCENARIOS[request.param])

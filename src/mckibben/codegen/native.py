@@ -43,6 +43,11 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CC", "cc"))
 
 
+def _own_flags() -> list[str]:
+    """The user's own options of the compiler."""
+    return os.environ.get("MCKIBBEN_CFLAGS", "").split()
+
+
 class NativeFunction:
     """A pure function of two trees, shared by all runs and of one run each, compiled as C; without runs, of one.
 
@@ -212,7 +217,7 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
     """Shared library of a source; raises `ExportError` where it cannot be compiled."""
-    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *flags, "source.c", "-o", "library.so", "-lm"]
+    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *flags, *_own_flags(), "source.c", "-o", "library.so", "-lm"]
     with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
         Path(folder, "source.c").write_text(source, encoding="utf-8")
         try:
@@ -244,7 +249,7 @@ def _compiler_state() -> str:
     if name is None:
         return ""
     status = Path(name).resolve().stat()
-    return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {_FLAGS} {_ALONE} {_FOR_LANES}"
+    return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {_FLAGS} {_ALONE} {_FOR_LANES} {_own_flags()}"
 
 
 def _input(x: Any) -> Any:

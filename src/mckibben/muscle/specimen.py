@@ -41,14 +41,15 @@ class Domain(eqx.Module, Displayed):
 
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
         """Return whether each point lies inside, edges included (to rounding)."""
-        return self.contains_contraction(contraction) & (
-            (jnp.asarray(pressure) >= self.pressure_min - 1e-3) & (jnp.asarray(pressure) <= self.pressure_max + 1e-3)
+        p = _array(pressure)
+        return (
+            self.contains_contraction(contraction) & (p >= self.pressure_min - 1e-3) & (p <= self.pressure_max + 1e-3)
         )
 
     def contains_contraction(self, contraction: ArrayLike) -> Bool[Array, "..."]:
         """Return whether each contraction lies inside, edges included (to rounding)."""
-        contraction = jnp.asarray(contraction)
-        return (contraction >= self.contraction_min - 1e-9) & (contraction <= self.contraction_max + 1e-9)
+        eps = _array(contraction)
+        return (eps >= self.contraction_min - 1e-9) & (eps <= self.contraction_max + 1e-9)
 
     def describe_outside(self, contraction: ArrayLike, pressure: ArrayLike) -> str:
         """Return the number of points outside and the first of them as text; empty for none, NaN or traced points."""
@@ -117,6 +118,11 @@ class Domain(eqx.Module, Displayed):
             f"contraction {self.contraction_min / percent:g}..{self.contraction_max / percent:g} %, "
             f"pressure {self.pressure_min / bar:g}..{self.pressure_max / bar:g} bar"
         )
+
+
+def _array(value: ArrayLike) -> Any:
+    """An array; NumPy's, that compares without compiling, for what is not JAX's."""
+    return value if isinstance(value, Array) else np.asarray(value)
 
 
 def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array) -> float | Array:

@@ -181,7 +181,7 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: 
     figure.set_dpi(resolution / 2 if preview else resolution)  # before the layout, which depends on the resolution
     engine = figure.get_layout_engine()
     if engine is not None:
-        figure.draw_without_rendering()  # one layout instead of one per draw
+        engine.execute(figure)  # one layout instead of one per draw
         figure.set_layout_engine("none")
     # `Figure.savefig` would draw everything twice
     with atomic_write(png, overwrite=True) as part:

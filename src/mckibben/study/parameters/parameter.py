@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from types import UnionType
@@ -94,6 +95,7 @@ class _Parameters:
             self.refused.setdefault(".".join(name), reason)
 
 
+@functools.lru_cache(maxsize=16)
 def _parameters(scenario: Scenario) -> _Parameters:
     """Walk the fields of a scenario."""
     found = _Parameters()
@@ -288,7 +290,7 @@ def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
     joint.geometry.joint_radius, 30 mm, above 0 to 100000 mm
     joint.connector_length, 208 mm, 0 to 100000 mm
     """
-    found = _parameters(scenario)
+    found = _parameters(scenario)  # type: ignore[arg-type]  # hashable, as it is frozen
     return [ScenarioParameter(name, *found.numbers[name]) for name in found.numbers]
 
 
@@ -322,7 +324,7 @@ def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioPa
         ...
     mckibben.errors.ParameterError: 'load.mass2' and 'load.mass2' are the same parameter; keep one of them
     """
-    found = _parameters(scenario)
+    found = _parameters(scenario)  # type: ignore[arg-type]  # hashable, as it is frozen
     spelt: dict[str, str] = {}
     several = []
     for name in names:
