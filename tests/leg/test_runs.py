@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.errors import ParameterError, RangeError
+from mckibben.errors import ParameterError, RangeError, SimulationError
 from mckibben.leg import BiarticularMuscle, Leg, LegPlant, LegStart, PressureSchedule, simulate_leg, simulate_legs
 from mckibben.leg.control import LegMeasurement
 from mckibben.units import deg
@@ -146,6 +146,17 @@ def test_starts_that_are_not_possible(plant: LegPlant, start: LegStart, change: 
     with pytest.raises(RangeError) as caught:
         simulate_leg(plant, schedule, start._replace(**change), **STEP)  # type: ignore[arg-type]
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("change", [{"stiffness": 1e8}, {"friction": 1.0, "slip_speed": 0.01}])
+def test_steps_that_do_not_resolve_the_ground(plant: LegPlant, start: LegStart, change: dict[str, float]) -> None:
+    hard = dataclasses.replace(plant, ground=dataclasses.replace(plant.ground, **change))
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    with pytest.raises(SimulationError) as caught:
+        simulate_leg(hard, schedule, start, substeps=1, **STEP)
+    assert caught.value.field == "substeps" and caught.value.lower is not None
+    with pytest.raises(SimulationError):
+        simulate_legs(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, **STEP)
 
 
 def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) -> None:

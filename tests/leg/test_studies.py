@@ -58,6 +58,13 @@ def test_stiffness_that_is_not_attainable(scenario: LegScenario) -> None:
     assert "knee" in str(caught.value) and "attainable" in str(caught.value)
 
 
+def test_step_that_is_too_long(scenario: LegScenario) -> None:
+    for study in (study_landing, jumping.study_jump):
+        with pytest.raises(ScenarioError) as caught:
+            study(scenario.model_copy(update={"step": 2e-3}))
+        assert caught.value.problems[0].field == "step" and caught.value.problems[0].remedy
+
+
 def test_supply_that_is_too_low(scenario: LegScenario) -> None:
     assert scenario.valve is not None
     weak = scenario.model_copy(update={"valve": scenario.valve.model_copy(update={"supply": 1e5})})

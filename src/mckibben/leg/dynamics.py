@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -184,6 +185,22 @@ def acceleration(
         angular = angular + relative
         accelerations.append(joint.sign * relative)
     return Velocity(first[1], first[2], first[0], tuple(accelerations))
+
+
+def foot_mobility(leg: Leg, posture: Posture) -> Float[Array, "2 2"]:
+    """Return the acceleration of the foot by a force on it [1/kg], forwards and up: its inverse apparent mass."""
+    zero = jnp.zeros(())
+    still = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
+
+    def foot(at: Posture) -> Array:
+        point = contact(leg, frames(leg, at, still))
+        return jnp.stack([point.x, point.z])
+
+    def moved(force: Array) -> Array:
+        rates = acceleration(leg, posture, still, (0.0,) * len(leg.joints), (force[0], force[1]), 0.0)
+        return jax.jvp(foot, (posture,), (Posture(*rates),))[1]
+
+    return jax.jacfwd(moved)(jnp.zeros(2))
 
 
 def _rigid(frame: Frame, body: tuple[Any, Any, Any], gravity: ArrayLike) -> _Articulated:

@@ -15,12 +15,12 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
-from mckibben.errors import McKibbenError, Problem, ScenarioError
+from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, frames, motion
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LegStart, leg_metrics, simulate_leg, simulate_legs
+from mckibben.leg.simulate import LegStart, check_step, leg_metrics, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
@@ -286,9 +286,12 @@ def study_jump(
     angles = tuple(jump.squat.get(joint.name, 0.0) for joint in leg.joints)
     try:
         pressures = leg.pressures_for(angles, standing_torques(plant, angles).tolist(), [None] * len(angles))
+        start = LegStart(angles, pressures)
+        check_step(plant, start, scenario.step, 1)
+    except SimulationError as error:
+        raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
-    start = LegStart(angles, pressures)
     drawn = drawn_plant(scenario)
     standing, length = _standing_heights(plant)
     found = []

@@ -10,11 +10,11 @@ import equinox as eqx
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import McKibbenError, Problem, ScenarioError
+from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LEG_UNITS, LegMetrics, LegStart, simulate_legs
+from mckibben.leg.simulate import LEG_UNITS, LegMetrics, LegStart, check_step, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress
 from mckibben.plant import AirValve, IdealValve
@@ -200,6 +200,9 @@ def study_landing(
         pressures = np.array([pressures_at(float(one)) for one in stiffness])
         for each in pressures:
             nominal.init_state(angles, tuple(map(float, each)))  # within the supply
+        check_step(nominal, LegStart(angles, tuple(pressures[0])), scenario.step, 1)
+    except SimulationError as error:
+        raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="landing.stiffness")]) from error
 
@@ -228,6 +231,8 @@ def study_landing(
             engine=engine,
             progress=report,
         )
+        if found["diverged"].any():
+            raise ScenarioError(source, [Problem("landings diverge", field="step", remedy="give a shorter `step`")])
         tables.append(found)
     shape = (len(valves), drops.size, stiffness.size, draws)
     table = _table(tables, index, shape, list(valves), drops, stiffness)

@@ -53,7 +53,7 @@ class Ground(eqx.Module, Displayed):
     stiffness: ContactStiffness = 20e3
     damping: ContactDamping = 0.5
     friction: Share = 0.8
-    slip_speed: Speed = 10 * mm
+    slip_speed: Speed = 100 * mm
 
     def __check_init__(self) -> None:
         check_positive("Ground", "N/m", stiffness=self.stiffness)

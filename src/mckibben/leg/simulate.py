@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,15 +16,17 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.codegen.native import NativeFunction
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.leg.control import LegController, LegMeasurement
-from mckibben.leg.dynamics import motion
+from mckibben.leg.dynamics import Posture, foot_mobility, motion
 from mckibben.leg.plant import LegPlant, LegState
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, lanes_of, map_chunks, pad_chunk, recheck, with_leaves
-from mckibben.numerics.compiled import compiled_as_given, compiled_batch, numeric
+from mckibben.numerics.compiled import compiled, compiled_as_given, compiled_batch, numeric
+from mckibben.plant import AirValve
 from mckibben.simulation.batch import CHUNK
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.problem import sampling_times
+from mckibben.simulation.resolution import STABILITY_LIMIT
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -289,12 +292,13 @@ def simulate_leg(
     Raises
     ------
     SimulationError
-        If the times do not fit together, or the run diverges.
+        If the times do not fit together, the step is too long for ground, stops, friction or air, or the run diverges.
     RangeError
         If the start is not possible; see `LegPlant.init_state`.
     """
-    _check_start(plant, start)
+    plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)  # raises
     times = sampling_times(duration, control_period, substeps)
+    check_step(plant, start, control_period, substeps)
     parts = numeric((plant, controller, start, times, np.asarray(control_period)))
     answer, used = compute_with(
         engine,
@@ -354,6 +358,8 @@ def simulate_legs(
     ------
     ParameterError
         If there is no such leaf, or no number varies.
+    SimulationError
+        If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """
     trees = with_leaves({"plant": plant, "controller": controller, "start": start}, over or {})
     recheck(trees)
@@ -361,6 +367,7 @@ def simulate_legs(
     if count is None:
         raise ParameterError("all runs are the same", remedy="give an array in place of a number, or use simulate_leg")
     times = sampling_times(duration, control_period, substeps)
+    check_step(trees["plant"], trees["start"], control_period, substeps)
     lanes, shared = eqx.partition(numeric(trees), varying)
     size = min(chunk, max(16, -(-count // (workers or cores()) // 16) * 16 or 16))
     given = shared, times, np.asarray(control_period), substeps
@@ -388,6 +395,7 @@ def simulate_legs(
     for name, values in joined._asdict().items():
         dims = ("joint", "run") if isinstance(values, tuple) else ("run",)
         table[name] = (dims, np.stack(values) if isinstance(values, tuple) else values, {"units": LEG_UNITS[name]})
+    table["diverged"] = ("run", ~np.isfinite(joined.deflection), {"long_name": "whether the run diverged"})
     coords = {"joint": [joint.name for joint in plant.leg.joints]}
     return xr.Dataset(table, coords=coords, attrs={"engine": answers[0][1]})
 
@@ -415,9 +423,48 @@ def _native_metrics(given: Any, lane: Any) -> LegMetrics:
     return _run(lane, *given)
 
 
-def _check_start(plant: LegPlant, start: LegStart) -> None:
-    """Raise unless a start is possible."""
-    plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
+_LONGEST = 0.5  # of a step, times the circular frequency of ground or stops
+_HEAVIEST = 10.0  # weights of the leg that a foot which slips may carry
+
+
+def check_step(plant: LegPlant, start: LegStart, control_period: float, substeps: int) -> None:
+    """Raise `SimulationError` where integration steps do not resolve ground, stops, friction or air at the start.
+
+    Of many runs the first is taken.
+    """
+    first = jax.tree.map(lambda x: np.asarray(x, float).ravel()[0] if eqx.is_array_like(x) else x, (plant, start))
+    plant, start = first
+    leg, ground, step = plant.leg, plant.ground, control_period / substeps
+    mobility = np.asarray(_mobility(leg, start.angles))
+    stops = [
+        math.sqrt(joint.stop_stiffness / (link.inertia + link.mass * link.centre**2))
+        for joint, link in zip(leg.joints, leg.links, strict=True)
+        if joint.locked is None
+    ]
+    weight = float(leg.total_mass) * plant.gravity
+    needed = {
+        "the ground": math.sqrt(ground.stiffness * np.linalg.eigvalsh(mobility)[-1]) / _LONGEST,
+        "the stops": max(stops, default=0.0) / _LONGEST,
+        "the friction": ground.friction * _HEAVIEST * weight / ground.slip_speed * mobility[0, 0] / STABILITY_LIMIT,
+    }
+    if isinstance(plant.valve, AirValve):
+        volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in leg.muscles)
+        needed["the air"] = plant.valve.fastest_rate_in(min(volumes)) / STABILITY_LIMIT
+    what, fastest = max(needed.items(), key=lambda item: item[1])
+    if fastest * step > 1 + 1e-9:
+        raise SimulationError(
+            f"integration steps of {step * 1e3:g} ms do not resolve {what}: {1e3 / fastest:.2g} ms would",
+            field="substeps",
+            value=substeps,
+            lower=math.ceil(fastest * control_period),
+            remedy="give more substeps or a shorter step, or what is softer or slower there",
+        )
+
+
+@compiled
+def _mobility(leg: Any, angles: tuple[ArrayLike, ...]) -> Array:
+    zero = jnp.zeros(())
+    return foot_mobility(leg, Posture(zero, zero, zero, leg.held(angles)))
 
 
 _SAMPLE_UNITS = {
