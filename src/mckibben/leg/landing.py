@@ -54,11 +54,6 @@ class LandingStudy:
     attainable: tuple[float, float]
 
     @property
-    def weight(self) -> Floats:
-        """Weight [N] of each draw."""
-        return self.table["weight"].to_numpy()
-
-    @property
     def joint(self) -> str:
         """Name of the joint whose stiffness varies."""
         return self._landing.joint
@@ -70,7 +65,11 @@ class LandingStudy:
 
     def body_weights(self, name: str = "peak_force") -> Floats:
         """A force in weights of the leg, shape (valve, drop, stiffness, draw)."""
-        return self.table[name].to_numpy() / self.weight
+        return self.table[name].to_numpy() / self.table["weight"].to_numpy()
+
+    def trunk_weights(self) -> Floats:
+        """Largest force on the trunk in its weights, shape (valve, drop, stiffness, draw)."""
+        return self.table["peak_trunk_force"].to_numpy() / self.table["trunk_weight"].to_numpy()
 
     def best(self) -> Floats:
         """Best stiffness [N*m/rad]: the softest with a force on the trunk within 2 % of the least one.
@@ -93,8 +92,8 @@ class LandingStudy:
             "valve",
             "drop",
             "best stiffness [N*m/rad]",
-            "peak of the ground [weights]",
-            "after 10 ms [weights]",
+            "force on the trunk [its weight]",
+            "force of the ground [weight of the leg]",
             "deflection [mm]",
             "bottoms out",
             "rebound [mm]",
@@ -107,8 +106,8 @@ class LandingStudy:
                     record["valve"],
                     f"{record['drop_mm']:g} mm",
                     f"{record['best_stiffness']:.3g} ({low:.3g} to {high:.3g})",
+                    f"{record['peak_trunk_force_weights']:.2f}",
                     f"{record['peak_force_weights']:.2f}",
-                    f"{record['peak_force_late_weights']:.2f}",
                     f"{record['deflection_mm']:.0f}",
                     f"{record['bottoms_out_share'] * 100:.0f} % of draws",
                     f"{record['rebound_mm']:.0f}",
@@ -120,7 +119,7 @@ class LandingStudy:
         """The results as plain data; intervals are 5 to 95 % of the draws."""
         best, table = self.best(), self.table
         stiffness = table["stiffness"].to_numpy()
-        forces, late = self.body_weights(), self.body_weights("peak_force_late")
+        forces, late, trunk = self.body_weights(), self.body_weights("peak_force_late"), self.trunk_weights()
         deflection, speed = table["deflection"].to_numpy(), table["take_off_speed"].to_numpy()
         bottoms = self.bottoms_out()
         landings = []
@@ -134,13 +133,15 @@ class LandingStudy:
                         "drop_mm": float(drop / mm),
                         "best_stiffness": float(best[v, d, 0]),
                         "best_stiffness_interval": [float(low), float(high)],
+                        "peak_trunk_force_weights": float(trunk[v, d, at, 0]),
+                        "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], _EDGES).tolist(),
                         "peak_force_weights": float(forces[v, d, at, 0]),
                         "peak_force_interval": np.percentile(forces[v, d, at, 1:], _EDGES).tolist(),
                         "peak_force_late_weights": float(late[v, d, at, 0]),
                         "softest_peak_force_weights": float(forces[v, d, 0, 0]),
                         "deflection_mm": float(deflection[v, d, at, 0] / mm),
                         "bottoms_out_share": float(bottoms[v, d, at, 1:].mean()),
-                        "rebound_mm": float(speed[v, d, at, 0] ** 2 / (2 * 9.81) / mm),
+                        "rebound_mm": float(speed[v, d, at, 0] ** 2 / (2 * table.attrs["gravity"]) / mm),
                     }
                 )
         return {
@@ -239,6 +240,7 @@ def study_landing(
     masses = {"weight": drawn.leg.total_mass, "trunk_weight": drawn.leg.trunk.mass}
     for name, mass in masses.items():
         table[name] = ("draw", np.broadcast_to(np.asarray(mass), (draws,)) * nominal.gravity, {"units": "N"})
+    table.attrs["gravity"] = float(nominal.gravity)
     return LandingStudy(scenario, table, pressures, (low, high))
 
 

@@ -47,9 +47,8 @@ def landing_forces(study: LandingStudy) -> Figure:
     """
     table = study.table
     stiffness, drops = table["stiffness"].to_numpy(), table["drop"].to_numpy()
-    trunk = table["peak_trunk_force"].to_numpy() / table["trunk_weight"].to_numpy()
     rows = (
-        ("force on the trunk\n[its weight]", trunk),
+        ("force on the trunk\n[its weight]", study.trunk_weights()),
         ("deflection [mm]", table["deflection"].to_numpy() / mm),
         ("force of the ground\n[weight of the leg]", study.body_weights()),
     )
