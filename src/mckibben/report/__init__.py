@@ -1,6 +1,9 @@
 """Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
 
+from mckibben.report.animation import animate
 from mckibben.report.benchmark import benchmark_air, benchmark_errors, benchmark_references, write_benchmark
+from mckibben.report.diagram import draw_control_loop
+from mckibben.report.drawing import draw_joint
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.identification import force_bands, loops, profile_likelihood, ranking, relaxation
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
@@ -12,12 +15,15 @@ from mckibben.report.tracking import control_results, controller_comparison, err
 
 __all__ = [
     "ReportFigure",
+    "animate",
     "attainable_stiffness",
     "benchmark_air",
     "benchmark_errors",
     "benchmark_references",
     "control_results",
     "controller_comparison",
+    "draw_control_loop",
+    "draw_joint",
     "error_curves",
     "figures",
     "force_bands",
