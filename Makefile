@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OUT    ?= build/report
 WORKERS ?= 2
 
-.PHONY: reproduce test lint format bench clean help
+.PHONY: reproduce test lint format bench docs clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -29,6 +29,10 @@ $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 $(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,bench]'
 	@touch $(VENV)/.installed $(VENV)/.installed-dev $@
+
+$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $(VENV)/.installed $@
 
 reproduce: $(VENV)/.installed
 	$(BIN)/mckibben reproduce --out $(OUT)
@@ -52,6 +56,11 @@ bench: $(VENV)/.installed-bench
 	@mkdir -p build
 	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --markdown build/benchmarks.md
 
+#   make docs        the documentation as a site with executed examples, to build/docs/index.html
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -b html -W --keep-going -j $(WORKERS) -d build/doctrees docs build/docs
+	$(BIN)/python docs/check_site.py build/docs
+
 #   make clean       remove what these commands made
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist docs/api docs/gallery docs/sg_execution_times.rst .pytest_cache .ruff_cache
