@@ -58,9 +58,10 @@ bench: $(VENV)/.installed-bench
 
 #   make docs        the documentation as a site with executed examples, to build/docs/index.html
 docs: $(VENV)/.installed-docs
+	rm -rf build/docs build/doctrees docs/api docs/gallery  # or examples would keep the output of an older program
 	$(BIN)/python -m sphinx -b html -W --keep-going -j $(WORKERS) -d build/doctrees docs build/docs
 	$(BIN)/python docs/check_site.py build/docs
 
 #   make clean       remove what these commands made
 clean:
-	rm -rf $(VENV) build dist docs/api docs/gallery docs/sg_execution_times.rst .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist docs/api docs/gallery .pytest_cache .ruff_cache

@@ -6,7 +6,14 @@ from mckibben.report.diagram import draw_control_loop
 from mckibben.report.drawing import draw_joint
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.identification import force_bands, loops, profile_likelihood, ranking, relaxation
-from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
+from mckibben.report.joint import (
+    attainable_stiffness,
+    calibration,
+    design,
+    envelope,
+    stiffness,
+    torque_stiffness_map,
+)
 from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.page import write_report
 from mckibben.report.study import planned, sweep, tuning
@@ -20,10 +27,13 @@ __all__ = [
     "benchmark_air",
     "benchmark_errors",
     "benchmark_references",
+    "calibration",
     "control_results",
     "controller_comparison",
+    "design",
     "draw_control_loop",
     "draw_joint",
+    "envelope",
     "error_curves",
     "figures",
     "force_bands",
@@ -39,6 +49,7 @@ __all__ = [
     "ranking",
     "relaxation",
     "save",
+    "stiffness",
     "sweep",
     "torque_stiffness_map",
     "tracking",
