@@ -39,7 +39,7 @@ exclude_patterns = [
     "gallery/**/*.zip",
     "gallery/**/*.json",
 ]
-nitpicky = False
+default_role = "py:obj"  # names in docstrings; those that are not public stay plain
 
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -52,12 +52,15 @@ autodoc_member_order = "bysource"
 autodoc_inherit_docstrings = True
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+napoleon_use_param = False  # parameters that are documented together stay together
 napoleon_use_ivar = True
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
 templates_path = ["_templates"]
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = "mckibben"
 html_math_renderer = "mathml"
 html_copy_source = False
@@ -69,6 +72,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "../examples/gallery",
     "gallery_dirs": "gallery",
     "filename_pattern": r"plot_",
+    "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("gallery_scraper.scrape",),
     "reset_modules": (),
     "capture_repr": ("_repr_html_", "__repr__"),

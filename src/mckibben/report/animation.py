@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -133,8 +133,9 @@ def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
 
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(3, 2, width_ratios=(0.85, 1.7))
-    stage = figure.add_subplot(grid[:, 0])
+    parts: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.7))
+    left, right = parts
+    stage = left.subplots()
     limb, masses = limb_and_masses(plant, mechanism)
     picture = JointPicture(stage, mechanism, limb, masses, plant.joint.springs)
     box = outer_points(mechanism, limb, np.linspace(angles.min(), angles.max(), 5).tolist())
@@ -142,11 +143,8 @@ def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
     stage.set_xlim(box[:, 0].min() - margin, box[:, 0].max() + margin)
     stage.set_ylim(box[:, 1].min() - margin, box[:, 1].max() + margin)
     scale = ScalarMappable(Normalize(0.0, float(pressures.max()) or 1.0), pressure_colours())
-    bar_of_colours = figure.colorbar(
-        scale, ax=stage, location="bottom", label="pressure [bar]", fraction=0.04, pad=0.02
-    )
-    bar_of_colours.outline.set_visible(False)  # type: ignore[union-attr]
-    cursors = _plots(figure, grid, result, times)
+    left.colorbar(scale, ax=stage, location="bottom", label="pressure [bar]", fraction=0.04, pad=0.02)
+    cursors = _plots(right, result, times)
     moving = [*picture.artists, *cursors]
     for artist in moving:
         artist.set_animated(True)
@@ -168,10 +166,9 @@ def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
     return images
 
 
-def _plots(figure: Figure, grid: Any, result: Result, times: NDArray[np.float64]) -> list[Any]:
+def _plots(figure: SubFigure, result: Result, times: NDArray[np.float64]) -> list[Any]:
     """Angle, stiffness and pressures over time; returns their cursors."""
-    rows = [figure.add_subplot(grid[0, 1])]
-    rows += [figure.add_subplot(grid[i, 1], sharex=rows[0]) for i in (1, 2)]
+    rows = figure.subplots(3, 1, sharex=True)
     rows[0].plot(times, result["desired_angle"] / deg, **DESIRED)
     rows[0].plot(times, result["angle"] / deg, color=VERMILLION)
     rows[0].set_ylim(*robust_limits([result["angle"] / deg, result["desired_angle"] / deg]))
@@ -185,7 +182,6 @@ def _plots(figure: Figure, grid: Any, result: Result, times: NDArray[np.float64]
     rows[2].set_ylim(0, 1.35 * max(float(result[f"pressure{i}"].max()) for i in (1, 2)) / bar or 1.0)
     for axes, label in zip(rows, ("angle [deg]", "stiffness\n[N·m/rad]", "pressure [bar]"), strict=True):
         axes.set(ylabel=label, xlim=(0, times[-1]))
-        axes.tick_params(labelbottom=axes is rows[2])
     rows[2].set(xlabel="time [s]")
-    figure.align_ylabels(rows)
+    figure.align_ylabels(list(rows))
     return [axes.axvline(0.0, color="#222222", linewidth=1.2, zorder=9) for axes in rows]
