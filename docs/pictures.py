@@ -42,7 +42,7 @@ def main() -> None:
     drawings = {"drawing-knee": mk.report.draw_joint(plant, 25 * deg, (2 * bar, 4 * bar))}
     for name, geometry in GEOMETRIES.items():
         joint = mk.AntagonisticJoint(geometry, plant.joint.muscle1, plant.joint.muscle2)
-        drawings[f"drawing-{name}"] = mk.report.draw_joint(joint, 15 * deg, (2 * bar, 4 * bar))
+        drawings[f"drawing-{name}"] = mk.report.draw_joint(joint, 15 * deg, labels=False)
     drawings["control-loop"] = mk.report.draw_control_loop()
     for name, figure in drawings.items():
         png, _ = save(figure, IMAGES, name)

@@ -22,7 +22,7 @@ from mckibben.report.mechanism import Mechanism, Points, Strand, muscle_sizes
 from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
 from mckibben.units import bar, deg, mm
 
-_BONE, _PLATE, _CABLE, _UNKNOWN = "#C9CED6", "#DCE1E8", "#555555", "#B4BEC9"
+_BONE, _PLATE, _CABLE, _UNKNOWN = "#C9CED6", "#DCE1E8", "#555555", "#8FBBDD"
 _SLENDER = 0.07  # diameter per length of a muscle without a known one
 _LIMB = 0.62  # length of the moving limb per height
 _NOTE = {"fontsize": 9, "color": BLACK}
@@ -197,7 +197,7 @@ def draw_joint(
     colours = [_UNKNOWN] * 2 if scale is None else list(scale.to_rgba(np.asarray(pressures, float) / bar))
 
     box, strands = outer_points(mechanism, limb, (angle,)), mechanism.strands(angle)
-    figure = blank(4.6 if labels else 3.0, 5.0)
+    figure = blank(4.6, 5.0) if labels else blank(2.4, 4.0)
     grid = figure.subplots(1, 2, width_ratios=(1, 1.4)) if labels else [figure.subplots()]
     margin = 0.04 * np.ptp(box, axis=0).max()
     for axes, (limits, room) in zip(grid, ((box, margin), (_nearby(mechanism, strands), 0.0)), strict=False):
