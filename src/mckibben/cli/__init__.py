@@ -138,11 +138,6 @@ def simulate(
         with keeping(out):
             _keep_run(out, read, result)
             write_json(out / "results.json", numbers)
-    if animate:
-        from mckibben import report
-
-        with keeping(animate.parent):
-            report.animate(result, animate, read.plant(), overwrite=True)
     if json:
         echo(to_json(numbers))
     else:
@@ -155,6 +150,10 @@ def simulate(
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if animate:
+        from mckibben import report
+
+        with keeping(animate.parent):
+            report.animate(result, animate, read.plant(), overwrite=True)
         notify(f"wrote {animate}", json)
     if result.outcome.failed:
         raise typer.Exit(1)
