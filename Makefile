@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OUT    ?= build/report
 WORKERS ?= 2
 
-.PHONY: reproduce test lint style types tests format bench clean help
+.PHONY: reproduce test lint style types tests format bench docs clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -29,6 +29,10 @@ $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 $(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,bench]'
 	@touch $(VENV)/.installed $(VENV)/.installed-dev $@
+
+$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $(VENV)/.installed $@
 
 reproduce: $(VENV)/.installed
 	$(BIN)/mckibben reproduce --out $(OUT)
@@ -59,6 +63,12 @@ bench: $(VENV)/.installed-bench
 	@mkdir -p build
 	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --markdown build/benchmarks.md
 
+#   make docs        the documentation as a site with executed examples, to build/docs/index.html
+docs: $(VENV)/.installed-docs
+	rm -rf build/docs build/doctrees docs/api docs/gallery  # or examples would keep the output of an older program
+	$(BIN)/python -m sphinx -b html -W --keep-going -j $(WORKERS) -d build/doctrees docs build/docs
+	$(BIN)/python docs/check_site.py build/docs
+
 #   make clean       remove what these commands made
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist docs/api docs/gallery .pytest_cache .ruff_cache

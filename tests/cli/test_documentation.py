@@ -1,6 +1,11 @@
 """What the documentation shows is what happens; docs/tour.md is run as a doctest."""
 
+import ast
+import html
+import importlib
 import re
+import runpy
+import tomllib
 from pathlib import Path
 
 import matplotlib
@@ -8,25 +13,25 @@ import pytest
 
 import mckibben as mk
 from mckibben.cli import app
-from mckibben.units import deg
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_python_of_the_readme_runs_and_gives_the_numbers_in_its_comments(monkeypatch, tmp_path, capsys):
+def test_the_readme_is_short_its_python_gives_a_figure_and_its_badges_are_true(monkeypatch, tmp_path):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
+    assert len(README.splitlines()) < 120
     code = re.search(r"```python\n(.*?)```", README, re.DOTALL)[1]
+    assert len([line for line in code.splitlines() if line]) <= 5
     names: dict = {}
     exec(compile(code, "README.md", "exec"), names)
-    assert "RMSE 1.07 N" in capsys.readouterr().out
     assert names["fit"].rmse == pytest.approx(1.07, abs=5e-3)
-    assert names["fit"].estimates["decay"] / 100 == pytest.approx(0.400, abs=5e-4)
-    low, high = names["knee"].attainable_stiffness(0.0, -names["load"].gravity_torque(0.0))
-    assert (float(low), float(high)) == pytest.approx((10.0, 19.5), abs=0.05)
-    assert names["result"].metrics["angle_rmse"] / deg == pytest.approx(1.48, abs=5e-3)
-    assert (tmp_path / "run.png").stat().st_size > 10_000
+    assert (tmp_path / "force.png").stat().st_size > 10_000
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for badge, value in (("licence", project["license"]), ("python", project["requires-python"])):
+        text = (ROOT / "docs" / "images" / f"badge-{badge}.svg").read_text(encoding="utf-8")
+        assert f">{badge}: {html.escape(value)}<" in text
 
 
 def test_the_commands_and_options_that_the_documentation_names_exist(cli):
@@ -48,12 +53,84 @@ def test_the_commands_and_options_that_the_documentation_names_exist(cli):
             assert option in help_text, (command, option)
 
 
-@pytest.mark.parametrize("page", [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"], ids=lambda p: p.name)
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"]
+GALLERY = sorted((ROOT / "examples" / "gallery").glob("*.py"))
+
+
+def anchors(page):
+    """Anchors of the headings of a page, as GitHub and MyST name them."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_the_files_and_links_that_it_names_exist(page):
     text = page.read_text(encoding="utf-8")
-    for link in re.findall(r"\]\(([^)#:]+)\)", text):
-        assert (page.parent / link).exists(), link
+    for link in re.findall(r"\]\(([^):]+)\)", text):
+        path, _, anchor = link.partition("#")
+        target = page.parent / path if path else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
     for path in re.findall(r"`((?:tests|examples|docs)/[\w/.-]+)`", text):
         assert (ROOT / path).exists(), path
     for name in re.findall(r"\bmk\.([A-Za-z_]+)", text):
         assert hasattr(mk, name), name
+
+
+def test_every_page_is_in_the_site_and_in_the_list_for_readers_of_the_repository():
+    pages = {page.stem for page in PAGES} - {"README", "index"}
+    toctrees = re.findall(r"```\{toctree\}\n(.*?)```", (ROOT / "docs" / "index.md").read_text("utf-8"), re.DOTALL)
+    listed = [line for block in toctrees for line in block.splitlines() if line and not line.startswith(":")]
+    assert sorted(listed) == sorted([*pages, "gallery/index"])
+    assert set(re.findall(r"\]\(([\w-]+)\.md", (ROOT / "docs" / "README.md").read_text("utf-8"))) == pages
+
+
+def test_the_reference_has_every_public_name():
+    text = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"currentmodule:: (\S+)(.*?)```", text, re.DOTALL)
+    found: dict[str, set[str]] = {}
+    for module, block in blocks:
+        found.setdefault(module, set()).update(re.findall(r"^   (\w+)$", block, re.MULTILINE))
+    assert found["mckibben"] == set(mk.__all__) - {"catalog", "report", "units"}
+    assert found["mckibben.report"] == set(mk.report.__all__)
+    assert found["mckibben.catalog"] == set(mk.catalog.__all__)
+
+
+def test_the_gallery_has_ten_examples_or_more():
+    assert len(GALLERY) >= 10
+
+
+@pytest.mark.parametrize("script", GALLERY, ids=lambda p: p.stem)
+def test_an_example_of_the_gallery_has_a_title_a_figure_and_only_public_names(script):
+    tree = ast.parse(script.read_text(encoding="utf-8"))
+    title, line = (ast.get_docstring(tree) or "").splitlines()[:2]
+    assert len(title) == len(line) and set(line) == {"="}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mckibben"):
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                assert hasattr(module, alias.name), alias.name
+                assert node.module == "mckibben.units" or alias.name in module.__all__, alias.name
+        if isinstance(node, ast.Attribute):
+            assert not node.attr.startswith("_") or node.attr.endswith("__"), node.attr
+            if isinstance(node.value, ast.Name) and node.value.id == "mk":
+                assert node.attr in mk.__all__, node.attr
+            if isinstance(node.value, ast.Attribute) and node.value.attr in ("report", "catalog"):
+                assert node.attr in getattr(mk, node.value.attr).__all__, node.attr
+    stored = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    assert any(name.startswith("figure") for name in stored)
+
+
+def test_a_link_to_nowhere_and_a_script_of_another_host_are_found_in_a_site(tmp_path):
+    check = runpy.run_path(str(ROOT / "docs" / "check_site.py"))["problems"]
+    head = '<link rel="stylesheet" href="style.css"><script src="https://example.org/x.js"></script>'
+    for name, text in {
+        "a.html": f'{head}<h1 id="top"></h1><a href="#top">a</a><a href="b.html#no">b</a>',
+        "b.html": '<a href="a.html#top">a</a><a href="c.html">c</a><a href="https://example.org">d</a>',
+        "style.css": "@import url('//example.org/font.css');",
+    }.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    found = " ".join(check(tmp_path))
+    assert [part in found for part in ("x.js", "b.html#no", "c.html", "font.css")] == [True] * 4
+    assert len(check(tmp_path)) == 4

@@ -47,6 +47,18 @@ def test_every_example_runs_and_its_numbers_are_those_of_the_run(cli, tmp_path, 
     assert found.out.rstrip().endswith(result.describe())
 
 
+def test_animate_writes_the_run_and_mistakes_come_before_it(cli, tmp_path, shortened):
+    (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
+    found = cli("simulate", "short.yaml", "--animate", "run.gif", "--json")
+    assert (found.code, json.loads(found.out)["outcome"]) == (0, "completed")
+    assert (tmp_path / "run.gif").read_bytes()[:6] == b"GIF89a"
+    for name, part in (("run.gif", "already"), ("run.mp4", ".webp"), ("missing/run.gif", "")):
+        refused = cli("simulate", "short.yaml", "--animate", name)
+        assert (refused.code, refused.out) == ((2, "") if part else (0, refused.out)), name
+        assert part in refused.err
+    assert cli("simulate", "short.yaml", "--animate", "run.gif", "--force").code == 0
+
+
 @pytest.mark.parametrize("option", [[], ["--json"]])
 def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened, option):
     (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")

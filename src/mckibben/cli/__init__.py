@@ -106,11 +106,19 @@ app.command()(validate)
 @app.command()
 def simulate(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
+    animate: Annotated[
+        Path | None, Option(metavar="FILE", help="Write an animation of the joint, as .webp or .gif.")
+    ] = None,
     json: Json = False,
     out: Out = None,
     force: Force = False,
 ) -> None:
     """Simulate a scenario: a controller on a joint."""
+    if animate:  # mistakes come before the run
+        from mckibben.report.animation import animation_format
+
+        animation_format(animate)
+        results_folder(animate.parent, [animate.name], force)
     results_folder(out, ("result.nc", "results.json", "scenario.yaml", "tracking.png", "tracking.svg"), force)
     from mckibben.study.scenario import Scenario
 
@@ -142,6 +150,12 @@ def simulate(
             echo("air is unknown: a specimen has no initial_diameter or braid_angle")
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
+    if animate:
+        from mckibben import report
+
+        with keeping(animate.parent):
+            report.animate(result, animate, read.plant(), overwrite=True)
+        notify(f"wrote {animate}", json)
     if result.outcome.failed:
         raise typer.Exit(1)
 

@@ -71,9 +71,8 @@ class PredictiveControl(ModelBasedControl):
 
     Parameters
     ----------
-    model, load, pressure_observer, valve_time_constant, minimum_tension, friction_compensation, adaptation,
-    stiffness_amplitude
-        As for `DecouplingControl`.
+    model, load, pressure_observer, valve_time_constant, minimum_tension, friction_compensation, adaptation
+        As for `DecouplingControl`, and so is `stiffness_amplitude`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     bandwidth, stiffness_bandwidth

@@ -19,6 +19,9 @@ from mckibben.units import Angle, Distance, Length, Strength
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
 
+Ends = Float[Array, "2 2"]
+"""Fixed and moving end (x, y) [m] of a straight line; the hinge is at (0, 0), and the angle turns from x to y."""
+
 Pressures = tuple[ArrayLike, ArrayLike]
 """Gauge pressures (p1, p2) [Pa]; each a number or an array."""
 
@@ -37,6 +40,10 @@ class Geometry(eqx.Module, Displayed):
     @abc.abstractmethod
     def path_lengths(self, angle: ArrayLike) -> Pair:
         """Return the length [m] of each muscle with its series spring at an angle [rad]."""
+
+    def anchors(self, angle: ArrayLike) -> tuple[Ends | None, Ends | None]:
+        """Return the ends of each muscle with its connectors; None where its path is no straight line, or unknown."""
+        return None, None
 
     def moment_arms(self, angle: ArrayLike) -> Pair:
         """Return the moment arm [m] of each muscle, positive; muscle 2 acts in the direction of the angle."""
@@ -99,6 +106,12 @@ class KneeGeometry(Geometry):
             jnp.sqrt(common + difference) - self.connector_length,
             jnp.sqrt(common - difference) - self.connector_length,
         )
+
+    def anchors(self, angle: ArrayLike) -> tuple[Ends, Ends]:
+        H, r = self.joint_length, self.joint_radius
+        sine, cosine = sincos(angle)
+        turned = jnp.stack([r * cosine, r * sine])  # of muscle 2; that of muscle 1 is opposite
+        return jnp.stack([jnp.asarray([-r, H]), -turned]), jnp.stack([jnp.asarray([r, H]), turned])
 
 
 class ScaledArms(Geometry):

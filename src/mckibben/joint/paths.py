@@ -17,7 +17,7 @@ from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.joint.geometry import Geometry, Pair
+from mckibben.joint.geometry import Ends, Geometry, Pair
 from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_positive
@@ -36,6 +36,10 @@ class MusclePath(eqx.Module, Displayed):
     @abc.abstractmethod
     def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
         """Return the length [m] at an angle [rad] of muscle 1 (`side` 1) or 2 (-1)."""
+
+    def anchors(self, angle: ArrayLike) -> Ends | None:
+        """Return the ends of a straight path with its connectors; None for another one."""
+        return None
 
     @property
     def angle_range(self) -> tuple[float, float]:
@@ -112,10 +116,16 @@ class TwoBonePath(MusclePath):
             closest = abs(math.hypot(*values[:2]) - math.hypot(*values[2:4]))
             check_positive("TwoBonePath: length where its anchors are closest", "m", length=closest)
 
-    def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
+    def _distal(self, angle: ArrayLike) -> tuple[Array, Array]:
         sine, cosine = sincos(floating(angle))
-        x = self.distal_x * cosine - self.distal_y * sine - self.proximal_x
-        y = self.distal_x * sine + self.distal_y * cosine - self.proximal_y
+        return self.distal_x * cosine - self.distal_y * sine, self.distal_x * sine + self.distal_y * cosine
+
+    def anchors(self, angle: ArrayLike) -> Ends:
+        return jnp.asarray([[self.proximal_x, self.proximal_y], self._distal(angle)])
+
+    def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
+        distal_x, distal_y = self._distal(angle)
+        x, y = distal_x - self.proximal_x, distal_y - self.proximal_y
         return jnp.sqrt(x * x + y * y) - self.connector_length
 
 
@@ -255,3 +265,6 @@ class PairedPaths(Geometry):
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
         return self.path1.length(angle, 1), self.path2.length(angle, -1)
+
+    def anchors(self, angle: ArrayLike) -> tuple[Ends | None, Ends | None]:
+        return self.path1.anchors(angle), self.path2.anchors(angle)

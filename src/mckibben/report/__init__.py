@@ -1,9 +1,19 @@
 """Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
 
+from mckibben.report.animation import animate
 from mckibben.report.benchmark import benchmark_air, benchmark_errors, benchmark_references, write_benchmark
+from mckibben.report.diagram import draw_control_loop
+from mckibben.report.drawing import draw_joint
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.identification import force_bands, loops, profile_likelihood, ranking, relaxation
-from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
+from mckibben.report.joint import (
+    attainable_stiffness,
+    calibration,
+    design,
+    envelope,
+    stiffness,
+    torque_stiffness_map,
+)
 from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.page import write_report
 from mckibben.report.study import planned, sweep, tuning
@@ -12,12 +22,18 @@ from mckibben.report.tracking import control_results, controller_comparison, err
 
 __all__ = [
     "ReportFigure",
+    "animate",
     "attainable_stiffness",
     "benchmark_air",
     "benchmark_errors",
     "benchmark_references",
+    "calibration",
     "control_results",
     "controller_comparison",
+    "design",
+    "draw_control_loop",
+    "draw_joint",
+    "envelope",
     "error_curves",
     "figures",
     "force_bands",
@@ -33,6 +49,7 @@ __all__ = [
     "ranking",
     "relaxation",
     "save",
+    "stiffness",
     "sweep",
     "torque_stiffness_map",
     "tracking",

@@ -1,0 +1,54 @@
+"""Drawings and the animation of the documentation, to docs/images.
+
+python docs/pictures.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mckibben as mk
+from mckibben.report.style import save
+from mckibben.study.scenario.building import run_scenario
+from mckibben.units import bar, deg, mm
+
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "docs" / "images"
+REST = 162 * mm
+
+GEOMETRIES = {
+    "pulley": mk.PairedPaths(mk.Pulley(30 * mm, REST), mk.Pulley(30 * mm, REST)),
+    "cam": mk.PairedPaths(mk.Cam(30 * mm, REST, arm_slope=8 * mm), mk.Cam(30 * mm, REST, arm_slope=-8 * mm)),
+    "two-bone-path": mk.PairedPaths(
+        mk.TwoBonePath(-30 * mm, REST, -35 * mm, -10 * mm), mk.TwoBonePath(30 * mm, REST, 35 * mm, -10 * mm)
+    ),
+    "tabulated-path": mk.PairedPaths(
+        *(
+            mk.TabulatedPath(
+                [angle * deg for angle in (-40, -20, 0, 20, 40)],
+                arms=[arm * mm for arm in (26, 29, 30, 29, 26.5)],
+                rest_length=REST,
+            )
+            for _ in range(2)
+        )
+    ),
+}
+
+
+def main() -> None:
+    """Write all pictures."""
+    scenario = mk.Scenario.read(ROOT / "examples" / "pre-contracted-step-pid.yaml")
+    plant = scenario.plant()
+    drawings = {"drawing-knee": mk.report.draw_joint(plant, 25 * deg, (2 * bar, 4 * bar))}
+    for name, geometry in GEOMETRIES.items():
+        joint = mk.AntagonisticJoint(geometry, plant.joint.muscle1, plant.joint.muscle2)
+        drawings[f"drawing-{name}"] = mk.report.draw_joint(joint, 15 * deg, labels=False)
+    drawings["control-loop"] = mk.report.draw_control_loop()
+    for name, figure in drawings.items():
+        png, _ = save(figure, IMAGES, name)
+        png.unlink()  # the pages show the SVG
+    mk.report.animate(run_scenario(scenario).result, IMAGES / "knee.webp", overwrite=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""
+Force laws compared
+===================
+
+Twelve published laws fitted to one muscle, and ranked by their errors at pressures that were left out of the fit.
+"""
+
+import numpy as np
+
+import mckibben as mk
+from mckibben.units import bar
+
+data = mk.catalog.dataset("dmsp-10-250-martens2017")
+found = mk.rank(data)
+found
+
+# %%
+# Ahead are laws with an exponential of the contraction: Eq. 2 of the paper (``Exponential``), and Sarosi's, which has
+# fewer parameters. Chou's law (Eq. 1) follows from the braid alone, knows nothing of the rubber, and is far off.
+
+figure = mk.report.ranking(found)
+
+# %%
+# Eq. 2 and Chou's law with the points of four pressures:
+
+some = data.select(np.isin(data.levels, np.array([1.9625, 3.35, 4.86562, 6.5]) * bar))
+laws = {
+    "Eq. 2": mk.identify(mk.ExponentialLaw, data).law,
+    "Chou (Eq. 1)": mk.ChouLaw.of(mk.catalog.specimen("DMSP-10-250")),
+}
+figure_laws = mk.report.law_comparison(some, laws)

@@ -1,0 +1,24 @@
+"""
+Friction and hysteresis
+=======================
+
+A muscle that is stretched pulls harder than one that shortens. The difference is identified along with the law.
+"""
+
+import mckibben as mk
+
+data = mk.read_dataset("../rig.csv")
+found = mk.identify_hysteresis(mk.ExponentialLaw, data)
+found
+
+# %%
+# The loops of the data, and those of the model of friction:
+
+figure = mk.report.loops(data, found)
+
+# %%
+# Without friction the data give the law alone. These data are simulated, and what is left over is their rounding.
+
+before = mk.identify(mk.ExponentialLaw, data)
+after = mk.identify(mk.ExponentialLaw, found.corrected(data))
+print(f"RMSE {before.rmse:.2f} N with the friction in the data, {after.rmse:.2f} N without")

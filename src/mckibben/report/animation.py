@@ -1,0 +1,187 @@
+"""Animation of a run: the joint with its muscles, beside angle, stiffness and pressures over time."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
+from PIL import Image
+
+from mckibben.errors import ParameterError, SimulationError
+from mckibben.plant import JointPlant
+from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
+from mckibben.report.mechanism import Mechanism, muscle_sizes
+from mckibben.report.style import BLUE, DESIRED, SKY, VERMILLION, draw_band, pressure_colours, robust_limits, styled
+from mckibben.simulation import Result
+from mckibben.storage.files import atomic_write
+from mckibben.units import bar, deg
+
+FORMATS = {".webp": "WEBP", ".gif": "GIF"}
+"""Format by the end of a file's name."""
+
+_CLEAR = 127  # index of the transparent colour of a GIF
+_SIZE = (6.4, 4.0)  # inches
+_DPI = 100
+_RATE = 12  # frames a second
+_MOST_FRAMES = 120
+
+
+def animation_format(path: str | os.PathLike[str]) -> str:
+    """Return the format of a file's name, WEBP or GIF; `ParameterError` for any other ending."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in FORMATS:
+        raise ParameterError(
+            f"{Path(path).name!r} is no name of an animation",
+            field="path",
+            value=suffix,
+            remedy=f"end it in {' or '.join(FORMATS)}",
+        )
+    return FORMATS[suffix]
+
+
+def animate(
+    result: Result, path: str | os.PathLike[str], plant: JointPlant | None = None, *, overwrite: bool = False
+) -> Path:
+    """Write an animation of a run: the joint moves, its muscles swell and take the colour of their pressure.
+
+    The muscles have the diameter that follows from the volume of their specimens at the contraction of the run. Runs up
+    to 10 s play in real time, longer ones in 10 s.
+
+    Parameters
+    ----------
+    result
+        Run.
+    path
+        File to write, ending in ``.webp`` or ``.gif``.
+    plant
+        Plant of the run. Default: that of the scenario of the run.
+    overwrite
+        Replace an existing file.
+
+    Raises
+    ------
+    ParameterError
+        If the name has another ending.
+    SimulationError
+        If the run has no scenario and no plant is given, or its state is not finite.
+    FileError
+        If the file exists and is not to be replaced.
+    """
+    kind = animation_format(path)
+    if not np.isfinite(result["angle"]).all():
+        raise SimulationError("the run diverged: there is nothing to draw", remedy="animate a run that is finite")
+    frames = _frames(result, _plant_of(result) if plant is None else plant)
+    milliseconds = round(1000 * min(result.times[-1] / len(frames), _MOST_FRAMES / _RATE / len(frames)))
+    options: dict[str, Any] = {"lossless": True, "quality": 30, "method": 2}
+    if kind == "GIF":
+        frames, options = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
+    with atomic_write(path, overwrite=overwrite) as part:
+        frames[0].save(
+            part,
+            format=kind,
+            save_all=True,
+            append_images=frames[1:],
+            duration=max(milliseconds, 20),
+            loop=0,
+            **options,
+        )
+    return Path(path)
+
+
+def _differences(frames: list[Image.Image]) -> list[Image.Image]:
+    """Images with one palette, transparent where they are as the one before, which compresses well."""
+    palette = frames[len(frames) // 3].quantize(_CLEAR, dither=Image.Dither.NONE)
+    indices = [np.asarray(frame.quantize(palette=palette, dither=Image.Dither.NONE)) for frame in frames]
+    changes = [np.where(now == before, _CLEAR, now) for before, now in itertools.pairwise(indices)]
+    found = [Image.fromarray(each.astype(np.uint8)) for each in (indices[0], *changes)]
+    for image in found:
+        image.putpalette(palette.getpalette() or [])
+    return found
+
+
+def _plant_of(result: Result) -> JointPlant:
+    """The plant of the scenario that a result has the text of."""
+    if not result.scenario:
+        raise SimulationError(
+            "the run has no scenario, and so no joint to draw",
+            field="plant",
+            remedy="give its plant: animate(result, path, plant)",
+        )
+    from mckibben.study.scenario import Scenario
+
+    return Scenario.parse(result.scenario).plant()
+
+
+@styled
+def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
+    """Images of a run at equal intervals: what stands still is drawn once."""
+    times = result.times
+    count = int(np.clip(times[-1] * _RATE, 2, _MOST_FRAMES))
+    at = np.linspace(0, len(times) - 1, count).round().astype(int)
+    angles = result["angle"][at]
+    mechanism = Mechanism(plant.joint.geometry, (float(angles.min()), float(angles.max())))
+    lengths, diameters = muscle_sizes(plant.joint, (result["contraction1"][at], result["contraction2"][at]))
+    pressures = np.array([result["pressure1"][at], result["pressure2"][at]]) / bar
+
+    figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    parts: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.7))
+    left, right = parts
+    stage = left.subplots()
+    limb, masses = limb_and_masses(plant, mechanism)
+    picture = JointPicture(stage, mechanism, limb, masses, plant.joint.springs)
+    box = outer_points(mechanism, limb, np.linspace(angles.min(), angles.max(), 5).tolist())
+    margin = 0.05 * np.ptp(box, axis=0).max()
+    stage.set_xlim(box[:, 0].min() - margin, box[:, 0].max() + margin)
+    stage.set_ylim(box[:, 1].min() - margin, box[:, 1].max() + margin)
+    scale = ScalarMappable(Normalize(0.0, float(pressures.max()) or 1.0), pressure_colours())
+    left.colorbar(scale, ax=stage, location="bottom", label="pressure [bar]", fraction=0.04, pad=0.02)
+    cursors = _plots(right, result, times)
+    moving = [*picture.artists, *cursors]
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    figure.set_layout_engine("none")
+    background = canvas.copy_from_bbox(figure.bbox)
+    images = []
+    for frame, index in enumerate(at):
+        canvas.restore_region(background)
+        diameter = [None if one is None else float(one[frame]) for one in diameters]
+        colours = list(scale.to_rgba(pressures[:, frame]))
+        picture.update(float(angles[frame]), [float(one[frame]) for one in lengths], diameter, colours)
+        for cursor in cursors:
+            cursor.set_xdata([times[index]])
+        for artist in sorted(moving, key=lambda one: one.get_zorder()):
+            assert artist.axes is not None
+            artist.axes.draw_artist(artist)
+        images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
+    return images
+
+
+def _plots(figure: SubFigure, result: Result, times: NDArray[np.float64]) -> list[Any]:
+    """Angle, stiffness and pressures over time; returns their cursors."""
+    rows = figure.subplots(3, 1, sharex=True)
+    rows[0].plot(times, result["desired_angle"] / deg, **DESIRED)
+    rows[0].plot(times, result["angle"] / deg, color=VERMILLION)
+    rows[0].set_ylim(*robust_limits([result["angle"] / deg, result["desired_angle"] / deg]))
+    draw_band(rows[1], times, result["lowest_stiffness"], result["highest_stiffness"])
+    rows[1].plot(times, result["stiffness"], color=VERMILLION)
+    rows[1].plot(times, result["desired_stiffness"], **DESIRED)
+    rows[1].set_ylim(*robust_limits([result["stiffness"], result["desired_stiffness"]], margin=0.3))
+    for number, colour in ((1, BLUE), (2, SKY)):
+        rows[2].plot(times, result[f"pressure{number}"] / bar, color=colour, label=f"muscle {number}")
+    rows[2].legend(loc="upper right", ncols=2, fontsize=8, borderaxespad=0.0, handlelength=1.2)
+    rows[2].set_ylim(0, 1.35 * max(float(result[f"pressure{i}"].max()) for i in (1, 2)) / bar or 1.0)
+    for axes, label in zip(rows, ("angle [deg]", "stiffness\n[N·m/rad]", "pressure [bar]"), strict=True):
+        axes.set(ylabel=label, xlim=(0, times[-1]))
+    rows[2].set(xlabel="time [s]")
+    figure.align_ylabels(list(rows))
+    return [axes.axvline(0.0, color="#222222", linewidth=1.2, zorder=9) for axes in rows]

@@ -1,0 +1,307 @@
+"""Drawings of a joint and its muscles at an angle, with the coordinates of its geometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc, Circle, Polygon
+from numpy.typing import NDArray
+
+from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
+from mckibben.joint.geometry import Pressures
+from mckibben.numerics.checks import check_kind
+from mckibben.plant import JointPlant
+from mckibben.report.mechanism import Mechanism, Points, Strand, muscle_sizes
+from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
+from mckibben.units import bar, deg, mm
+
+_BONE, _PLATE, _CABLE, _UNKNOWN = "#C9CED6", "#DCE1E8", "#555555", "#8FBBDD"
+_SLENDER = 0.07  # diameter per length of a muscle without a known one
+_LIMB = 0.62  # length of the moving limb per height
+_NOTE = {"fontsize": 9, "color": BLACK}
+
+
+class JointPicture:
+    """Artists of a joint on axes with equal scales; `update` moves them.
+
+    Parameters
+    ----------
+    axes
+        Axes, whose limits are set.
+    mechanism
+        Parts of the joint.
+    limb
+        Length of the moving limb [m].
+    masses
+        Distances [m] of point masses from the hinge.
+    springs
+        Whether a return spring is in place of muscles 1 and 2.
+    """
+
+    def __init__(
+        self,
+        axes: Axes,
+        mechanism: Mechanism,
+        limb: float,
+        masses: Sequence[float] = (),
+        springs: tuple[bool, bool] = (False, False),
+    ) -> None:
+        self.mechanism, self._limb, self._masses, self._springs = mechanism, limb, masses, springs
+        scale = mechanism.height
+        axes.set_aspect("equal")
+        axes.axis("off")
+        fixed = np.array([np.zeros(2), scale * mechanism.up])
+        axes.plot(*fixed.T, color=_BONE, linewidth=9, solid_capstyle="round", zorder=1)
+        ends = [strand.start for strand in mechanism.strands(0.0)]
+        axes.plot(*np.array([ends[0], scale * mechanism.up, ends[1]]).T, color=_BONE, linewidth=5, zorder=1)
+        self._cams = [Polygon(outline, facecolor=_PLATE, linewidth=0, zorder=2) for outline in mechanism.cams(0.0)]
+        self._bone = axes.plot([], [], color=_BONE, linewidth=9, solid_capstyle="round", zorder=2)[0]
+        self._levers = axes.plot([], [], color=_BONE, linewidth=5, solid_capstyle="round", zorder=2)[0]
+        self._weights = axes.plot([], [], "o", color="#6B7480", markersize=9, zorder=3)[0]
+        self._cables = [axes.plot([], [], color=_CABLE, linewidth=1.6, zorder=4)[0] for _ in ends]
+        self._bodies = [
+            Polygon(np.zeros((3, 2)), closed=True, linewidth=0.8, edgecolor="#333333", zorder=5) for _ in ends
+        ]
+        for patch in (*self._cams, *self._bodies):
+            axes.add_patch(patch)
+        axes.add_patch(Circle((0, 0), 0.012 * scale, facecolor="white", edgecolor=BLACK, linewidth=1.0, zorder=6))
+        self.artists = [*self._cams, self._bone, self._levers, self._weights, *self._cables, *self._bodies]
+
+    def update(
+        self, angle: float, lengths: Sequence[float], diameters: Sequence[float | None], colours: Sequence[Any]
+    ) -> tuple[Strand, Strand]:
+        """Move all to an angle [rad], with muscles of these lengths and diameters [m]; return their strands."""
+        mechanism = self.mechanism
+        strands = mechanism.strands(angle)
+        for patch, outline in zip(self._cams, mechanism.cams(angle), strict=True):
+            patch.set_xy(outline)
+        self._bone.set_data(*np.array([np.zeros(2), mechanism.limb(angle, self._limb)]).T)
+        anchors = [strand.end for strand, straight in zip(strands, mechanism.straight, strict=True) if straight]
+        levers = [point for end in anchors for point in (end, np.zeros(2))]
+        self._levers.set_data(*np.array(levers).reshape(-1, 2).T)
+        self._weights.set_data(*np.array([mechanism.limb(angle, at) for at in self._masses]).reshape(-1, 2).T)
+        for index, strand in enumerate(strands):
+            first, last = muscle_ends(strand, lengths[index])
+            cable = [strand.start, first, (np.nan, np.nan), last, strand.end, *strand.wrap]
+            diameter = diameters[index]
+            width = _SLENDER * lengths[index] if diameter is None else diameter
+            if self._springs[index]:
+                cable[1:4] = _coil(first, last, width)
+            self._cables[index].set_data(*np.array(cable).T)
+            self._bodies[index].set_xy(_body(first, last, width))
+            self._bodies[index].set(facecolor=colours[index], visible=not self._springs[index])
+        return strands
+
+
+def muscle_ends(strand: Strand, length: float) -> tuple[Points, Points]:
+    """Ends of a muscle of a length [m] on its strand: in its middle, or above a cam at the fixed end."""
+    along = (strand.end - strand.start) / strand.length
+    above = 0.0 if len(strand.wrap) else max(strand.length - length, 0.0) / 2
+    return strand.start + above * along, strand.start + (above + length) * along
+
+
+def _frame(first: Points, last: Points) -> tuple[Points, Points]:
+    """Vector from the first to the last point, and the unit vector across."""
+    along = last - first
+    return along, np.array([-along[1], along[0]]) / np.linalg.norm(along)
+
+
+def _body(first: Points, last: Points, width: float) -> Points:
+    """Outline of a muscle: a cylinder with ends that narrow to the fittings over half a diameter."""
+    along, across = _frame(first, last)
+    part = min(width / 2 / float(np.linalg.norm(along)), 0.25)
+    turn = np.linspace(0, np.pi / 2, 9)
+    places = np.concatenate([part * (1 - np.cos(turn)), 1 - part * (1 - np.cos(turn[::-1]))])
+    half = width / 2 * (0.45 + 0.55 * np.concatenate([np.sin(turn), np.sin(turn[::-1])]))
+    middle = first + places[:, None] * along
+    return np.concatenate([middle + half[:, None] * across, (middle - half[:, None] * across)[::-1]])
+
+
+def _coil(first: Points, last: Points, width: float) -> list[Points]:
+    """Zigzag of a spring."""
+    along, across = _frame(first, last)
+    return [first + i / 20 * along + (width / 2 if i % 2 else -width / 2) * (1 <= i <= 19) * across for i in range(21)]
+
+
+def outer_points(mechanism: Mechanism, limb: float, angles: Sequence[float]) -> Points:
+    """Points that a picture has to contain at these angles [rad]."""
+    points = [np.zeros(2)]
+    for angle in angles:
+        points += [point for strand in mechanism.strands(angle) for point in (strand.start, strand.end, *strand.wrap)]
+        points += [mechanism.limb(angle, limb)]
+    return np.array(points)
+
+
+def limb_and_masses(plant: JointPlant | None, mechanism: Mechanism) -> tuple[float, list[float]]:
+    """Length [m] of the moving limb, and the distances [m] of its point masses where the load has some."""
+    load = None if plant is None else plant.load
+    masses = []
+    if isinstance(load, KneeLoad):
+        masses = [float(load.distance1), float(load.distance2)]
+    elif isinstance(load, PendulumLoad):
+        masses = [float(load.length)]
+    return max([_LIMB * mechanism.height, *(1.1 * at for at in masses)]), masses
+
+
+@styled
+def draw_joint(
+    joint: Geometry | AntagonisticJoint | JointPlant,
+    angle: float = 0.0,
+    pressures: Pressures | None = None,
+    *,
+    labels: bool = True,
+) -> Figure:
+    """Drawing of a joint at an angle [rad], with its dimensions and a second panel of the hinge.
+
+    Muscles have the lengths of the geometry, or of the joint at gauge pressures [Pa] (0 by default), and the diameter
+    that follows from the volume of their specimens. A path that is no straight line is drawn as the cam with its moment
+    arms; a pulley is a round one.
+
+    Parameters
+    ----------
+    joint
+        A geometry, a joint, or a plant, whose load's point masses are drawn as well.
+    angle
+        Joint angle [rad].
+    pressures
+        Gauge pressures (p1, p2) [Pa], which colour the muscles.
+    labels
+        Name the dimensions; without them there is one panel.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> draw_joint(catalog.joint("knee-table-2"), 0.3, (2e5, 3e5))
+    <NotebookFigure size ...>
+    """
+    plant = joint if isinstance(joint, JointPlant) else None
+    body = joint if plant is None else plant.joint
+    muscles = body if isinstance(body, AntagonisticJoint) else None
+    geometry: Any = body if muscles is None else muscles.geometry
+    check_kind("draw_joint", joint=(geometry, Geometry))
+    mechanism = Mechanism(geometry, (angle,))
+    limb, masses = limb_and_masses(plant, mechanism)
+    lengths: Sequence[Any] = geometry.path_lengths(angle)
+    diameters: Sequence[Any] = (None, None)
+    if muscles is not None:
+        lengths, diameters = muscle_sizes(muscles, muscles.contractions(angle, pressures or (0.0, 0.0)))
+    sizes = [float(one) for one in lengths], [None if one is None else float(one) for one in diameters]
+    scale = None if pressures is None else _pressure_scale(muscles, pressures)
+    colours = [_UNKNOWN] * 2 if scale is None else list(scale.to_rgba(np.asarray(pressures, float) / bar))
+
+    box, strands = outer_points(mechanism, limb, (angle,)), mechanism.strands(angle)
+    figure = blank(4.6, 5.0) if labels else blank(2.4, 4.0)
+    grid = figure.subplots(1, 2, width_ratios=(1, 1.4)) if labels else [figure.subplots()]
+    margin = 0.04 * np.ptp(box, axis=0).max()
+    for axes, (limits, room) in zip(grid, ((box, margin), (_nearby(mechanism, strands), 0.0)), strict=False):
+        JointPicture(axes, mechanism, limb, masses, muscles.springs if muscles else (False, False)).update(
+            angle, *sizes, colours
+        )
+        axes.set_xlim(limits[:, 0].min() - room, limits[:, 0].max() + room)
+        axes.set_ylim(limits[:, 1].min() - room, limits[:, 1].max() + room)
+    if scale is not None:
+        figure.colorbar(scale, ax=list(grid), label="pressure [bar]", location="bottom", fraction=0.04, pad=0.02)
+    if labels:
+        _label_whole(grid[0], mechanism, strands, sizes[0])
+        _label_hinge(grid[1], mechanism, strands, angle)
+    return figure
+
+
+def _pressure_scale(joint: AntagonisticJoint | None, pressures: Pressures) -> ScalarMappable:
+    highest = float(np.max(np.asarray(pressures, float)))
+    if joint is not None:
+        highest = max([highest, *(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))])
+    return ScalarMappable(Normalize(0.0, highest / bar), pressure_colours())
+
+
+def _nearby(mechanism: Mechanism, strands: Sequence[Strand]) -> Points:
+    """Corners of the panel of the hinge."""
+    reach = max(float(np.linalg.norm(point)) for strand in strands for point in (strand.end, *strand.wrap))
+    reach = 1.6 * min(reach, mechanism.height / 2)
+    return np.array([[-reach, -1.5 * reach], [reach, 1.1 * reach]])
+
+
+def _note(
+    axes: Axes, at: NDArray[np.float64], text: str, away: NDArray[np.float64], gap: float = 0.0, **look: Any
+) -> None:
+    """Write a text beside a point [m], in a direction and at a distance from it."""
+    x, y = np.asarray(at) + gap * np.asarray(away)
+    ha = "left" if away[0] > 0.3 else "right" if away[0] < -0.3 else "center"
+    va = "bottom" if away[1] > 0.3 else "top" if away[1] < -0.3 else "center"
+    halo = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}
+    axes.text(x, y, text, ha=ha, va=va, parse_math=True, zorder=8, bbox=halo, **_NOTE, **look)
+
+
+def _span(axes: Axes, one: tuple[float, float], other: tuple[float, float]) -> None:
+    """Dimension line between two points."""
+    arrow = {"arrowstyle": "<|-|>", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0, "color": BLACK, "mutation_scale": 7}
+    axes.annotate("", one, other, arrowprops=arrow, zorder=7)
+
+
+def _label_whole(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], lengths: Sequence[float]) -> None:
+    """Names of the muscles, and the lengths of a `KneeGeometry`."""
+    geometry, up = mechanism.geometry, mechanism.up
+    right = np.array([up[1], -up[0]])
+    gap = 0.045 * mechanism.height
+    rotation = 90.0 if abs(up[1]) > 0.5 else 0.0
+    second = 1.0 if (strands[1].start - strands[0].start) @ right >= 0 else -1.0
+    for number, (strand, length, side) in enumerate(zip(strands, lengths, (-second, second), strict=True), 1):
+        first, last = muscle_ends(strand, length)
+        _note(axes, (first + last) / 2, f"muscle {number}", side * right, gap, rotation=rotation)
+        if isinstance(geometry, KneeGeometry) and number == 2:
+            _note(axes, (strand.start + first) / 2, "$L_u$", side * right, gap)
+            _note(axes, (strand.end + last) / 2, "$L_d$", side * right, gap)
+    # room for the names at the sides
+    low, high = axes.get_xlim()
+    axes.set_xlim(low - 0.16 * mechanism.height, high + 0.12 * mechanism.height)
+    if isinstance(geometry, KneeGeometry):
+        x = -float(geometry.joint_radius) - 0.15 * mechanism.height
+        top = float(geometry.joint_length)
+        for y, end in ((top, -float(geometry.joint_radius)), (0.0, 0.0)):
+            axes.plot([x - gap / 2, end], [y, y], color="#8A8A8A", linewidth=0.6, zorder=0)
+        _span(axes, (x, 0.0), (x, top))
+        _note(axes, np.array([x, 0.45 * top]), "$H$", np.array([-1.0, 0.0]), gap / 2)
+
+
+def _label_hinge(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], angle: float) -> None:
+    """Moment arms, angle, and the radius of a `KneeGeometry`."""
+    reach = axes.get_xlim()[1]
+    for number, (strand, colour) in enumerate(zip(strands, (VERMILLION, BLUE), strict=True), 1):
+        along = (strand.end - strand.start) / strand.length
+        foot = strand.start - (strand.start @ along) * along
+        axes.plot(*np.array([np.zeros(2), foot]).T, color=colour, linewidth=1.4, linestyle=(0, (3, 1.5)), zorder=7)
+        outward = foot / np.linalg.norm(foot)
+        _note(axes, foot, f"$d_{number}$", outward, 0.08 * reach)
+    if isinstance(mechanism.geometry, KneeGeometry):
+        end = strands[1].end
+        axes.plot(*np.array([np.zeros(2), end]).T, color=BLACK, linewidth=0.9, zorder=7)
+        axes.plot(*end, "o", color=BLACK, markersize=3, zorder=7)
+        _note(axes, end / 2, "$r$", np.array([-end[1], end[0]]) / np.linalg.norm(end), 0.04 * reach)
+    down = mechanism.limb(0.0, 1.25 * reach)
+    axes.plot(*np.array([np.zeros(2), down]).T, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), zorder=3)
+    if abs(angle) > 1 * deg:
+        zero = math.degrees(math.atan2(down[1], down[0]))
+        first, last = sorted((zero, zero + angle / deg))
+        axes.add_patch(
+            Arc((0, 0), 2 * reach, 2 * reach, theta1=first, theta2=last, color=BLACK, linewidth=0.9, zorder=7)
+        )
+        _note(axes, mechanism.limb(angle / 2, reach), "$θ$", mechanism.limb(angle / 2, 1.0), 0.05 * reach)
+    arms = [float(arm) / mm for arm in mechanism.geometry.moment_arms(angle)]
+    axes.set_title(f"hinge at {minus(angle / deg, '.3g')} deg", loc="center", color="#555555")
+    axes.text(
+        0.5,
+        0.0,
+        f"$d_1$ {arms[0]:.3g} mm   $d_2$ {arms[1]:.3g} mm",
+        parse_math=True,
+        ha="center",
+        va="top",
+        transform=axes.transAxes,
+        **_NOTE,
+    )
