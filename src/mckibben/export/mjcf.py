@@ -10,11 +10,9 @@ import equinox as eqx
 import numpy as np
 
 import mckibben
-from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
-from mckibben.export.c_folder import filled
-from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_source
+from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported
 from mckibben.joint import (
@@ -280,22 +278,13 @@ def mjcf_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exp
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.substeps
     model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))
-    comment = f"Muscles of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}."
-    sources = write_c(model.module, comment.replace("*/", "* /"), single=False)
     left_out = ("controller and reference of the scenario: data.ctrl is yours", *model.left_out)
     if single:
         left_out = (*left_out, "32-bit numbers: MuJoCo has 64")
-    listed = "".join(f"- {one}\n" for one in left_out)
-    files = {
-        f"{name}.xml": model.xml,
-        f"{name}.h": sources.header,
-        f"{name}.c": sources.source,
-        "plugin.c": plugin_source(model.muscles, name),
-        "Makefile": filled("plugin.mk", {"name": name}),
-        "scenario.yaml": scenario.dumps(folder=folder),
-        "README.md": filled("mujoco.md", {"name": name, "title": scenario.name, "left_out": listed}),
-    }
-    return Exported(files, left_out)
+    files = plugin_files(
+        model.module, model.muscles, model.xml, f"the joint of the scenario {scenario.name!r}", left_out
+    )
+    return Exported(files | {"scenario.yaml": scenario.dumps(folder=folder)}, left_out)
 
 
 def cannot(field: str, what: str, remedy: str) -> ExportError:

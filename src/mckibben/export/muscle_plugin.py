@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+import mckibben
+from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.c_folder import filled
 from mckibben.joint import Tendon
@@ -71,6 +73,8 @@ class MuscleFunctions:
         valve = fixed.valve
         state, pressure, air = start
         pressure = () if isinstance(valve, IdealValve) else pressure
+        self.pressure = float(start[1])
+        """Pressure [Pa] at the start."""
         self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
         self._layout = FlatTree(self._start)
         slips = bool(state.friction or state.creep)
@@ -200,3 +204,21 @@ def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
         body = {key: "\n".join(f"    {line}" for line in lines) for key, lines in text.items()}
         parts.append(filled("plugin_muscle.c", values | body | {"k": str(number)}))
     return filled("plugin.c", values | {"muscles": "".join(parts), "rows": "".join(rows)})
+
+
+def plugin_files(
+    module: SourceModule, muscles: Sequence[PluginMuscle], xml: str, title: str, left_out: Sequence[str]
+) -> dict[str, str]:
+    """Contents of the files of a model: MJCF, the plugin, and how to use them."""
+    name = module.name
+    comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
+    sources = write_c(module, comment.replace("*/", "* /"), single=False)
+    listed = "".join(f"- {one}\n" for one in left_out)
+    return {
+        f"{name}.xml": xml,
+        f"{name}.h": sources.header,
+        f"{name}.c": sources.source,
+        "plugin.c": plugin_source(muscles, name),
+        "Makefile": filled("plugin.mk", {"name": name}),
+        "README.md": filled("mujoco.md", {"name": name, "title": title, "left_out": listed}),
+    }
