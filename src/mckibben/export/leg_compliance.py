@@ -90,7 +90,8 @@ def _at_centre_of_last(leg: Leg) -> Leg:
 
 def _mobility(leg: Leg, posture: Posture, *, force: tuple[float, float] = (0.0, 0.0), joint: int = -1) -> float:
     """Acceleration of the foot along a unit force on it, or of a joint, by a unit torque on it."""
-    rest = Velocity(*(jnp.zeros(()) for _ in range(3)), tuple(jnp.zeros(()) for _ in leg.joints))
+    zero = jnp.zeros(())
+    rest = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
     torques = [float(index == joint) for index in range(len(leg.joints))]
     at = jnp.asarray(force[0]), jnp.asarray(force[1])
     moved = acceleration(leg, posture, rest, torques, at, 0.0)

@@ -79,6 +79,7 @@ class _Driven(NamedTuple):
     name: str
     tendon: str
     target: str
+    parts: tuple[tuple[str, str], ...]  # sites of its straight parts
     muscle: Callable[[LegPlant], tuple[Muscle, Tendon]]
     path: Callable[[LegPlant, Any], Any]
     limits: Muscle
@@ -135,6 +136,21 @@ def leg_model(
     return LegModel(xml, module, tuple(x.summary for x in functions), tuple(x.name for x in driven), tuple(left_out))
 
 
+class LegScene(NamedTuple):
+    """MJCF of a leg without forces of muscles, and the sites of the straight parts of each muscle that has some."""
+
+    xml: str
+    parts: dict[str, tuple[tuple[str, str], ...]]
+
+
+def leg_scene(plant: LegPlant, start: LegState) -> LegScene:
+    """A leg to be shown in MuJoCo, moved by its coordinates; without a plugin."""
+    bodies = _bodies(plant)
+    driven, _ = _muscles(plant, [*plant.leg.joints, *filter(None, [plant.leg.side_swing])], bodies)
+    xml = _mjcf(plant, "leg", 1e-3, bodies, driven, [], compliance(plant, start), start)
+    return LegScene(xml, {one.name: one.parts for one in driven if one.parts})
+
+
 def leg_files(
     plant: LegPlant, name: str = "leg", title: str = "a leg", *, timestep: float = 2.5e-4, start: LegState | None = None
 ) -> Exported:
@@ -187,20 +203,16 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
     found, left_out = [], []
     places = {frame.joint.name: number for number, frame in enumerate(bodies) if frame.joint is not None}
 
-    def attach(muscle: str, part: str, joint: LegJoint, moved: Transmission) -> str:
-        """Sites of a straight path over a joint, and their place in a tendon."""
+    def attach(path: str, joint: LegJoint, moved: Transmission) -> tuple[str, str]:
+        """Names of the sites of a straight path over a joint, which are put into its bodies."""
         child = bodies[places[joint.name]]
         parent = bodies[places[joint.name] - 1]
-        (x, y), last = ((joint.sign * x, y) for x, y in moved.points)
-        sine, cosine = math.sin(float(joint.link_angle)), math.cos(float(joint.link_angle))
-        there = last[0] * cosine + last[1] * sine, last[1] * cosine - last[0] * sine
-        text = ""
-        for frame, end, (across, up) in ((parent, "fixed", (x, y - child.origin)), (child, "moving", there)):
-            site = _name(f"{muscle}{part} {end}")
+        names = f"{path} fixed", f"{path} moving"
+        (x, z), there = anchors(joint, moved)
+        for frame, name, (across, up) in zip((parent, child), names, ((x, z - child.origin), there), strict=True):
             position = f"0 {across!r} {up!r}" if child.side else f"{across!r} 0 {up!r}"
-            frame.inside.append(f'<site name={site} pos="{position}"/>')
-            text += f"<site site={site}/>"
-        return text
+            frame.inside.append(f'<site name={_name(name)} pos="{position}"/>')
+        return names
 
     def coupled(moved: Transmission, joint: LegJoint) -> tuple[str, float]:
         """Text of a pulley in a tendon, and its length [m] at a locked joint."""
@@ -216,8 +228,9 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
             if joint.locked is not None and not spatial:
                 left_out.append(f"muscle {name}: its joint is locked, and it has no tendon between points")
                 continue
+            parts = (attach(name, joint, moved),) if spatial else ()
             if spatial:
-                tendon = _spatial(name, attach(name, "", joint, moved))
+                tendon = _spatial(name, parts)
             elif moved.coefficient:
                 tendon = f"<fixed name={_name(name)}>{coupled(moved, joint)[0]}</fixed>"
             else:
@@ -225,15 +238,20 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
                 left_out.append(f"tendon of {name}: MuJoCo has none with such a path; its torque turns the joint")
             target = f"tendon={_name(name)}" if tendon else f"joint={_name(joint.name)}"
             own = (joint.muscles.muscle1, joint.muscles.muscle2)[number]
-            found.append(_Driven(name, tendon, target, _of_pair(index, number), _path(index, number, moved), own))
+            found.append(
+                _Driven(name, tendon, target, parts, _of_pair(index, number), _path(index, number, moved), own)
+            )
     biarticular = []
     for index, one in enumerate(leg.biarticular):
         both = [leg.joints[leg.index(name)] for name in (one.joint1, one.joint2)]
         moved = [path_transmission(0, *each) for each in _sides(one)]
-        offset = sum(float(each.offset) for each in moved)
+        offset, parts = sum(float(each.offset) for each in moved), ()
         if all(each.points for each in moved):
-            texts = [attach(one.name, f" {k}", joint, each) for k, (joint, each) in enumerate(zip(both, moved), 1)]  # noqa: B905
-            tendon = _spatial(one.name, '<pulley divisor="1"/>'.join(texts))
+            parts = tuple(
+                attach(f"{one.name} {number}", joint, each)
+                for number, (joint, each) in enumerate(zip(both, moved, strict=True), 1)
+            )
+            tendon = _spatial(one.name, parts)
         elif all(each.coefficient for each in moved):
             pieces = [coupled(each, joint) for each, joint in zip(moved, both, strict=True)]
             offset += sum(length for _, length in pieces)
@@ -242,13 +260,23 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
             raise cannot("path1", f"the paths of {one.name}", "give it a TwoBonePath or a Pulley over both joints")
         own = _of_biarticular(index)
         target = f"tendon={_name(one.name)}"
-        biarticular.append(_Driven(one.name, tendon, target, own, _beyond(offset), one.muscle))
+        biarticular.append(_Driven(one.name, tendon, target, parts, own, _beyond(offset), one.muscle))
     last = len(found) if leg.side_swing is None else -2  # the side-swing pair comes last
     return [*found[:last], *biarticular, *found[last:]], left_out
 
 
-def _spatial(name: str, sites: str) -> str:
-    return f'<spatial name={_name(name)} class="muscle">{sites}</spatial>'
+def anchors(joint: LegJoint, moved: Transmission) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Points (forwards, up) [m] of a straight path from a joint, at the body above it, and at its link hanging down."""
+    (x, z), (across, up) = ((joint.sign * x, y) for x, y in moved.points)
+    sine, cosine = math.sin(float(joint.link_angle)), math.cos(float(joint.link_angle))
+    return (x, z), (across * cosine + up * sine, up * cosine - across * sine)
+
+
+def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
+    """A tendon of straight parts; its length is their sum."""
+    sites = ("".join(f"<site site={_name(site)}/>" for site in part) for part in parts)
+    joined = '<pulley divisor="1"/>'.join(sites)
+    return f'<spatial name={_name(name)} class="muscle">{joined}</spatial>'
 
 
 def _sides(one: BiarticularMuscle) -> list[tuple[Any, int]]:
@@ -329,13 +357,13 @@ _TRUNK = {
 """Joints of the trunk in each of its freedoms."""
 
 
-def _coordinates(plant: LegPlant, of: Any) -> list[float]:
-    """Posture or velocity of a leg in the order of MuJoCo's joints."""
+def coordinates(plant: LegPlant, of: Any) -> list[Any]:
+    """Posture or velocity of a leg, numbers or arrays of them, in the order of MuJoCo's joints."""
     trunk = {"fixed": (), "vertical": (of.z,), "planar": (of.x, of.z), "free": (of.x, of.z, of.pitch)}
     leg = plant.leg
-    side = [0.0] if leg.side_swing is not None and leg.side_swing.locked is None else []
+    side = [0.0 * of.z] if leg.side_swing is not None and leg.side_swing.locked is None else []
     moving = [angle for angle, joint in zip(of.angles, leg.joints, strict=True) if joint.locked is None]
-    return [*map(float, trunk[leg.trunk.freedom]), *side, *map(float, moving)]
+    return [*trunk[leg.trunk.freedom], *side, *moving]
 
 
 def _mjcf(
@@ -350,7 +378,7 @@ def _mjcf(
 ) -> str:
     leg, contact, friction = plant.leg, found["ground"], found["friction"]
     actuators, controls, acts = [], [], []
-    for number, (one, made) in enumerate(zip(driven, functions, strict=True), 1):
+    for number, (one, made) in enumerate(zip(driven, functions, strict=False), 1):  # a scene has no functions
         low, high = _command_range(plant, one.limits)
         limited = f'ctrllimited="true" ctrlrange="{_text((low, high))}"' if low < high else 'ctrllimited="false"'
         actuators.append(
@@ -359,8 +387,9 @@ def _mjcf(
         )
         controls.append(0.0 if getattr(plant.valve, "direct", False) else made.pressure)
         acts += list(made.activations)
-    posture, velocity = (_text(_coordinates(plant, of)) for of in (start.posture, start.velocity))
+    posture, velocity = (_text(coordinates(plant, of)) for of in (start.posture, start.velocity))
     act = f' act="{_text(acts)}"' if acts else ""
+    control = f'ctrl="{_text(controls)}"' if controls else ""
     fixed = leg.trunk.freedom == "fixed"
     body = f'<body name="trunk" pos="0 0 {float(start.posture.z) if fixed else 0.0!r}">{_TRUNK[leg.trunk.freedom]}'
     top = max(_height(bodies[0]), 0.1)
@@ -376,7 +405,7 @@ def _mjcf(
     mu = float(plant.ground.friction)
     return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
 <mujoco model="{name}">
-  <extension><plugin plugin="mckibben.{name}"/></extension>
+  <extension>{f'<plugin plugin="mckibben.{name}"/>' if functions else ""}</extension>
   <compiler angle="radian" autolimits="true"/>
   <option timestep="{timestep!r}" integrator="RK4" cone="elliptic" gravity="0 0 {-float(plant.gravity)!r}"/>
   <visual>
@@ -412,7 +441,7 @@ def _mjcf(
     {"".join(actuators)}
   </actuator>
   <sensor>{sensors}</sensor>
-  <keyframe><key name="start" qpos="{posture}" qvel="{velocity}"{act} ctrl="{_text(controls)}"/></keyframe>
+  <keyframe><key name="start" qpos="{posture}" qvel="{velocity}"{act} {control}/></keyframe>
 </mujoco>
 """
 
