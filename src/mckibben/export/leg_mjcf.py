@@ -409,25 +409,26 @@ def _mjcf(
   <compiler angle="radian" autolimits="true"/>
   <option timestep="{timestep!r}" integrator="RK4" cone="elliptic" gravity="0 0 {-float(plant.gravity)!r}"/>
   <visual>
-    <global offwidth="1280" offheight="1280"/><map znear="0.01"/><quality shadowsize="2048" offsamples="4"/>
+    <global offwidth="1280" offheight="1280"/><map znear="0.01"/><quality shadowsize="4096" offsamples="8"/>
+    <headlight ambient="0.55 0.55 0.55" diffuse="0.25 0.25 0.25" specular="0.1 0.1 0.1"/><rgba haze="1 1 1 1"/>
   </visual>
   <default>
     <geom contype="0" conaffinity="0"/><site size="0.004" rgba="0.3 0.32 0.35 1"/>
-    <default class="bone"><geom type="capsule" size="0.011" rgba="0.62 0.65 0.69 1"/></default>
+    <default class="bone"><geom type="capsule" size="0.011" rgba="0.72 0.74 0.77 1"/></default>
     <default class="axle"><geom type="cylinder" size="0.028" rgba="0.30 0.33 0.37 1"/></default>
     <default class="foot"><geom rgba="0.13 0.14 0.16 1"/></default>
-    <default class="trunk"><geom type="box" size="0.07 0.06 0.03" rgba="0.16 0.32 0.50 1"/></default>
+    <default class="trunk"><geom type="box" size="0.07 0.06 0.03" rgba="0.13 0.36 0.56 1"/></default>
     <default class="muscle"><tendon width="0.003" rgba="0.3 0.32 0.35 1"/></default>
   </default>
   <asset>
-    <texture type="skybox" builtin="gradient" rgb1="0.98 0.99 1" rgb2="0.86 0.90 0.94" width="32" height="256"/>
-    <texture name="floor" type="2d" builtin="checker" rgb1="0.93 0.94 0.95" rgb2="0.80 0.83 0.86"
+    <texture type="skybox" builtin="gradient" rgb1="0.93 0.95 0.97" rgb2="1 1 1" width="32" height="256"/>
+    <texture name="floor" type="2d" builtin="checker" rgb1="0.97 0.97 0.97" rgb2="0.87 0.89 0.91"
       width="256" height="256"/>
-    <material name="floor" texture="floor" texrepeat="20 20" texuniform="false"/>
+    <material name="floor" texture="floor" texrepeat="40 40" texuniform="false"/>
   </asset>
   <worldbody>
-    <light pos="0.6 -1.2 2.6" dir="-0.2 0.45 -1" diffuse="0.65 0.65 0.65" specular="0.2 0.2 0.2"/>
-    <geom name="floor" type="plane" size="2 2 0.1" material="floor"/>
+    <light pos="-0.5 -1.0 3" dir="0.15 0.3 -1" diffuse="0.45 0.45 0.45" specular="0.2 0.2 0.2"/>
+    <geom name="floor" type="plane" size="4 4 0.1" material="floor"/>
     {body}
   </worldbody>
   <contact>
