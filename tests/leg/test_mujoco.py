@@ -176,9 +176,9 @@ def test_a_landing_by_the_contact_of_mujoco_is_much_the_same(freedom, library):
 
     theirs = stepped(model, data, upward)
     z = {"vertical": 0, "free": 1}[freedom]
-    assert max(forces) == pytest.approx(float(run["ground_up"].max()), rel=0.08)
+    assert max(forces) == pytest.approx(float(run["ground_up"].max()), rel=0.05)
     assert np.ptp(theirs[:, z]) == pytest.approx(np.ptp(ours[:, z]), rel=0.04)
-    assert np.abs(theirs - ours).max() < 2 * deg
+    assert np.abs(theirs - ours).max() < 3 * deg
 
 
 @pytest.mark.parametrize("freedom", ["vertical", "free"])

@@ -20,6 +20,8 @@ from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, fram
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
 """Speeds [m/s], [rad/s] at which the restitution is that of the plant."""
 _IMPEDANCE = 1e-3
+FRICTION_RATIO = 1000.0
+"""Of normal and tangential R (impratio): without it, friction raises the normal force in MuJoCo's cone."""
 
 
 class Compliance(NamedTuple):
@@ -59,7 +61,8 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
     damper = _damper(stiffness, float(ground.damping), mass, TOUCH_SPEED)
     found["ground"] = _scaled(stiffness, damper, body)
     weight = float(leg.total_mass * plant.gravity)
-    found["friction"] = _scaled(0.0, float(ground.friction * weight / ground.slip_speed) or 1.0, body)
+    slope = float(ground.friction * weight / ground.slip_speed) or 1.0
+    found["friction"] = _scaled(0.0, slope / FRICTION_RATIO, body)
     for index, joint in enumerate(leg.joints):
         if joint.locked is None:
             found[joint.name] = _stop(joint, _mobility(leg, zero, joint=index))

@@ -16,7 +16,7 @@ import numpy as np
 
 import mckibben
 from mckibben.codegen.source_module import SourceModule
-from mckibben.export.leg_compliance import LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
+from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import Transmission, cannot, check_tendon, check_valve, path_transmission, transmissions
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
 from mckibben.export.plant import is_real
@@ -407,7 +407,8 @@ def _mjcf(
 <mujoco model="{name}">
   <extension>{f'<plugin plugin="mckibben.{name}"/>' if functions else ""}</extension>
   <compiler angle="radian" autolimits="true"/>
-  <option timestep="{timestep!r}" integrator="RK4" cone="elliptic" gravity="0 0 {-float(plant.gravity)!r}"/>
+  <option timestep="{timestep!r}" integrator="RK4" gravity="0 0 {-float(plant.gravity)!r}"
+    cone="elliptic" impratio="{FRICTION_RATIO!r}"/>
   <visual>
     <global offwidth="1280" offheight="1280"/><map znear="0.01"/><quality shadowsize="4096" offsamples="8"/>
     <headlight ambient="0.55 0.55 0.55" diffuse="0.25 0.25 0.25" specular="0.1 0.1 0.1"/><rgba haze="1 1 1 1"/>
