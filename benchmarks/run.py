@@ -25,7 +25,7 @@ from rows import Row, Table
 from tables import as_markdown, as_text
 from timing import failure
 
-SECTIONS = ("single", "batch", "gpu", "gradient", "cold", "identification")
+SECTIONS = ("single", "batch", "gpu", "gradient", "cold", "identification", "leg")
 
 
 def main() -> int:
@@ -79,6 +79,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from gpu import gpu
     from gradient import gradient
     from identification import identification
+    from leg import leg
     from reference import reference_problem
     from single import single
 
@@ -90,6 +91,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "gradient": lambda: gradient(problem, folder, quick=quick),
         "cold": lambda: cold(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
+        "leg": lambda: leg(folder, quick=quick),
     }
 
 

@@ -14,8 +14,9 @@ import mckibben as mk
 from mckibben.codegen.c import write_c
 from mckibben.errors import ExportError
 from mckibben.export import export
-from mckibben.export.mjcf import joint_model, plugin_source
+from mckibben.export.mjcf import joint_model
 from mckibben.export.mujoco import load_mujoco
+from mckibben.export.muscle_plugin import plugin_source
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.study.scenario.building import run_scenario
 
@@ -38,7 +39,7 @@ def build(folder, plants):
         here.mkdir()
         for file, text in ((f"{name}.h", written.header), (f"{name}.c", written.source)):
             (here / file).write_text(text)
-        (here / "plugin.c").write_text(plugin_source(model, name))
+        (here / "plugin.c").write_text(plugin_source(model.muscles, name))
         sources += [here / f"{name}.c", here / "plugin.c"]
         made[name] = model
     package = Path(mujoco.__file__).parent

@@ -22,11 +22,7 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
     ExportError
         Without MuJoCo or a C compiler, or if a plugin of that name from another folder is loaded already.
     """
-    try:
-        mujoco: Any = import_module("mujoco")
-    except ImportError as error:
-        remedy = "install it: pip install 'mckibben[mujoco]'"
-        raise ExportError("MuJoCo is not installed", field="mujoco", remedy=remedy) from error
+    mujoco = import_mujoco()
     folder = Path(folder).resolve()
     library, sources = folder / f"lib{name}.so", [folder / f"{name}.c", folder / "plugin.c"]
     if name not in _LOADED:
@@ -43,6 +39,15 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
             remedy=remedy,
         )
     return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
+
+
+def import_mujoco() -> Any:
+    """MuJoCo; raises `ExportError` without it."""
+    try:
+        return import_module("mujoco")
+    except ImportError as error:
+        remedy = "install it: pip install 'mckibben[mujoco]'"
+        raise ExportError("MuJoCo is not installed", field="mujoco", remedy=remedy) from error
 
 
 def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:

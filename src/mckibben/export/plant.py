@@ -91,14 +91,15 @@ def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> Plan
     motion = plant.rate(state)
     if isinstance(plant.valve, AirValve):
         assert isinstance(state.air, AirState)
-        pressures, air = plant.valve.air_rate(state.pressures, state.air, commands, plant.air_volumes(state))
+        (first, second), air = plant.valve.air_rate(state.pressures, state.air, commands, plant.air_volumes(state))
     else:
         valve: Any = plant.valve
         after = lambda pressure, command: derivative(  # noqa: E731
             lambda elapsed: valve.pressure_after(pressure, command, elapsed), jnp.zeros(())
         )
         first, second = map(after, state.pressures, commands)
-        pressures, air = (first, second), ()
+        air = ()
+    pressures = first, second
     return Motion(motion.angle, motion.velocity, ((), ()), pressures, air).applied_to(
         PlantState(state.angle, state.velocity, state.pressures, NO_STATES), pressures
     )

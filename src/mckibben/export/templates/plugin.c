@@ -1,5 +1,5 @@
 /* MuJoCo plugin "$plugin": force of the muscles of ${name}.c as that of an actuator, never above 0 (muscles pull).
- * Attribute "muscle": 1 or 2.
+ * Attribute "muscle": 1 to $count.
  * Activations: arms of the creep [N], state of the valve, pressure [Pa]. Plugin state: status, command of the last step,
  * anchors of the friction [m].
  */
@@ -22,7 +22,9 @@ static const char *const ATTRIBUTES[] = {"muscle"};
 static int muscle_of(const mjModel *m, int instance)
 {
     const char *text = mj_getPluginConfig(m, instance, "muscle");
-    return text && (!strcmp(text, "1") || !strcmp(text, "2")) ? text[0] - '0' : 0;
+    char *end;
+    long number = text ? strtol(text, &end, 10) : 0;
+    return number > 0 && number <= $count && !*end ? (int)number : 0;
 }
 
 static double command(const mjModel *m, const mjData *d, int i)
@@ -31,9 +33,18 @@ static double command(const mjModel *m, const mjData *d, int i)
     return m->actuator_ctrllimited[i] ? mju_clip(d->ctrl[i], range[0], range[1]) : d->ctrl[i];
 }
 $muscles
+typedef void (*Function)(const $name *model, const mjModel *m, mjData *d, int i, mjtNum *state);
+
+static const struct {
+    int anchors;
+    Function act_dot, force;
+} MUSCLES[] = {
+    {0, 0, 0},
+$rows};
+
 static int nstate(const mjModel *m, int instance)
 {
-    return 2 + (muscle_of(m, instance) == 1 ? $anchors1 : $anchors2);
+    return 2 + MUSCLES[muscle_of(m, instance)].anchors;
 }
 
 static int init(const mjModel *m, mjData *d, int instance)
@@ -49,7 +60,7 @@ static int init(const mjModel *m, mjData *d, int instance)
             one->actuator = i;
     if (!one->muscle || one->actuator < 0) {
         free(one);
-        mju_warning("$plugin: the attribute muscle is 1 or 2, of an actuator");
+        mju_warning("$plugin: the attribute muscle is 1 to $count, of an actuator");
         return -1;
     }
     ${name}_defaults(&one->model);
@@ -73,10 +84,7 @@ static void act_dot(const mjModel *m, mjData *d, int instance)
 {
     const Muscle *one = (const Muscle *)d->plugin_data[instance];
     mjtNum *state = d->plugin_state + m->plugin_stateadr[instance];
-    if (one->muscle == 1)
-        act_dot1(&one->model, m, d, one->actuator, state);
-    else
-        act_dot2(&one->model, m, d, one->actuator, state);
+    MUSCLES[one->muscle].act_dot(&one->model, m, d, one->actuator, state);
 }
 
 static void compute(const mjModel *m, mjData *d, int instance, int capability)
@@ -84,10 +92,7 @@ static void compute(const mjModel *m, mjData *d, int instance, int capability)
     const Muscle *one = (const Muscle *)d->plugin_data[instance];
     mjtNum *state = d->plugin_state + m->plugin_stateadr[instance];
     (void)capability;
-    if (one->muscle == 1)
-        force1(&one->model, m, d, one->actuator, state);
-    else
-        force2(&one->model, m, d, one->actuator, state);
+    MUSCLES[one->muscle].force(&one->model, m, d, one->actuator, state);
 }
 
 static void advance(const mjModel *m, mjData *d, int instance)

@@ -1,0 +1,229 @@
+"""Landings of a leg on one core: our batches against MuJoCo with the plugin for the same muscles."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rows import Candidate, Table
+from timing import Bench, inverted
+
+import mckibben as mk
+from mckibben import catalog
+from mckibben.leg import (
+    Ground,
+    Leg,
+    LegJoint,
+    LegPlant,
+    LegStart,
+    Link,
+    PressureSchedule,
+    Trunk,
+    simulate_leg,
+    simulate_legs,
+)
+from mckibben.units import deg, mm, ms
+
+DURATION, PERIOD, STEP = 0.3, 2 * ms, 0.25 * ms
+SUBSTEPS = round(PERIOD / STEP)
+FRICTIONS = 0.8, 0.0
+ANGLES = (2 * deg, -5 * deg)
+SPEEDS = 0.6, 1.2  # m/s, downwards at the touch
+LANES = 256
+ANGLE_ERROR, FORCE_ERROR = 0.1 * deg, 0.01
+"""Largest error of the knee's angle [rad], and of the peak force, relative, at equal accuracy."""
+COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 24, 32, 48, 64)  # steps a period
+FINER = 16
+INTEGRATORS = ("RK4", "implicitfast")
+EQUAL = "equal accuracy"
+Force = Callable[[int], tuple[NDArray[np.float64], float]]
+
+
+def leg_plant(friction: float) -> LegPlant:
+    """Hip and knee with two muscles each, on a slider."""
+    muscle = mk.Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+    pair = mk.AntagonisticJoint(mk.KneeGeometry(370 * mm, 30 * mm, 208 * mm), muscle, muscle)
+    hip = LegJoint(pair, -15 * deg, 15 * deg, name="hip", damping=0.05)
+    knee = LegJoint(pair, -25 * deg, 30 * deg, link_angle=-30 * deg, name="knee", damping=0.05)
+    links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005)
+    own = Leg(Trunk(1.0), links, (hip, knee), foot_radius=20 * mm)
+    return LegPlant(own, mk.FirstOrderValve(20 * ms), Ground(friction=friction))
+
+
+def leg(folder: Path, *, quick: bool) -> Table:
+    """The table of landings."""
+    bench = Bench(rounds=5 if quick else 15, budget=1.0 if quick else 5.0)
+    for friction in FRICTIONS:
+        _add(bench, folder, friction)
+    return Table(
+        "Landings of a leg",
+        f"landing of {DURATION:g} s",
+        "speed",
+        "knee angle [rad]",
+        inverted(bench.timed()),
+        (
+            f"Vertical slider, hip and knee with four muscles, valves of 20 ms, contact with the friction said; one "
+            f"core. Ours: {LANES} landings of different speeds in a batch, with all metrics. MuJoCo: the emitted "
+            "plugin, `mj_step` with `nstep`, its own contact.",
+            f"Equal accuracy: the largest step with which the angle of the knee is within {ANGLE_ERROR / deg:g} deg, "
+            f"and the peak force within {100 * FORCE_ERROR:g} %, of the same engine's run with {FINER} times finer "
+            f"steps than {STEP / ms:g} ms, as are all smaller steps; both every {PERIOD / ms:g} ms. Our ratio is "
+            "against the faster of MuJoCo's two integrators; deviation: that angle.",
+            f"First batch of a leg that was never compiled, in a new process: {first_batch(folder):.1f} s.",
+        ),
+    )
+
+
+def _add(bench: Bench, folder: Path, friction: float) -> None:
+    """Engines on a ground."""
+    plant, where = leg_plant(friction), f"friction {friction:g}"
+    controller, start = _given(plant)
+    fast: dict[str, float] = {}
+
+    def named(engine: str, count: int, accuracy: str = "") -> str:
+        return ", ".join(filter(None, (engine, f"{PERIOD / count / ms:.3g} ms", accuracy, where)))
+
+    def traced(count: int) -> tuple[NDArray[np.float64], float]:
+        run = simulate_leg(plant, controller, start, duration=DURATION, control_period=PERIOD, substeps=count)
+        return run["angle"].to_numpy()[1], float(run["ground_up"].max())
+
+    def batch(count: int, engine: str) -> Callable[[], Any]:
+        given = {"duration": DURATION, "control_period": PERIOD, "substeps": count, "workers": 1, "engine": engine}
+        over = {"start.upward_speed": -np.linspace(*SPEEDS, LANES)}
+        return lambda: simulate_legs(plant, controller, start, over=over, chunk=LANES, **given)
+
+    base = named("MuJoCo, RK4", SUBSTEPS)
+
+    def others() -> list[Candidate]:
+        model = _Mujoco(plant, start, folder, f"leg{round(100 * friction)}")
+        found = [
+            Candidate(named(f"MuJoCo, {one}", SUBSTEPS), model.runs(one, SUBSTEPS), base=base) for one in INTEGRATORS
+        ]
+        for integrator in INTEGRATORS:
+            count, angle = coarsest(model.traced(integrator))
+            name, run = named(f"MuJoCo, {integrator}", count, EQUAL), model.runs(integrator, count)
+            begin = time.perf_counter()
+            for _ in range(10):
+                run()
+            fast[name] = time.perf_counter() - begin
+            found.append(Candidate(name, run, 1, angle, ANGLE_ERROR, base=base))
+        return found
+
+    def ours() -> list[Candidate]:
+        count, angle = coarsest(traced)
+        fastest = min(fast, key=lambda name: fast[name]) if fast else ""
+        name = named("ours", count, EQUAL)
+        return [
+            Candidate(named("ours", SUBSTEPS), batch(SUBSTEPS, "native"), LANES, base=base),
+            Candidate(named("ours, engine='xla'", SUBSTEPS), batch(SUBSTEPS, "xla"), LANES, base=base),
+            Candidate(name, batch(count, "native"), LANES, angle, ANGLE_ERROR, base=fastest),
+        ]
+
+    bench.add(f"MuJoCo, {where}", others, install="mujoco")
+    bench.add(f"ours, {where}", ours)
+
+
+def _given(plant: LegPlant) -> tuple[PressureSchedule, LegStart]:
+    """Constant pressures, and a landing in the middle of the speeds."""
+    pressures = plant.leg.pressures_for(ANGLES, (0.0, 0.0), (None, 17.0))
+    return PressureSchedule(tuple((one,) for one in pressures)), LegStart(ANGLES, pressures, 0.0, -sum(SPEEDS) / 2)
+
+
+def coarsest(traced: Force) -> tuple[int, float]:
+    """Fewest steps a period that are accurate, as are all more; and the error of the knee's angle [rad] with them."""
+    true, highest = traced(FINER * SUBSTEPS)
+    good, deviation = COUNTS[-1], np.inf
+    for count in reversed(COUNTS):
+        angles, peak = traced(count)
+        off = float(np.abs(angles - true).max())
+        if not (off <= ANGLE_ERROR and abs(peak / highest - 1) <= FORCE_ERROR):
+            break
+        good, deviation = count, off
+    return good, deviation
+
+
+class _Mujoco:
+    """The leg in MuJoCo."""
+
+    def __init__(self, plant: LegPlant, start: LegStart, folder: Path, name: str) -> None:
+        import mujoco
+
+        from mckibben.export.leg_mjcf import leg_files
+        from mckibben.export.mujoco import load_mujoco
+
+        self._engine = mujoco
+        begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
+        here = folder / name
+        here.mkdir()
+        for file, content in leg_files(plant, name, start=begun).files.items():
+            (here / file).write_text(content)
+        self._model = load_mujoco(here, name)
+        self._data = mujoco.MjData(self._model)
+
+    def _begin(self, integrator: str, count: int) -> None:
+        engine, model, data = self._engine, self._model, self._data
+        model.opt.integrator = getattr(engine.mjtIntegrator, f"mjINT_{integrator.upper()}")
+        model.opt.timestep = PERIOD / count
+        engine.mj_resetDataKeyframe(model, data, 0)
+
+    def runs(self, integrator: str, count: int) -> Callable[[], Any]:
+        """One landing."""
+
+        def run() -> None:
+            self._begin(integrator, count)
+            self._engine.mj_step(self._model, self._data, nstep=round(DURATION / PERIOD) * count)
+
+        return run
+
+    def traced(self, integrator: str) -> Force:
+        """Angle of the knee and peak force of a landing, at each period."""
+        engine, model, data = self._engine, self._model, self._data
+        place, force = model.joint("knee").qposadr[0], np.zeros(6)
+
+        def run(count: int) -> tuple[NDArray[np.float64], float]:
+            self._begin(integrator, count)
+            angles, peak = [], 0.0
+            for _ in range(round(DURATION / PERIOD)):
+                engine.mj_forward(model, data)
+                angles.append(data.qpos[place])
+                for number in range(data.ncon):
+                    engine.mj_contactForce(model, data, number, force)
+                    peak = max(peak, force[0])
+                engine.mj_step(model, data, nstep=count)
+            return np.array(angles), float(peak)
+
+        return run
+
+
+def first_batch(folder: Path) -> float:
+    """Seconds of a first batch, without what was stored by earlier ones."""
+    empty = folder / "nothing stored"
+    empty.mkdir()
+    environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, __file__], env=environment | {"XDG_CACHE_HOME": str(empty)}, capture_output=True, text=True
+    )
+    if done.returncode:
+        raise OSError(done.stderr[-300:])
+    return float(done.stdout)
+
+
+def main() -> None:
+    """Seconds of the first batch of this process."""
+    plant = leg_plant(FRICTIONS[0])
+    controller, start = _given(plant)
+    over = {"start.upward_speed": -np.linspace(*SPEEDS, LANES)}
+    begin = time.perf_counter()
+    simulate_legs(plant, controller, start, over=over, duration=DURATION, control_period=PERIOD, workers=1)
+    print(time.perf_counter() - begin)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""Compliance of ground and stops in terms of MuJoCo's solver.
+
+The force of a soft constraint is (k_ref r - b_ref v - a) / (A + R) at a depth r, with R = w (1 - d)/d, where w is a
+mobility at the model's zero posture, and A and a are mobility and acceleration without the constraint (MuJoCo's
+documentation, Computation, "Solver parameters"). With a small impedance d, R outweighs A, and the force is that of a
+spring and a damper, whatever the posture.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from mckibben.leg import Leg, LegPlant, LegState
+from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, frames
+
+TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
+"""Speeds [m/s], [rad/s] at which the restitution is that of the plant."""
+_IMPEDANCE = 1e-3
+FRICTION_RATIO = 1000.0
+"""Of normal and tangential R (impratio): without it, friction raises the normal force in MuJoCo's cone."""
+
+
+class Compliance(NamedTuple):
+    """Stiffness and damping, by the mobility, of a soft constraint."""
+
+    stiffness: float
+    damping: float
+
+    @property
+    def reference(self) -> str:
+        """The attribute solref of MJCF."""
+        return f"{-self.stiffness!r} {-self.damping!r}"
+
+    @property
+    def impedance(self) -> str:
+        """The attribute solimp of MJCF."""
+        return f"{_IMPEDANCE!r} {_IMPEDANCE!r} 0.001"
+
+
+def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
+    """Compliance of the "ground", of its "friction", and of the stops of each joint that moves, by its name."""
+    leg, ground = plant.leg, plant.ground
+    zero = start.posture._replace(
+        x=jnp.zeros(()), z=jnp.zeros(()), pitch=jnp.zeros(()), angles=leg.held([0.0] * len(leg.joints))
+    )
+    foot = _at_centre_of_last(leg)
+    body = sum(_mobility(foot, zero, force=force) for force in ((1.0, 0.0), (0.0, 1.0)))
+    found = {}
+    side = leg.side_swing
+    if side is not None and side.locked is None:
+        inertia, depth = _sideways(leg, zero)
+        body += depth**2 / inertia
+        found[side.name] = _stop(side, 1 / inertia)
+    body /= 3  # MuJoCo's mean over x, y and z
+    mass = 1 / _mobility(leg, start.posture, force=(0.0, 1.0))
+    stiffness = float(ground.stiffness)
+    damper = _damper(stiffness, float(ground.damping), mass, TOUCH_SPEED)
+    found["ground"] = _scaled(stiffness, damper, body)
+    weight = float(leg.total_mass * plant.gravity)
+    slope = float(ground.friction * weight / ground.slip_speed) or 1.0
+    found["friction"] = _scaled(0.0, slope / FRICTION_RATIO, body)
+    for index, joint in enumerate(leg.joints):
+        if joint.locked is None:
+            found[joint.name] = _stop(joint, _mobility(leg, zero, joint=index))
+    return found
+
+
+def _stop(joint: Any, mobility: float) -> Compliance:
+    stiffness = float(joint.stop_stiffness)
+    return _scaled(stiffness, _damper(stiffness, float(joint.stop_damping), 1 / mobility, LIMIT_SPEED), mobility)
+
+
+def _scaled(stiffness: float, damping: float, mobility: float) -> Compliance:
+    return Compliance(*(each * mobility * (1 - _IMPEDANCE) for each in (stiffness, damping)))
+
+
+def _damper(stiffness: float, damping: float, mass: float, speed: float) -> float:
+    """Damping [N*s/m] with the restitution of k d (1 + c d') at a speed, to first order 1 - 2/3 c v."""
+    restitution = max(1 - 2 / 3 * damping * speed, 0.05)
+    logarithm = -math.log(restitution)
+    return 2 * logarithm / math.hypot(math.pi, logarithm) * math.sqrt(stiffness * mass)
+
+
+def _at_centre_of_last(leg: Leg) -> Leg:
+    """The leg with its foot at the centre of mass of the last link."""
+    last = dataclasses.replace(leg.links[-1], length=max(float(leg.links[-1].centre), 1e-12))
+    return dataclasses.replace(leg, links=(*leg.links[:-1], last), foot_radius=0.0)
+
+
+def _mobility(leg: Leg, posture: Posture, *, force: tuple[float, float] = (0.0, 0.0), joint: int = -1) -> float:
+    """Acceleration of the foot along a unit force on it, or of a joint, by a unit torque on it."""
+    zero = jnp.zeros(())
+    rest = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
+    torques = [float(index == joint) for index in range(len(leg.joints))]
+    at = jnp.asarray(force[0]), jnp.asarray(force[1])
+    moved = acceleration(leg, posture, rest, torques, at, 0.0)
+    if joint >= 0:
+        return float(moved.angles[joint])
+    point = contact(leg, frames(leg, posture, moved))  # at rest, accelerations are to forces as velocities
+    return float(point.vx * force[0] + point.vz * force[1])
+
+
+def _sideways(leg: Leg, posture: Posture) -> tuple[float, float]:
+    """Inertia [kg*m^2] of the links about the forward axis through the hip; depth [m] of the last centre of mass."""
+    rest = posture._replace(angles=tuple(jnp.zeros(()) for _ in leg.joints))
+    inertia, z = 0.0, 0.0
+    velocity = Velocity(*rest)
+    for frame, link in zip(frames(leg, posture, velocity)[1:], leg.links, strict=True):
+        z = float(frame.point(link.centre)[1])
+        inertia += float(link.inertia) + float(link.mass) * z * z
+    return inertia, z

@@ -1,0 +1,454 @@
+"""A leg for MuJoCo, in its plane, or in space with a side-swing joint: MJCF, and the plugin for its muscles.
+
+Of the plane, x is forwards and z up: what turns forwards turns about -y. A side-swing joint turns about x.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import mckibben
+from mckibben.codegen.source_module import SourceModule
+from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
+from mckibben.export.mjcf import Transmission, cannot, check_tendon, check_valve, path_transmission, transmissions
+from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
+from mckibben.export.plant import is_real
+from mckibben.export.targets import Exported
+from mckibben.joint import RigidTendon, Tendon
+from mckibben.leg import BiarticularMuscle, LegJoint, LegPlant, LegState
+from mckibben.muscle import Muscle
+from mckibben.numerics.compiled import numeric
+from mckibben.plant.air_valve import AirState
+
+_LIGHT = 1e-9
+"""Mass [kg] and inertia [kg*m^2] of a body that has none: MuJoCo moves no body without."""
+
+
+class LegModel(NamedTuple):
+    """MJCF, the module of the plugin's forces, its muscles and their names, and what is left out."""
+
+    xml: str
+    module: SourceModule
+    muscles: tuple[PluginMuscle, ...]
+    names: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+class _Frame:
+    """A body of MJCF on its way: what is in it, and how it hangs on the one above."""
+
+    def __init__(self, name: str, joint: LegJoint | None = None, origin: float = 0.0, side: bool = False) -> None:
+        self.name, self.joint, self.origin, self.side = name, joint, origin, side
+        self.inside: list[str] = []
+
+    @property
+    def rest(self) -> float:
+        """Angle [rad] on the body above at the angle 0 of the joint, or where it is locked; forwards, or to +y."""
+        joint = self.joint
+        assert joint is not None
+        return float(joint.link_angle) + joint.sign * float(joint.locked or 0.0)
+
+    def opened(self, limit: Compliance | None) -> str:
+        """Text of its beginning, with the joint."""
+        assert self.joint is not None
+        turned = f"{self.rest!r} 0 0" if self.side else f"0 {-self.rest!r} 0"
+        text = f'<body name={_name(self.name)} pos="0 0 {-self.origin!r}" euler="{turned}">'
+        if self.joint.locked is None:
+            sign = self.joint.sign
+            axis = f"{sign} 0 0" if self.side else f"0 {-sign} 0"
+            limits = f"{float(self.joint.lower)!r} {float(self.joint.upper)!r}"
+            assert limit is not None
+            text += (
+                f'<joint name={_name(self.joint.name)} type="hinge" axis="{axis}" range="{limits}" '
+                f'damping="{float(self.joint.damping)!r}" solreflimit="{limit.reference}" '
+                f'solimplimit="{limit.impedance}"/>'
+            )
+        return text
+
+
+class _Driven(NamedTuple):
+    """A muscle in MJCF: its tendon, or the joint that it turns, and the functions that find it in a plant."""
+
+    name: str
+    tendon: str
+    target: str
+    parts: tuple[tuple[str, str], ...]  # sites of its straight parts
+    muscle: Callable[[LegPlant], tuple[Muscle, Tendon]]
+    path: Callable[[LegPlant, Any], Any]
+    limits: Muscle
+
+
+def leg_model(
+    plant: LegPlant,
+    name: str = "leg",
+    timestep: float = 2.5e-4,
+    start: LegState | None = None,
+    side_pressures: tuple[float, float] = (3e5, 3e5),
+) -> LegModel:
+    """MJCF of a leg, and the functions of its muscles.
+
+    Parameters
+    ----------
+    plant
+        The leg; with `Leg.side_swing` the model is one in space.
+    name
+        Of the model and its plugin.
+    timestep
+        [s]
+    start
+        The keyframe "start"; else all angles as near 0 as they can be, without pressure, the foot on the ground.
+    side_pressures
+        Gauge pressures [Pa] of the muscles of the side-swing joint at the start.
+
+    Raises
+    ------
+    ExportError
+        For what MuJoCo cannot hold.
+    """
+    leg = plant.leg
+    check_valve(plant.valve)
+    side = leg.side_swing
+    joints = [*leg.joints, *([] if side is None else [side])]
+    for joint in joints:
+        check_tendon(joint.muscles)
+    if start is None:
+        angles = [float(np.clip(0.0, float(joint.lower), float(joint.upper))) for joint in leg.joints]
+        start = plant.init_state(angles, [0.0] * len(leg.muscles))
+    found = compliance(plant, start)
+    bodies = _bodies(plant)
+    driven, left_out = _muscles(plant, joints, bodies)
+    module, functions = _functions(plant, name, driven, start, side_pressures)
+    left_out += [
+        f"ground: MuJoCo's contact has the stiffness, the friction, and the restitution at {TOUCH_SPEED:g} m/s; its "
+        "damper acts from the first touch",
+        f"stops of the joints: likewise, at {LIMIT_SPEED:g} rad/s",
+    ]
+    if side is not None:
+        left_out.append("inertia of the bodies in space: about each axis that in the plane")
+    xml = _mjcf(plant, module.name, timestep, bodies, driven, functions, found, start)
+    return LegModel(xml, module, tuple(x.summary for x in functions), tuple(x.name for x in driven), tuple(left_out))
+
+
+class LegScene(NamedTuple):
+    """MJCF of a leg without forces of muscles, and the sites of the straight parts of each muscle that has some."""
+
+    xml: str
+    parts: dict[str, tuple[tuple[str, str], ...]]
+
+
+def leg_scene(plant: LegPlant, start: LegState) -> LegScene:
+    """A leg to be shown in MuJoCo, moved by its coordinates; without a plugin."""
+    bodies = _bodies(plant)
+    driven, _ = _muscles(plant, [*plant.leg.joints, *filter(None, [plant.leg.side_swing])], bodies)
+    xml = _mjcf(plant, "leg", 1e-3, bodies, driven, [], compliance(plant, start), start)
+    return LegScene(xml, {one.name: one.parts for one in driven if one.parts})
+
+
+def leg_files(
+    plant: LegPlant, name: str = "leg", title: str = "a leg", *, timestep: float = 2.5e-4, start: LegState | None = None
+) -> Exported:
+    """The model of a leg, and the plugin for its muscles; arguments as for `leg_model`."""
+    model = leg_model(plant, name, timestep, start)
+    left_out = ("controller: data.ctrl is yours", *model.left_out)
+    return Exported(plugin_files(model.module, model.muscles, model.xml, title, left_out), left_out)
+
+
+def _name(name: str) -> str:
+    return quoteattr(name)
+
+
+def _text(numbers: Sequence[Any]) -> str:
+    return " ".join(repr(float(one)) for one in numbers)
+
+
+def _bodies(plant: LegPlant) -> list[_Frame]:
+    """Trunk, the body between the hips where there is a side-swing joint, and links, with their masses and shapes."""
+    leg = plant.leg
+    trunk = _Frame("trunk")
+    trunk.inside.append(_inertial(leg.trunk.mass, leg.trunk.centre, leg.trunk.inertia))
+    found = [trunk]
+    if leg.side_swing is not None:
+        found.append(_Frame(leg.side_swing.name + " body", leg.side_swing, side=True))
+        found[-1].inside.append(_inertial(0.0, 0.0, 0.0))
+    origin = 0.0
+    for joint, link in zip(leg.joints, leg.links, strict=True):
+        frame, length = _Frame(joint.name + " link", joint, origin), float(link.length)
+        frame.inside += [
+            _inertial(link.mass, -link.centre, link.inertia),
+            f'<geom class="bone" fromto="0 0 0 0 0 {-length!r}"/>',
+            '<geom class="axle" fromto="0 -0.016 0 0 0.016 0"/>',
+        ]
+        found.append(frame)
+        origin = length
+    radius = float(leg.foot_radius) or 1e-4
+    found[-1].inside.append(f'<geom name="foot" type="sphere" class="foot" pos="0 0 {-origin!r}" size="{radius!r}"/>')
+    return found
+
+
+def _inertial(mass: Any, height: Any, inertia: Any) -> str:
+    mass, inertia = max(float(mass), _LIGHT), max(float(inertia), _LIGHT)
+    return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
+
+
+def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> tuple[list[_Driven], list[str]]:
+    """All muscles that MuJoCo can move, with their sites put into the bodies; and what is left out."""
+    leg = plant.leg
+    found, left_out = [], []
+    places = {frame.joint.name: number for number, frame in enumerate(bodies) if frame.joint is not None}
+
+    def attach(path: str, joint: LegJoint, moved: Transmission) -> tuple[str, str]:
+        """Names of the sites of a straight path over a joint, which are put into its bodies."""
+        child = bodies[places[joint.name]]
+        parent = bodies[places[joint.name] - 1]
+        names = f"{path} fixed", f"{path} moving"
+        (x, z), there = anchors(joint, moved)
+        for frame, name, (across, up) in zip((parent, child), names, ((x, z - child.origin), there), strict=True):
+            position = f"0 {across!r} {up!r}" if child.side else f"{across!r} 0 {up!r}"
+            frame.inside.append(f'<site name={_name(name)} pos="{position}"/>')
+        return names
+
+    def coupled(moved: Transmission, joint: LegJoint) -> tuple[str, float]:
+        """Text of a pulley in a tendon, and its length [m] at a locked joint."""
+        if joint.locked is not None:
+            return "", moved.coefficient * float(joint.locked)
+        return f'<joint joint={_name(joint.name)} coef="{moved.coefficient!r}"/>', 0.0
+
+    for index, joint in enumerate(joints):
+        pair = transmissions(joint.muscles.geometry)
+        for number, moved in enumerate(pair):
+            name = f"{joint.name}{number + 1}"
+            spatial = bool(moved.points)
+            if joint.locked is not None and not spatial:
+                left_out.append(f"muscle {name}: its joint is locked, and it has no tendon between points")
+                continue
+            parts = (attach(name, joint, moved),) if spatial else ()
+            if spatial:
+                tendon = _spatial(name, parts)
+            elif moved.coefficient:
+                tendon = f"<fixed name={_name(name)}>{coupled(moved, joint)[0]}</fixed>"
+            else:
+                tendon = ""
+                left_out.append(f"tendon of {name}: MuJoCo has none with such a path; its torque turns the joint")
+            target = f"tendon={_name(name)}" if tendon else f"joint={_name(joint.name)}"
+            own = (joint.muscles.muscle1, joint.muscles.muscle2)[number]
+            found.append(
+                _Driven(name, tendon, target, parts, _of_pair(index, number), _path(index, number, moved), own)
+            )
+    biarticular = []
+    for index, one in enumerate(leg.biarticular):
+        both = [leg.joints[leg.index(name)] for name in (one.joint1, one.joint2)]
+        moved = [path_transmission(0, *each) for each in _sides(one)]
+        offset, parts = sum(float(each.offset) for each in moved), ()
+        if all(each.points for each in moved):
+            parts = tuple(
+                attach(f"{one.name} {number}", joint, each)
+                for number, (joint, each) in enumerate(zip(both, moved, strict=True), 1)
+            )
+            tendon = _spatial(one.name, parts)
+        elif all(each.coefficient for each in moved):
+            pieces = [coupled(each, joint) for each, joint in zip(moved, both, strict=True)]
+            offset += sum(length for _, length in pieces)
+            tendon = f"<fixed name={_name(one.name)}>{''.join(text for text, _ in pieces)}</fixed>"
+        else:
+            raise cannot("path1", f"the paths of {one.name}", "give it a TwoBonePath or a Pulley over both joints")
+        own = _of_biarticular(index)
+        target = f"tendon={_name(one.name)}"
+        biarticular.append(_Driven(one.name, tendon, target, parts, own, _beyond(offset), one.muscle))
+    last = len(found) if leg.side_swing is None else -2  # the side-swing pair comes last
+    return [*found[:last], *biarticular, *found[last:]], left_out
+
+
+def anchors(joint: LegJoint, moved: Transmission) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Points (forwards, up) [m] of a straight path from a joint, at the body above it, and at its link hanging down."""
+    (x, z), (across, up) = ((joint.sign * x, y) for x, y in moved.points)
+    sine, cosine = math.sin(float(joint.link_angle)), math.cos(float(joint.link_angle))
+    return (x, z), (across * cosine + up * sine, up * cosine - across * sine)
+
+
+def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
+    """A tendon of straight parts; its length is their sum."""
+    sites = ("".join(f"<site site={_name(site)}/>" for site in part) for part in parts)
+    joined = '<pulley divisor="1"/>'.join(sites)
+    return f'<spatial name={_name(name)} class="muscle">{joined}</spatial>'
+
+
+def _sides(one: BiarticularMuscle) -> list[tuple[Any, int]]:
+    actions = (one.path1, one.action1), (one.path2, one.action2)
+    return [(path, 1 if action == "lengthens" else -1) for path, action in actions]
+
+
+def _pair_of(plant: LegPlant, index: int) -> Any:
+    """Muscles of a joint; those of the side-swing joint come after all others."""
+    leg = plant.leg
+    joint = leg.joints[index] if index < len(leg.joints) else leg.side_swing
+    assert joint is not None
+    return joint.muscles
+
+
+def _of_pair(index: int, number: int) -> Callable[[LegPlant], tuple[Muscle, Tendon]]:
+    def found(plant: LegPlant) -> tuple[Muscle, Tendon]:
+        pair = _pair_of(plant, index)
+        return (pair.muscle1, pair.muscle2)[number], pair.tendon
+
+    return found
+
+
+def _of_biarticular(index: int) -> Callable[[LegPlant], tuple[Muscle, Tendon]]:
+    return lambda plant: (plant.leg.biarticular[index].muscle, RigidTendon())
+
+
+def _path(index: int, number: int, moved: Transmission) -> Callable[[LegPlant, Any], Any]:
+    if moved.tendon:
+        return _beyond(float(moved.offset))
+    return lambda plant, angle: _pair_of(plant, index).geometry.path_lengths(angle)[number]
+
+
+def _beyond(offset: float) -> Callable[[LegPlant, Any], Any]:
+    return lambda plant, length: length + offset
+
+
+def _functions(
+    plant: LegPlant, name: str, driven: list[_Driven], start: LegState, side_pressures: tuple[float, float]
+) -> tuple[SourceModule, list[MuscleFunctions]]:
+    """The module of the plugin, and the functions of each muscle that are in it."""
+    numbers, fixed = eqx.partition(numeric(plant), is_real)
+    module = SourceModule(name, {"plant": numbers}, "plant.")
+    valves = start.air.valves if isinstance(start.air, AirState) else ((),) * len(start.pressures)
+    known = dict(zip(plant.leg.muscle_names, zip(start.muscles, start.pressures, valves, strict=True), strict=True))
+    side = plant.leg.side_swing
+    if side is not None:
+        paths = side.muscles.geometry.path_lengths(0.0)
+        pair = zip(side_pressures, paths, (side.muscles.muscle1, side.muscles.muscle2), strict=True)
+        for number, (pressure, path, muscle) in enumerate(pair, 1):
+            inside = jnp.asarray(float(pressure))
+            air = plant.valve.init(inside) if isinstance(start.air, AirState) else ()  # type: ignore[union-attr]
+            state = muscle.init_state(muscle.specimen.contraction_at(path))
+            known[f"{side.name}{number}"] = state, inside, air
+    found = []
+    for number, one in enumerate(driven, 1):
+        found.append(MuscleFunctions(fixed, number, one.muscle, one.path, known[one.name]))
+        found[-1].add_to(module)
+    return module, found
+
+
+def _command_range(plant: LegPlant, muscle: Muscle) -> tuple[float, float]:
+    """Lowest and highest command of a muscle: gauge pressures [Pa], or openings."""
+    if getattr(plant.valve, "direct", False):
+        return -1.0, 1.0
+    rated, supply = muscle.specimen.domain, getattr(plant.valve, "supply", None)
+    highest = rated.pressure_max if supply is None else min(float(rated.pressure_max), float(supply))
+    return float(rated.pressure_min), float(highest)
+
+
+_TRUNK = {
+    "fixed": "",
+    "vertical": '<joint name="z" type="slide" axis="0 0 1"/>',
+    "planar": '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>',
+    "free": '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>'
+    '<joint name="pitch" type="hinge" axis="0 -1 0"/>',
+}
+"""Joints of the trunk in each of its freedoms."""
+
+
+def coordinates(plant: LegPlant, of: Any) -> list[Any]:
+    """Posture or velocity of a leg, numbers or arrays of them, in the order of MuJoCo's joints."""
+    trunk = {"fixed": (), "vertical": (of.z,), "planar": (of.x, of.z), "free": (of.x, of.z, of.pitch)}
+    leg = plant.leg
+    side = [0.0 * of.z] if leg.side_swing is not None and leg.side_swing.locked is None else []
+    moving = [angle for angle, joint in zip(of.angles, leg.joints, strict=True) if joint.locked is None]
+    return [*trunk[leg.trunk.freedom], *side, *moving]
+
+
+def _mjcf(
+    plant: LegPlant,
+    name: str,
+    timestep: float,
+    bodies: list[_Frame],
+    driven: list[_Driven],
+    functions: list[MuscleFunctions],
+    found: dict[str, Compliance],
+    start: LegState,
+) -> str:
+    leg, contact, friction = plant.leg, found["ground"], found["friction"]
+    actuators, controls, acts = [], [], []
+    for number, (one, made) in enumerate(zip(driven, functions, strict=False), 1):  # a scene has no functions
+        low, high = _command_range(plant, one.limits)
+        limited = f'ctrllimited="true" ctrlrange="{_text((low, high))}"' if low < high else 'ctrllimited="false"'
+        actuators.append(
+            f'<plugin name={_name(one.name)} {one.target} plugin="mckibben.{name}" '
+            f'{made.summary.dynamics(plant.valve)} {limited}><config key="muscle" value="{number}"/></plugin>'
+        )
+        controls.append(0.0 if getattr(plant.valve, "direct", False) else made.pressure)
+        acts += list(made.activations)
+    posture, velocity = (_text(coordinates(plant, of)) for of in (start.posture, start.velocity))
+    act = f' act="{_text(acts)}"' if acts else ""
+    control = f'ctrl="{_text(controls)}"' if controls else ""
+    fixed = leg.trunk.freedom == "fixed"
+    body = f'<body name="trunk" pos="0 0 {float(start.posture.z) if fixed else 0.0!r}">{_TRUNK[leg.trunk.freedom]}'
+    top = max(_height(bodies[0]), 0.1)
+    body += f'<geom class="bone" fromto="0 0 0 0 0 {top!r}"/><geom class="trunk" pos="0 0 {top + 0.03!r}"/>'
+    body += "".join(bodies[0].inside)
+    for frame in bodies[1:]:
+        assert frame.joint is not None
+        body += "\n    " + frame.opened(found.get(frame.joint.name)) + "".join(frame.inside)
+    body += "</body>" * len(bodies)
+    tendons = "\n    ".join(one.tendon for one in driven if one.tendon)
+    joints = [frame.joint.name for frame in bodies[1:] if frame.joint is not None and frame.joint.locked is None]
+    sensors = "".join(f"<jointpos name={_name(one)} joint={_name(one)}/>" for one in joints)
+    mu = float(plant.ground.friction)
+    return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
+<mujoco model="{name}">
+  <extension>{f'<plugin plugin="mckibben.{name}"/>' if functions else ""}</extension>
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="{timestep!r}" integrator="RK4" gravity="0 0 {-float(plant.gravity)!r}"
+    cone="elliptic" impratio="{FRICTION_RATIO!r}"/>
+  <visual>
+    <global offwidth="1280" offheight="1280"/><map znear="0.01"/><quality shadowsize="4096" offsamples="8"/>
+    <headlight ambient="0.55 0.55 0.55" diffuse="0.25 0.25 0.25" specular="0.1 0.1 0.1"/><rgba haze="1 1 1 1"/>
+  </visual>
+  <default>
+    <geom contype="0" conaffinity="0"/><site size="0.004" rgba="0.3 0.32 0.35 1"/>
+    <default class="bone"><geom type="capsule" size="0.011" rgba="0.72 0.74 0.77 1"/></default>
+    <default class="axle"><geom type="cylinder" size="0.028" rgba="0.30 0.33 0.37 1"/></default>
+    <default class="foot"><geom rgba="0.13 0.14 0.16 1"/></default>
+    <default class="trunk"><geom type="box" size="0.07 0.06 0.03" rgba="0.13 0.36 0.56 1"/></default>
+    <default class="muscle"><tendon width="0.003" rgba="0.3 0.32 0.35 1"/></default>
+  </default>
+  <asset>
+    <texture type="skybox" builtin="gradient" rgb1="0.93 0.95 0.97" rgb2="1 1 1" width="32" height="256"/>
+    <texture name="floor" type="2d" builtin="checker" rgb1="0.97 0.97 0.97" rgb2="0.87 0.89 0.91"
+      width="256" height="256"/>
+    <material name="floor" texture="floor" texrepeat="40 40" texuniform="false"/>
+  </asset>
+  <worldbody>
+    <light pos="-0.5 -1.0 3" dir="0.15 0.3 -1" diffuse="0.45 0.45 0.45" specular="0.2 0.2 0.2"/>
+    <geom name="floor" type="plane" size="4 4 0.1" material="floor"/>
+    {body}
+  </worldbody>
+  <contact>
+    <pair geom1="floor" geom2="foot" condim="3" friction="{mu!r} {mu!r} 0 0 0" solref="{contact.reference}"
+      solreffriction="{friction.reference}" solimp="{contact.impedance}"/>
+  </contact>
+  <tendon>
+    {tendons}
+  </tendon>
+  <actuator>
+    {"".join(actuators)}
+  </actuator>
+  <sensor>{sensors}</sensor>
+  <keyframe><key name="start" qpos="{posture}" qvel="{velocity}"{act} {control}/></keyframe>
+</mujoco>
+"""
+
+
+def _height(trunk: _Frame) -> float:
+    """Height [m] of the highest site."""
+    sites = [one for one in trunk.inside if one.startswith("<site")]
+    return max((float(one.split('pos="')[1].split('"')[0].split()[2]) for one in sites), default=0.0)

@@ -1,0 +1,224 @@
+"""The engine plugin of MuJoCo for muscles: their functions as C, and the C around these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import mckibben
+from mckibben.codegen.c import write_c
+from mckibben.codegen.source_module import SourceModule
+from mckibben.export.c_folder import filled
+from mckibben.joint import Tendon
+from mckibben.muscle import Muscle, MuscleState
+from mckibben.numerics.calculus import derivative, value_and_derivative
+from mckibben.plant import FirstOrderValve, IdealValve
+from mckibben.plant.air_valve import AirState, AirValve, AirVolume
+from mckibben.realtime.compiled_step import FlatTree
+
+
+class Activations(NamedTuple):
+    """Activations of an actuator: arms of the creep [N], state of the valve, pressure [Pa] but for an ideal valve."""
+
+    creep: Any
+    valve: Any
+    pressure: Any
+
+
+class PluginMuscle(NamedTuple):
+    """Numbers of activations and anchors, whether they slip, and whether MuJoCo's own filter is the valve."""
+
+    activations: int
+    anchors: int
+    slips: bool
+    filtered: bool
+
+    def dynamics(self, valve: Any) -> str:
+        """Attributes of its actuator in MJCF."""
+        if not self.activations:
+            return ""
+        lag = f'dynprm="{float(valve.time_constant)!r}"' if self.filtered else ""
+        return f'actdim="{self.activations}" dyntype="{"filter" if lag else "none"}" {lag}'
+
+
+class MuscleFunctions:
+    """Functions of one muscle of a plant: force, rates of its activations, and what slips after a step.
+
+    Parameters
+    ----------
+    fixed
+        The plant without its real numbers, which are parameters of the module.
+    number
+        Number of the muscle, from 1.
+    muscle_of, path_of
+        The muscle of a plant with its tendon, and its path [m] at a length that MuJoCo knows.
+    start
+        State, pressure [Pa], and state of the valve at the start.
+    """
+
+    def __init__(
+        self,
+        fixed: Any,
+        number: int,
+        muscle_of: Callable[[Any], tuple[Muscle, Tendon]],
+        path_of: Callable[[Any, Any], Any],
+        start: tuple[MuscleState, Any, Any],
+    ) -> None:
+        self._fixed, self._number, self._muscle_of, self._path_of = fixed, number, muscle_of, path_of
+        valve = fixed.valve
+        state, pressure, air = start
+        pressure = () if isinstance(valve, IdealValve) else pressure
+        self.pressure = float(start[1])
+        """Pressure [Pa] at the start."""
+        self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
+        self._layout = FlatTree(self._start)
+        slips = bool(state.friction or state.creep)
+        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, isinstance(valve, FirstOrderValve))
+        self.activations = self._layout.pack(self._start)
+        """Activations at the start."""
+
+    def add_to(self, module: SourceModule) -> None:
+        """Add the functions to a module."""
+        number, (activations, anchors, slips, filtered) = self._number, self.summary
+        zero = np.zeros(())
+        given = {"length": zero, "velocity": zero, "command": zero}
+        given |= {"act": np.zeros(activations)} if activations else {}
+        argument = f"input{number}"
+        held = {argument: given | ({"anchors": np.zeros(anchors)} if anchors else {})}
+
+        def force(parameters: Any, **arguments: Any) -> dict[str, Any]:
+            return {"force": self._force(parameters, arguments[argument])}
+
+        def rates(parameters: Any, **arguments: Any) -> dict[str, Any]:
+            return {f"rate{number}": {"act": self._rates(parameters, arguments[argument])}}
+
+        def settled(parameters: Any, **arguments: Any) -> dict[str, Any]:
+            return {f"after{number}": self._settled(parameters, arguments[argument])}
+
+        def unset(parameters: Any, **arguments: Any) -> dict[str, Any]:
+            return {f"first{number}": {"anchors": self._unset(parameters, arguments[argument])}}
+
+        module.add(f"force{number}", f"force of muscle {number}, 0 or below", force, held)
+        if activations > filtered:
+            module.add(f"rates{number}", f"rates of the activations of muscle {number}", rates, held)
+        if slips:
+            module.add(f"settled{number}", f"muscle {number} after a step; no force changes by it", settled, held)
+        if anchors:
+            module.add(f"unset{number}", f"unstressed anchors of muscle {number}", unset, {argument: given})
+
+    def _at(self, parameters: Any, given: Any) -> tuple[Any, tuple[Muscle, Tendon], Any, Any, Activations, MuscleState]:
+        """Plant, muscle with its tendon, path and its derivative, activations, and state of the muscle."""
+        plant = eqx.combine(parameters["plant"], self._fixed)
+        path, slope = value_and_derivative(lambda length: self._path_of(plant, length), given["length"])
+        acts = self._layout.unpack(given["act"]) if "act" in given else self._start
+        if isinstance(plant.valve, IdealValve):
+            acts = acts._replace(pressure=given["command"])
+        state = MuscleState(tuple(given.get("anchors", ())), acts.creep)
+        return plant, self._muscle_of(plant), path, slope, acts, state
+
+    def _force(self, parameters: Any, given: Any) -> Any:
+        _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, given)
+        contraction = tendon.contraction(muscle, path, pressure, state)
+        viscous = muscle.viscous_force(contraction, pressure, slope * given["velocity"], state)
+        return -(muscle.tension(contraction, pressure, state) + viscous) * slope
+
+    def _rates(self, parameters: Any, given: Any) -> Any:
+        plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, given)
+        valve, command, velocity = plant.valve, given["command"], given["velocity"]
+        creep = muscle.state_rate(held, slope * velocity).creep
+        if isinstance(valve, AirValve):
+
+            def volume(length: Any) -> Any:
+                return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
+
+            size, growth = value_and_derivative(volume, given["length"])
+            air = AirVolume(size + valve.dead_volume, growth * velocity)
+            both = valve.air_rate((pressure, pressure), AirState((state, state)), (command, command), (air, air))
+            rates = Activations(creep, both[1].valves[0], both[0][0])
+        elif isinstance(valve, IdealValve):
+            rates = Activations(creep, (), ())
+        else:
+            after = lambda elapsed: valve.pressure_after(pressure, command, elapsed)  # noqa: E731
+            rates = Activations(creep, (), derivative(after, jnp.zeros(())))
+        return self._layout.pack(rates, jnp)
+
+    def _settled(self, parameters: Any, given: Any) -> dict[str, Any]:
+        plant, (muscle, _), path, _, acts, state = self._at(parameters, given)
+        friction, creep = muscle.update_state(state, muscle.specimen.contraction_at(path), acts.pressure)
+        pressure = () if isinstance(plant.valve, IdealValve) else acts.pressure
+        held = Activations(creep, acts.valve, pressure)
+        found = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
+        return found | ({"anchors": jnp.stack(friction)} if friction else {})
+
+    def _unset(self, parameters: Any, given: Any) -> Any:
+        _, (muscle, _), path, *_ = self._at(parameters, given)
+        return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path)).friction)
+
+
+def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
+    """C of the plugin around the functions of its muscles."""
+    values = {"name": name, "plugin": f"mckibben.{name}", "count": str(len(muscles))}
+    parts, rows = [], []
+    for number, (activations, anchors, slips, filtered) in enumerate(muscles, 1):
+        load, rates = [], []
+        if activations:
+            load.append("memcpy(given.act, act, sizeof given.act);")
+        if anchors:
+            load += [
+                "if (state[0] == UNSET) {",
+                f"    {name}_first{number} first;",
+                f"    {name}_unset{number}(model, &given, &first);",
+                "    memcpy(state + 2, first.anchors, sizeof first.anchors);",
+                "}",
+                "memcpy(given.anchors, state + 2, sizeof given.anchors);",
+            ]
+        if slips:
+            store = [("act", "act")] if activations else []
+            store += [("state + 2", "anchors")] if anchors else []
+            copied = [f"    memcpy({to}, after.{part}, sizeof after.{part});" for to, part in store]
+            again = [f"    memcpy(given.{part}, after.{part}, sizeof after.{part});" for _, part in store]
+            load += [
+                "if (state[0] == STEPPED) {",
+                f"    {name}_after{number} after;",
+                "    given.command = state[1];",
+                f"    {name}_settled{number}(model, &given, &after);",
+                *copied,
+                *again,
+                "    given.command = command(m, d, i);",
+                "}",
+                "state[0] = SETTLED;",
+            ]
+        if activations > filtered:
+            rates += [
+                f"{name}_rate{number} found;",
+                f"{name}_rates{number}(model, &given, &found);",
+                f"memcpy(d->act_dot + m->actuator_actadr[i], found.act, {activations - filtered} * sizeof(mjtNum));",
+            ]
+        rows.append(f"    {{{anchors}, act_dot{number}, force{number}}},\n")
+        text = {"load": load, "rates": rates}
+        body = {key: "\n".join(f"    {line}" for line in lines) for key, lines in text.items()}
+        parts.append(filled("plugin_muscle.c", values | body | {"k": str(number)}))
+    return filled("plugin.c", values | {"muscles": "".join(parts), "rows": "".join(rows)})
+
+
+def plugin_files(
+    module: SourceModule, muscles: Sequence[PluginMuscle], xml: str, title: str, left_out: Sequence[str]
+) -> dict[str, str]:
+    """Contents of the files of a model: MJCF, the plugin, and how to use them."""
+    name = module.name
+    comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
+    sources = write_c(module, comment.replace("*/", "* /"), single=False)
+    listed = "".join(f"- {one}\n" for one in left_out)
+    return {
+        f"{name}.xml": xml,
+        f"{name}.h": sources.header,
+        f"{name}.c": sources.source,
+        "plugin.c": plugin_source(muscles, name),
+        "Makefile": filled("plugin.mk", {"name": name}),
+        "README.md": filled("mujoco.md", {"name": name, "title": title, "left_out": listed}),
+    }

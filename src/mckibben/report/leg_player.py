@@ -1,0 +1,82 @@
+"""Player of runs of a leg in a page: the planar leg with its muscles and the force of the ground, from inline data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import markupsafe
+import numpy as np
+
+from mckibben.leg import LegPlant
+from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, skeleton, straight_paths
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_FRAMES = 240
+_SCALE = 1e4
+"""Numbers are sent as integers: lengths in 0.1 mm."""
+
+
+def leg_player(runs: Mapping[str, tuple[LegPlant, xr.Dataset]], key: str = "leg") -> markupsafe.Markup:
+    """HTML of a player of one run or more, side by side, self-contained; `key` is its id in the page.
+
+    Parameters
+    ----------
+    runs
+        Plant, and what `simulate_leg` found, by the title that is shown.
+    """
+    force = max(float(np.hypot(run["ground_forward"], run["ground_up"]).max()) for _, run in runs.values()) or 1.0
+    pressure = max(float(run["pressure"].max()) for _, run in runs.values()) or 1.0
+    shown = [_run(title, plant, run, force, pressure) for title, (plant, run) in runs.items()]
+    corners = np.array([one.pop("corners") for one in shown])
+    options = {
+        "runs": shown,
+        "scale": _SCALE,
+        "left": corners[:, 0].min() - 0.12,
+        "right": corners[:, 1].max() + 0.12,
+        "top": corners[:, 2].max() + 0.1,
+        "colours": [(255 * one).round().tolist() for one in (SLACK, FULL)],
+    }
+    script = (resources.files("mckibben.report") / "leg_player.js").read_text(encoding="utf-8")
+    canvases = "".join(f'<canvas role="img" aria-label="{markupsafe.escape(one["title"])}"></canvas>' for one in shown)
+    data = json.dumps(options, separators=(",", ":")).replace("<", "\\u003c")
+    name = markupsafe.escape(key)
+    return markupsafe.Markup(
+        f'<figure class="leg-player" id="{name}"><div class="stages">{canvases}</div>'
+        '<div class="controls"><button type="button">Play</button>'
+        '<input type="range" min="0" max="1000" value="0" aria-label="Time">'
+        '<label>Speed <select><option value="1">1</option><option value="0.1" selected>1/10</option>'
+        '<option value="0.02">1/50</option></select></label></div>'
+        "<figcaption>Muscles have the colour of their pressure and the width of their volume, twice as wide as they "
+        "are; the arrow is the force of the ground.</figcaption>"
+        "<noscript><p>This part needs JavaScript.</p></noscript>"
+        f"<script>\n{script}legPlayer({json.dumps(str(name))}, {data});\n</script></figure>"
+    )
+
+
+def _run(title: str, plant: LegPlant, run: xr.Dataset, force: float, pressure: float) -> dict[str, Any]:
+    """Data of a run: a row of integers for each frame, of points, paths, shapes, and force."""
+    chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, _FRAMES).round().astype(int))
+    at = run.isel(time=chosen)
+    points, paths, shapes = skeleton(plant, at), straight_paths(plant, at), muscle_shapes(plant, at, pressure)
+    columns = [points.reshape(len(chosen), -1)]
+    for name, parts in paths.items():
+        columns += [part.reshape(len(chosen), -1) for part in parts]
+        one = shapes[name]
+        columns.append(np.stack(one, -1))
+    columns.append(np.stack([at["ground_forward"], at["ground_up"]], -1) / force)
+    times = at["time"].to_numpy()
+    return {
+        "title": title,
+        "times": np.round(times * _SCALE).astype(int).tolist(),
+        "rows": np.round(np.concatenate(columns, -1) * _SCALE).astype(int).tolist(),
+        "points": points.shape[1],
+        "muscles": [{"parts": len(parts), "place": place_of(plant, name)} for name, parts in paths.items()],
+        "foot": float(plant.leg.foot_radius),
+        "weights": force / float(plant.leg.total_mass * plant.gravity),
+        "corners": [points[..., 0].min(), points[..., 0].max(), points[..., 1].max()],
+    }

@@ -1,0 +1,273 @@
+"""MuJoCo judges the leg: the same motion from its own dynamics, in flight, on the ground, and in space."""
+
+import dataclasses
+import shutil
+
+import mujoco
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import ExportError
+from mckibben.export.leg_compliance import compliance
+from mckibben.export.leg_mjcf import leg_files, leg_model
+from mckibben.export.mujoco import load_mujoco
+from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
+from mckibben.leg import (
+    BiarticularMuscle,
+    Leg,
+    LegJoint,
+    LegPlant,
+    LegStart,
+    Link,
+    PressureSchedule,
+    Trunk,
+    simulate_leg,
+)
+from mckibben.units import bar, deg
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")
+PERIOD, SUBSTEPS = 1e-3, 4
+MUSCLE = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("lei-mas-10-180n"))
+KNEE = mk.KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.208)
+PULLEYS = PairedPaths(Pulley(0.025, 0.165), Pulley(0.03, 0.165))
+HAMSTRING = BiarticularMuscle(
+    MUSCLE,
+    TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.0),
+    TwoBonePath(0.02, 0.20, 0.02, -0.005, 0.27),  # x is where the angle turns: backwards
+    joint1="hip",
+    joint2="knee",
+    action1="lengthens",
+    action2="shortens",
+    name="hamstring",
+)
+
+
+def pair(geometry):
+    return mk.AntagonisticJoint(geometry, MUSCLE, MUSCLE)
+
+
+def plant_of(freedom, *, side=False, valve=None):
+    """Leg with hip, knee and pulleys at the ankle, whose angles grow backwards at the knee; and a hamstring."""
+    joints = (
+        LegJoint(pair(KNEE), -15 * deg, 15 * deg, name="hip", damping=0.05, link_angle=20 * deg),
+        LegJoint(pair(KNEE), -25 * deg, 30 * deg, name="knee", damping=0.05, link_angle=-40 * deg, forward=False),
+        LegJoint(pair(PULLEYS), -20 * deg, 20 * deg, name="ankle", damping=0.03, link_angle=50 * deg),
+    )
+    links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005), Link(0.12, 0.2, 0.05, 0.002)
+    trunk = Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom)
+    swing = LegJoint(pair(KNEE), -15 * deg, 15 * deg, name="side", damping=0.05) if side else None
+    leg = Leg(trunk, links, joints, (HAMSTRING,), foot_radius=0.02, side_swing=swing)
+    return LegPlant(leg, valve or mk.FirstOrderValve(0.02))
+
+
+ANGLES = (3 * deg, -4 * deg, 2 * deg)
+PRESSURES = tuple(one * bar for one in (3.0, 2.5, 3.0, 3.2, 2.0, 2.0, 1.0))
+COMMANDS = tuple(one * bar for one in (2.6, 3.0, 3.4, 2.9, 2.1, 2.0, 1.5))
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """Folder with the plugin of the leg in space, whose first muscles are those of the leg in the plane."""
+    folder = tmp_path_factory.mktemp("leg")
+    for name, content in leg_files(plant_of("vertical", side=True)).files.items():
+        (folder / name).write_text(content)
+    load_mujoco(folder, "leg")
+    return folder
+
+
+def model_of(plant, start, library):
+    """Model and data at a start, under the commands."""
+    assert library.exists()
+    given = {"clearance": start.clearance, "upward_speed": start.upward_speed}
+    state = plant.init_state(start.angles, start.pressures, **given)
+    model = mujoco.MjModel.from_xml_string(leg_model(plant, timestep=PERIOD / SUBSTEPS, start=state).xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[: len(COMMANDS)] = COMMANDS
+    return model, data
+
+
+def coordinates(plant, start):
+    """Positions in MuJoCo's order, and the run, by our own dynamics."""
+    schedule = PressureSchedule(tuple((one,) for one in COMMANDS))
+    run = simulate_leg(plant, schedule, start, duration=0.1, control_period=PERIOD, substeps=SUBSTEPS)
+    trunk = {"vertical": ("z",), "free": ("x", "z", "pitch")}[plant.leg.trunk.freedom]
+    return np.stack([*(run[name].to_numpy() for name in trunk), *run["angle"].to_numpy()], -1), run
+
+
+def stepped(model, data, seen=lambda: None):
+    """Positions by MuJoCo at the start of each period, where `seen` is called."""
+    found = []
+    for _ in range(100):
+        seen()
+        found.append(data.qpos.copy())
+        mujoco.mj_step(model, data, nstep=SUBSTEPS)
+    return np.array(found)
+
+
+def own_contact(plant):
+    """Contact and stops of the plant in plain NumPy, as passive forces of MuJoCo at each stage of its integration."""
+    ground, joints = plant.ground, plant.leg.joints
+
+    def pressed(depth, rate, stiffness, damping):
+        return stiffness * max(depth, 0.0) * max(1 + damping * rate, 0.0)
+
+    def passive(model, data):
+        foot = model.geom("foot").id
+        point = data.geom_xpos[foot] - [0, 0, plant.leg.foot_radius]
+        jacobian = np.empty((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[foot])
+        speed = jacobian @ data.qvel
+        normal = pressed(-point[2], -speed[2], ground.stiffness, ground.damping)
+        slip = np.hypot(speed[0], ground.slip_speed)
+        data.qfrc_passive += jacobian.T @ [-ground.friction * normal * speed[0] / slip, 0, normal]
+        for joint in joints:
+            at, given = model.joint(joint.name).dofadr[0], (joint.stop_stiffness, joint.stop_damping)
+            angle, rate = data.qpos[at], data.qvel[at]
+            data.qfrc_passive[at] += pressed(joint.lower - angle, -rate, *given)
+            data.qfrc_passive[at] -= pressed(angle - joint.upper, rate, *given)
+
+    return passive
+
+
+@pytest.fixture
+def passive():
+    """Sets a function for passive forces, which is removed again."""
+    yield mujoco.set_mjcb_passive
+    mujoco.set_mjcb_passive(None)
+
+
+@pytest.mark.parametrize("freedom", ["vertical", "free"])
+def test_bodies_muscles_and_valves_move_alike_in_flight(freedom, library):
+    plant, start = plant_of(freedom), LegStart(ANGLES, PRESSURES, 0.5, 1.0)
+    model, data = model_of(plant, start, library)
+    ours, run = coordinates(plant, start)
+    assert not run["stop_torque"].any()
+    assert np.ptp(ours, axis=0).min() > 1e-3
+    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("freedom", ["vertical", "free"])
+def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, library, passive):
+    plant, start = plant_of(freedom), LegStart(ANGLES, PRESSURES, 0.0, -1.5)
+    model, data = model_of(plant, start, library)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    passive(own_contact(plant))
+    ours, run = coordinates(plant, start)
+    assert run["stop_torque"].to_numpy().any()
+    assert run["ground_up"].max() > 100
+    np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("freedom", ["vertical", "free"])
+def test_a_landing_by_the_contact_of_mujoco_is_much_the_same(freedom, library):
+    plant, start = plant_of(freedom), LegStart(ANGLES, PRESSURES, 0.0, -1.0)
+    model, data = model_of(plant, start, library)
+    ours, run = coordinates(plant, start)
+    foot, forces = np.zeros(6), []
+
+    def upward():
+        mujoco.mj_forward(model, data)
+        foot[:] = 0
+        if data.ncon:
+            mujoco.mj_contactForce(model, data, 0, foot)
+        forces.append(foot[0])
+
+    theirs = stepped(model, data, upward)
+    z = {"vertical": 0, "free": 1}[freedom]
+    assert max(forces) == pytest.approx(float(run["ground_up"].max()), rel=0.05)
+    assert np.ptp(theirs[:, z]) == pytest.approx(np.ptp(ours[:, z]), rel=0.04)
+    assert np.abs(theirs - ours).max() < 3 * deg
+
+
+@pytest.mark.parametrize("freedom", ["vertical", "free"])
+def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom):
+    plant = plant_of(freedom, side=True)
+    start = plant.init_state(ANGLES, PRESSURES)
+    model = mujoco.MjModel.from_xml_string(leg_model(plant, start=start).xml)
+    found = compliance(plant, start)
+    assert found["ground"].stiffness / plant.ground.stiffness == pytest.approx(
+        model.body_invweight0[model.geom("foot").bodyid[0], 0], rel=2e-3
+    )
+    for joint in (*plant.leg.joints, plant.leg.side_swing):
+        mobility = model.dof_invweight0[model.joint(joint.name).dofadr[0]]
+        assert found[joint.name].stiffness / joint.stop_stiffness == pytest.approx(mobility, rel=2e-3)
+
+
+def test_in_space_without_side_swing_it_moves_as_in_the_plane(library):
+    start = LegStart(ANGLES, PRESSURES, 0.5, 1.0)
+    model, data = model_of(plant_of("vertical", side=True), start, library)
+    assert (model.nu, model.nq) == (9, 5)
+    ours, _ = coordinates(plant_of("vertical"), start)
+    theirs = stepped(model, data)
+    assert np.all(theirs[:, 1] == 0)
+    np.testing.assert_allclose(np.delete(theirs, 1, axis=1), ours, rtol=0, atol=1e-9)
+
+
+def test_the_side_swing_has_the_torque_of_its_muscles_and_moves_the_foot_sideways(library):
+    plant = plant_of("vertical", side=True)
+    model, data = model_of(plant, LegStart(ANGLES, PRESSURES, 0.5), library)
+    swing = plant.leg.side_swing
+    place = model.joint("side").dofadr[0]
+    for angle, pressures in ((-0.2, (3e5, 2e5)), (0.0, (4e5, 1e5)), (0.15, (0.5e5, 5e5))):
+        data.qpos[place], data.act[-2:] = angle, pressures
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator[place] == pytest.approx(float(swing.muscles.torque(angle, pressures)), abs=1e-12)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[-2:] = 2e5, 4e5
+    mujoco.mj_step(model, data, nstep=400)
+    assert data.qpos[place] > 1 * deg
+    assert data.geom("foot").xpos[1] > 0.01
+
+
+OTHER = BiarticularMuscle(
+    MUSCLE, Pulley(0.02, 0.1), Pulley(0.015, 0.072), "hip", "knee", "shortens", "lengthens", "rope"
+)
+
+
+def test_cams_pulleys_locked_joints_and_air(tmp_path):
+    """Torques as those of the leg, with a plugin of its own; a muscle that MuJoCo cannot move is left out."""
+    plant = plant_of("free", valve=mk.FlowValve(conductance=1e-9, supply=6e5))
+    cams = PairedPaths(Cam(0.025, 0.165, arm_slope=0.004), Pulley(0.03, 0.165))
+    hip, knee, ankle = plant.leg.joints
+    joints = (
+        dataclasses.replace(hip, muscles=pair(cams)),
+        dataclasses.replace(knee, locked=5 * deg),
+        dataclasses.replace(ankle, locked=0.0),
+    )
+    plant = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=joints, biarticular=(OTHER,)))
+    start = plant.init_state(ANGLES, PRESSURES)
+    made = leg_files(plant, "other", start=start)
+    assert sum("hip1" in one for one in made.left_out) == 1
+    assert sum("ankle" in one for one in made.left_out) == 2
+    for name, content in made.files.items():
+        (tmp_path / name).write_text(content)
+    model = load_mujoco(tmp_path, "other")
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    assert [model.actuator(i).name for i in range(model.nu)] == ["hip1", "hip2", "knee1", "knee2", "rope"]
+    assert model.na == 10  # pressures and spools
+    place = model.joint("hip").dofadr[0]
+    for angle in (-0.2, 0.1):
+        data.qpos[place] = angle
+        mujoco.mj_forward(model, data)
+        wanted = plant.leg.torques(plant.leg.held((angle, 0.0, 0.0)), PRESSURES)[0]
+        assert data.qfrc_actuator[place] == pytest.approx(float(wanted), abs=1e-12)
+
+
+def test_what_mujoco_cannot_hold_is_refused():
+    plant = plant_of("free")
+    above = TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.1)
+    mixed = dataclasses.replace(HAMSTRING, path1=above, path2=Pulley(0.02, 0.04))
+    spring = mk.AntagonisticJoint(KNEE, MUSCLE, MUSCLE, mk.SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018))
+    hip = dataclasses.replace(plant.leg.joints[0], muscles=spring)
+    for leg, valve, field in (
+        (dataclasses.replace(plant.leg, biarticular=(mixed,)), plant.valve, "path1"),
+        (dataclasses.replace(plant.leg, joints=(hip, *plant.leg.joints[1:])), plant.valve, "tendon"),
+        (plant.leg, mk.SwitchingValves(conductance=1e-9, supply=7e5, period=0.01), "valve"),
+    ):
+        with pytest.raises(ExportError) as caught:
+            leg_model(LegPlant(leg, valve))
+        assert caught.value.field == field
+        assert caught.value.remedy

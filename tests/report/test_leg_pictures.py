@@ -1,0 +1,125 @@
+"""Animation and player of a run of a leg."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from runpy import run_path
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+from mckibben.errors import ExportError, RangeError
+from mckibben.export.leg_mjcf import coordinates, leg_scene
+from mckibben.leg import LegStart, PressureSchedule, simulate_leg
+from mckibben.report.leg_animation import render_leg
+from mckibben.report.leg_player import leg_player
+from mckibben.report.leg_shapes import muscle_shapes, posture_of, skeleton, straight_paths
+
+LEG = run_path(str(Path(__file__).parents[1] / "leg" / "test_mujoco.py"))
+
+
+@pytest.fixture(scope="module")
+def landing():
+    """A leg with a hamstring, pulleys, a knee that bends backwards and a pitching trunk, and its landing."""
+    plant = LEG["plant_of"]("free")
+    schedule = PressureSchedule(tuple((one,) for one in LEG["COMMANDS"]))
+    start = LegStart(LEG["ANGLES"], LEG["PRESSURES"], 0.0, -1.5)
+    return plant, simulate_leg(plant, schedule, start, duration=0.1, control_period=1e-3, substeps=4)
+
+
+def test_what_is_drawn_is_where_mujoco_has_it(landing):
+    plant, run = landing
+    at = run.isel(time=[0, 40, 99])
+    points, paths = skeleton(plant, at), straight_paths(plant, at)
+    scene = leg_scene(plant, plant.init_state(LEG["ANGLES"], LEG["PRESSURES"]))
+    assert set(paths) == set(scene.parts) == {"hip1", "hip2", "knee1", "knee2", "hamstring"}
+    model = mujoco.MjModel.from_xml_string(scene.xml)
+    data = mujoco.MjData(model)
+    for number, position in enumerate(np.stack(coordinates(plant, posture_of(at)), -1)):
+        data.qpos[:] = position
+        mujoco.mj_forward(model, data)
+        for name, parts in scene.parts.items():
+            for sites, ends in zip(parts, paths[name], strict=True):
+                for site, end in zip(sites, ends[number], strict=True):
+                    np.testing.assert_allclose(data.site(site).xpos[[0, 2]], end, atol=1e-12)
+        np.testing.assert_allclose(data.geom("foot").xpos[[0, 2]], points[number, -1], atol=1e-12)
+
+
+def test_muscles_have_the_volume_of_their_contraction(landing):
+    plant, run = landing
+    shapes = muscle_shapes(plant, run, 5e5)
+    for name, muscle in zip(plant.leg.muscle_names, plant.leg.muscles, strict=True):
+        one, contraction = shapes[name], run["contraction"].sel(muscle=name).to_numpy()
+        volume = np.asarray(muscle.specimen.volume(contraction))
+        np.testing.assert_allclose(np.pi / 4 * one.diameter**2 * one.length, volume)
+        np.testing.assert_allclose(one.length, 0.18 * (1 - contraction))
+
+
+@pytest.mark.parametrize("suffix", ["webp", "gif"])
+def test_an_animation_shows_leg_and_curves(suffix, landing, tmp_path):
+    plant, run = landing
+    try:
+        path = render_leg(plant, run, tmp_path / f"landing.{suffix}", frames=3, seconds=0.3)
+    except ExportError as error:
+        assert error.field == "MUJOCO_GL"
+        pytest.skip("no OpenGL without a display")
+    image = Image.open(path)
+    assert image.n_frames == 3
+    pictures = []
+    for number in range(3):
+        image.seek(number)
+        pictures.append(np.asarray(image.convert("RGB"), float))
+    leg, curves = np.split(np.array(pictures), [400], axis=2)
+    orange = (leg[..., 0] > 150) & (leg[..., 2] < 90)
+    assert orange.sum(axis=(1, 2)).min() > 200  # the muscles
+    assert np.abs(np.diff(leg, axis=0)).max() > 60  # which move
+    assert np.abs(np.diff(curves, axis=0)).max() > 60  # as does the line in the curves
+
+
+def test_what_cannot_be_drawn_is_said(landing, tmp_path, monkeypatch):
+    with pytest.raises(RangeError) as caught:
+        render_leg(*landing, tmp_path / "landing.mp4")
+    assert caught.value.field == "path"
+    monkeypatch.setenv("MUJOCO_GL", "none")
+    with pytest.raises(ExportError) as caught:
+        render_leg(*landing, tmp_path / "landing.webp", frames=2)
+    assert (caught.value.field, caught.value.value) == ("MUJOCO_GL", "none")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_player_is_self_contained_and_has_the_run(landing):
+    plant, run = landing
+    html = str(leg_player({"one <b>": landing, "two": (plant, run.isel(time=slice(50)))}))
+    assert "<b>" not in html
+    assert not re.search(r"(src|href)=|https?:", html)
+    data = json.loads(re.search(r'"leg", (\{.*\})\);', html)[1])
+    assert len(data["runs"]) == html.count("<canvas") == 2
+    first, rows = data["runs"][0], np.array(data["runs"][0]["rows"]) / data["scale"]
+    ends = 4 * sum(one["parts"] for one in first["muscles"])
+    assert rows.shape == (100, 2 * first["points"] + ends + 3 * len(first["muscles"]) + 2)
+    np.testing.assert_allclose(rows[:, 2:4], np.stack([run["x"], run["z"]], -1), atol=6e-5)
+    force = rows[:, -1] * first["weights"] * float(plant.leg.total_mass * plant.gravity)
+    np.testing.assert_allclose(force, run["ground_up"], atol=0.02)
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_the_player_draws_in_a_browser(landing, tmp_path):
+    move = "const s = document.querySelector('input'); s.value = 500; s.dispatchEvent(new Event('input'));"
+    count = (
+        "const c = document.querySelector('canvas'), p = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        "let n = 0; for (let k = 0; k < p.length; k += 4) if (p[k] > 180 && p[k + 2] < 60) ++n;"
+        "document.title = n + ' ' + s.getAttribute('aria-valuetext');"
+    )
+    page = tmp_path / "page.html"
+    page.write_text(
+        f"<!DOCTYPE html><meta charset=utf-8><body>{leg_player({'one': landing})}<script>{move}{count}</script>"
+    )
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--dump-dom"]
+    shown = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=60).stdout
+    orange, time, unit = re.search(r"<title>(\d+) (\d+) (ms)</title>", shown).groups()
+    assert int(orange) > 200
+    assert (time, unit) == ("50", "ms")
