@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mckibben.errors import ExportError, RangeError
+from mckibben.errors import ExportError, ParameterError
 from mckibben.export.leg_mjcf import coordinates, leg_scene
 from mckibben.leg import LegStart, PressureSchedule, simulate_leg
 from mckibben.report.leg_animation import render_leg
@@ -81,7 +81,7 @@ def test_an_animation_shows_leg_and_curves(suffix, landing, tmp_path):
 
 
 def test_what_cannot_be_drawn_is_said(landing, tmp_path, monkeypatch):
-    with pytest.raises(RangeError) as caught:
+    with pytest.raises(ParameterError) as caught:
         render_leg(*landing, tmp_path / "landing.mp4")
     assert caught.value.field == "path"
     monkeypatch.setenv("MUJOCO_GL", "none")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from mckibben.cli.options import Force, Json, echo, keeping, required_folder
+from mckibben.errors import ParameterError, quoted
 from mckibben.storage.files import to_json
+
+if TYPE_CHECKING:
+    from mckibben.export import Exported
 
 _FORMATS = (
     "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
@@ -18,7 +22,7 @@ _FORMATS = (
 
 
 def export(
-    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario or leg; see examples/.")],
     to: Annotated[str, Option(metavar="FORMAT", help=_FORMATS)],
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
     name: Annotated[str, Option(metavar="NAME", help="Of the program or model.")] = "",
@@ -26,16 +30,37 @@ def export(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a scenario's controller or plant for other programs."""
+    """Write a scenario's controller or plant, or a leg, for other programs."""
     out = required_folder(out, "export")
-    from mckibben.export import export as write
-    from mckibben.study.scenario import Scenario
+    from mckibben.config.document import read_document
+    from mckibben.config.model import read_text
 
     with keeping(out):
-        made = write(Scenario.read(scenario), to, out, name=name, single=single, overwrite=force)
+        if "leg" in (read_document(read_text(scenario)).data or ()):
+            made = _export_leg(scenario, to, out, name, single, force)
+        else:
+            from mckibben.export import export as write
+            from mckibben.study.scenario import Scenario
+
+            made = write(Scenario.read(scenario), to, out, name=name, single=single, overwrite=force)
     if json:
         echo(to_json({"files": list(made.files), "left_out": list(made.left_out)}))
         return
     echo(f"wrote {', '.join(made.files)} to {out}")
     for one in made.left_out:
         echo(f"left out: {one}")
+
+
+def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, force: bool) -> Exported:
+    """A leg, which MuJoCo alone can hold."""
+    if to != "mjcf" or single:
+        raise ParameterError(
+            f"a leg cannot be written as {quoted(to)}{' of 32 bits' if single else ''}",
+            field="to",
+            value=to,
+            remedy="give --to mjcf, or a scenario of a joint",
+        )
+    from mckibben.export.leg_mjcf import export_leg
+    from mckibben.leg import LegScenario
+
+    return export_leg(LegScenario.read(file), out, name=name or "leg", overwrite=force)

@@ -6,26 +6,33 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer import Argument
+from typer import Argument, Option
 
 from mckibben.cli.options import Force, Json, Out, echo, job_progress, keeping, notify, results_folder, table
 from mckibben.storage.files import to_json, write_json
 
 if TYPE_CHECKING:
+    import xarray as xr
+
+    from mckibben.leg import LegPlant
     from mckibben.leg.scenario import LegScenario
 
 leg = typer.Typer(name="leg", help="Landing and jumping of a leg.", no_args_is_help=True)
 
+Animate = Annotated[
+    Path | None, Option("--animate", metavar="FILE", help="Animation, .webp or .gif; needs the package mujoco.")
+]
 LegFile = Annotated[Path, Argument(metavar="LEG.yaml", help="Leg; see examples/leg/.")]
 
 
 @leg.command()
-def land(file: LegFile, json: Json = False, out: Out = None, force: Force = False) -> None:
+def land(file: LegFile, json: Json = False, out: Out = None, force: Force = False, animate: Animate = None) -> None:
     """Simulate drop landings over stiffness, drop height and valve, with intervals."""
     results_folder(out, ("results.json", "landing.nc", "leg.yaml", "landing.html"), force)
     from mckibben.leg.landing import study_landing
 
     read = _read(file)
+    _check_animation(animate, force)
     with job_progress(quiet=json) as report:
         study = study_landing(read, source=str(file), progress=report)
     numbers = study.records()
@@ -38,17 +45,20 @@ def land(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
             _keep(read, out)
             write_landing(study, out)
     _show(read.name, study, numbers, json)
+    if animate:
+        _animate(*list(study.compared_runs().values())[-1], animate, json)
     if out:
         notify(f"kept landing.html, results.json, landing.nc and leg.yaml in {out}", json)
 
 
 @leg.command()
-def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = False) -> None:
+def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = False, animate: Animate = None) -> None:
     """Find the highest jumps with constant and with timed pressures, with intervals."""
     results_folder(out, ("results.json", "constant.nc", "timed.nc", "leg.yaml", "jump.html"), force)
     from mckibben.leg.jumping import study_jump
 
     read = _read(file)
+    _check_animation(animate, force)
     with job_progress(quiet=json) as report:
         study = study_jump(read, source=str(file), progress=report)
     numbers = study.records()
@@ -64,6 +74,8 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
     _show(read.name, study, numbers, json)
     if not json:
         echo(study.describe())
+    if animate:
+        _animate(read.plant(), study.timed.run, animate, json)
     if out:
         notify(f"kept jump.html, results.json, constant.nc, timed.nc and leg.yaml in {out}", json)
 
@@ -86,3 +98,19 @@ def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
         echo(to_json(numbers))
     else:
         table(f"{name}; intervals are 5 to 95 % of the draws", *study.rows())
+
+
+def _check_animation(path: Path | None, force: bool) -> None:
+    """Raise before the computation where an animation cannot be written."""
+    if path is not None:
+        from mckibben.report.animation import animation_format
+
+        animation_format(path)
+        results_folder(path.parent, [path.name], force)
+
+
+def _animate(plant: LegPlant, run: xr.Dataset, path: Path, json: bool) -> None:
+    from mckibben.report.leg_animation import render_leg
+
+    with keeping(path.parent):
+        notify(f"wrote {render_leg(plant, run, path, overwrite=True)}", json)

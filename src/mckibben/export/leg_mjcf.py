@@ -6,6 +6,7 @@ Of the plane, x is forwards and z up: what turns forwards turns about -y. A side
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
@@ -20,9 +21,9 @@ from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SP
 from mckibben.export.mjcf import Transmission, cannot, check_tendon, check_valve, path_transmission, transmissions
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
 from mckibben.export.plant import is_real
-from mckibben.export.targets import Exported
+from mckibben.export.targets import Exported, write_exported
 from mckibben.joint import RigidTendon, Tendon
-from mckibben.leg import BiarticularMuscle, LegJoint, LegPlant, LegState
+from mckibben.leg import BiarticularMuscle, LegJoint, LegPlant, LegScenario, LegState
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
 from mckibben.plant.air_valve import AirState
@@ -158,6 +159,23 @@ def leg_files(
     model = leg_model(plant, name, timestep, start)
     left_out = ("controller: data.ctrl is yours", *model.left_out)
     return Exported(plugin_files(model.module, model.muscles, model.xml, title, left_out), left_out)
+
+
+def export_leg(
+    scenario: LegScenario, out: str | os.PathLike[str], *, name: str = "leg", overwrite: bool = False
+) -> Exported:
+    """Write the leg of a scenario for MuJoCo into a folder, in the posture of its touchdown or squat."""
+    plant = scenario.plant()
+    angles: dict[str, float] = {}
+    if scenario.jump is not None:
+        angles = scenario.jump.squat
+    if scenario.landing is not None:
+        angles = scenario.landing.touchdown
+    posture = [angles.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper))) for joint in plant.leg.joints]
+    start = plant.init_state(posture, [0.0] * len(plant.leg.muscles))
+    made = leg_files(plant, name, scenario.name, timestep=scenario.step, start=start)
+    write_exported(made, out, overwrite=overwrite)
+    return made
 
 
 def _name(name: str) -> str:

@@ -74,8 +74,14 @@ def export(
         raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
     module, function = TARGETS[target][0].split(":")
     make: Callable[..., Exported] = getattr(import_module(module), function)
+    made = make(scenario, name, Path(out), single)
+    write_exported(made, out, overwrite=overwrite)
+    return made
+
+
+def write_exported(made: Exported, out: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the files of an export to a folder; `FileError` if there are such files, unless they may be overwritten."""
     folder = Path(out)
-    made = make(scenario, name, folder, single)
     make_folder(folder)
     if not overwrite:
         check_free(folder, made.files)
@@ -83,4 +89,3 @@ def export(
         make_folder((folder / path).parent)
         with atomic_write(folder / path, overwrite=overwrite) as temporary:
             temporary.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return made

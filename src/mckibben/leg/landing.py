@@ -14,7 +14,7 @@ from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationErr
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LEG_UNITS, LegMetrics, LegStart, check_step, simulate_legs
+from mckibben.leg.simulate import LEG_UNITS, LegMetrics, LegStart, check_step, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress
 from mckibben.plant import AirValve, IdealValve
@@ -85,6 +85,29 @@ class LandingStudy:
         drop = pick(before) - pick(first)
         part = np.where(drop > 0, (pick(before) - limit[..., 0]) / np.where(drop > 0, drop, 1.0), 1.0)
         return stiffness[before] + np.where(first > 0, part, 0.0) * (stiffness[first] - stiffness[before])
+
+    def compared_runs(self) -> dict[str, tuple[LegPlant, xr.Dataset]]:
+        """Plant and time traces of two nominal landings by title: softest and best commanded stiffness.
+
+        From the middle drop, with the valve of a time constant if there is one.
+        """
+        stiffness, drops = self.table["stiffness"].to_numpy(), self.table["drop"].to_numpy()
+        plant = self.scenario.plant()
+        valves = list(_valves(plant, self._landing.time_constants).items())
+        place, d = min(1, len(valves) - 1), drops.size // 2
+        name, valve = valves[place]
+        plant = eqx.tree_at(lambda x: x.valve, plant, valve)
+        best = int(np.abs(stiffness - self.best()[place, d, 0]).argmin())
+        found = {}
+        for title, k in (("softest", 0), ("best", best)):
+            commands = tuple(map(float, self.pressures[k]))
+            start = LegStart(self.angles, commands, 0.0, -float(np.sqrt(2 * plant.gravity * drops[d])))
+            schedule = PressureSchedule(tuple((one,) for one in commands))
+            run = simulate_leg(
+                plant, schedule, start, duration=_duration(self.scenario), control_period=self.scenario.step, substeps=1
+            )
+            found[f"{title}: {stiffness[k]:.3g} N*m/rad, {name}, drop of {drops[d] / mm:g} mm"] = plant, run
+        return found
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headers and rows of a table: one for each valve and drop, at its best stiffness."""
@@ -227,7 +250,7 @@ def study_landing(
             own,
             controller,
             start,
-            duration=scenario.step * round(landing.duration / scenario.step),
+            duration=_duration(scenario),
             control_period=scenario.step,
             engine=engine,
             progress=report,
@@ -242,6 +265,12 @@ def study_landing(
         table[name] = ("draw", np.broadcast_to(np.asarray(mass), (draws,)) * nominal.gravity, {"units": "N"})
     table.attrs["gravity"] = float(nominal.gravity)
     return LandingStudy(scenario, table, pressures, (low, high))
+
+
+def _duration(scenario: LegScenario) -> float:
+    """Duration of a landing [s], a multiple of the step."""
+    assert scenario.landing is not None
+    return scenario.step * round(scenario.landing.duration / scenario.step)
 
 
 def _valves(plant: LegPlant, time_constants: tuple[float, ...]) -> dict[str, Any]:

@@ -75,14 +75,21 @@ def animate(
     FileError
         If the file exists and is not to be replaced.
     """
-    kind = animation_format(path)
+    animation_format(path)
     if not np.isfinite(result["angle"]).all():
         raise SimulationError("the run diverged: there is nothing to draw", remedy="animate a run that is finite")
     frames = _frames(result, _plant_of(result) if plant is None else plant)
     milliseconds = round(1000 * min(result.times[-1] / len(frames), _MOST_FRAMES / _RATE / len(frames)))
-    options: dict[str, Any] = {"lossless": True, "quality": 30, "method": 2}
+    return write_frames(frames, path, milliseconds, overwrite=overwrite, lossless=True, quality=30, method=2)
+
+
+def write_frames(
+    frames: list[Image.Image], path: str | os.PathLike[str], milliseconds: int, *, overwrite: bool, **webp: Any
+) -> Path:
+    """Write images as an animation that repeats, and return its path; `webp` are options of Pillow for that format."""
+    kind = animation_format(path)
     if kind == "GIF":
-        frames, options = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
+        frames, webp = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
     with atomic_write(path, overwrite=overwrite) as part:
         frames[0].save(
             part,
@@ -91,7 +98,7 @@ def animate(
             append_images=frames[1:],
             duration=max(milliseconds, 20),
             loop=0,
-            **options,
+            **webp,
         )
     return Path(path)
 

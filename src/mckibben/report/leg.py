@@ -18,6 +18,7 @@ from mckibben.leg.jumping import JumpStudy
 from mckibben.leg.landing import LandingStudy
 from mckibben.leg.mechanism import Leg
 from mckibben.report.figures import ReportFigure
+from mckibben.report.leg_player import leg_player
 from mckibben.report.page import embedded, style_sheet, template_of, write_page
 from mckibben.report.style import (
     BAND,
@@ -133,8 +134,8 @@ def jump_traces(study: JumpStudy) -> Figure:
     return figure
 
 
-def write_landing(study: LandingStudy, folder: str | os.PathLike[str], player: str = "") -> Path:
-    """Write `landing.html`, self-contained, and its figure in `figures/`; return its path."""
+def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
+    """Write `landing.html`, self-contained, and its figures in `figures/`; return its path."""
     low, high = study.attainable
     text = (
         f"{study.table['peak_force'].size} landings: {study.joint} at its stiffness, commands constant. At the touch "
@@ -158,10 +159,18 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str], player: s
         foot_ellipses(leg, posture),
     )
     tables = [Table("Landings at the best stiffness", *study.rows())]
-    return _page(Path(folder), "landing.html", study.scenario, text, tables, [figure, ellipses], player)
+    return _page(
+        Path(folder),
+        "landing.html",
+        study.scenario,
+        text,
+        tables,
+        [figure, ellipses],
+        leg_player(study.compared_runs()),
+    )
 
 
-def write_jump(study: JumpStudy, folder: str | os.PathLike[str], player: str = "") -> Path:
+def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
     """Write `jump.html`, self-contained, and its figure in `figures/`; return its path."""
     gain, low, high = (one / mm for one in study.gain())
     text = (
@@ -175,7 +184,9 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str], player: str = "
     )
     figure = ReportFigure("jump", "", "Jumps", caption, "Time traces of two jumps", jump_traces(study))
     tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _published(study)]
-    return _page(Path(folder), "jump.html", study.scenario, text, tables, [figure], player)
+    plant = study.scenario.plant()
+    runs = {name: (plant, jump.run) for name, jump in (("constant", study.constant), ("timed", study.timed))}
+    return _page(Path(folder), "jump.html", study.scenario, text, tables, [figure], leg_player(runs))
 
 
 def _published(study: JumpStudy) -> Table:
@@ -198,7 +209,7 @@ def _page(
     text: str,
     tables: Sequence[Table],
     figures: Sequence[ReportFigure],
-    player: str,
+    player: markupsafe.Markup,
 ) -> Path:
     page = template_of("leg.html.jinja").render(
         style=style_sheet(),
@@ -206,7 +217,7 @@ def _page(
         text=text,
         tables=tables,
         figures=[embedded(figure, folder) for figure in figures],
-        player=markupsafe.Markup(player),
+        player=player,
         scenario=scenario.dumps(folder=folder),
     )
     return write_page(folder / name, page)

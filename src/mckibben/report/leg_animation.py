@@ -14,14 +14,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
-from mckibben.errors import ExportError, RangeError
+from mckibben.errors import ExportError
 from mckibben.export.leg_mjcf import coordinates, leg_scene
 from mckibben.export.mujoco import import_mujoco
 from mckibben.leg import LegPlant
+from mckibben.report.animation import animation_format, write_frames
 from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, posture_of, skeleton
 from mckibben.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, styled
-from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg, ms
 
 if TYPE_CHECKING:
@@ -36,7 +37,13 @@ _LINES = (BLUE, SKY, VERMILLION, ORANGE, GREEN, PURPLE)
 
 
 def render_leg(
-    plant: LegPlant, run: xr.Dataset, path: str | os.PathLike[str], *, frames: int = 72, seconds: float = 4.5
+    plant: LegPlant,
+    run: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    frames: int = 72,
+    seconds: float = 4.5,
+    overwrite: bool = False,
 ) -> Path:
     """Write an animation of a run, WebP or GIF by the suffix of the path; return the path.
 
@@ -49,25 +56,19 @@ def render_leg(
         The leg, and what `simulate_leg` found.
     frames, seconds
         Number of pictures, and time [s] in which they are shown.
+    overwrite
+        Replace an existing file.
 
     Raises
     ------
     ExportError
         Without MuJoCo, or where it cannot draw.
-    RangeError
+    ParameterError
         For another format.
+    FileError
+        If the file exists and is not to be replaced.
     """
-    from PIL import Image
-
-    path = Path(path)
-    options = {".webp": {"quality": 64, "method": 4}, ".gif": {"optimize": True}}.get(path.suffix.lower())
-    if options is None:
-        raise RangeError(
-            f"{path.name}: animations are WebP or GIF",
-            field="path",
-            value=path.suffix,
-            remedy="end it in .webp or .gif",
-        )
+    animation_format(path)
     chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, frames).round().astype(int))
     pictures = _pictures(plant, run, chosen)
     plot, places, rows = _plot(plant, run, seconds)
@@ -77,15 +78,7 @@ def render_leg(
         for low, high in rows:
             beside[low:high, place - 1 : place + 1] = _CURSOR
         images.append(Image.fromarray(np.concatenate([picture, beside], axis=1)))
-    if path.suffix.lower() == ".gif":
-        palette = images[len(images) // 2].quantize(192)
-        images = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in images]
-    each = round(seconds / len(images) * 1000)
-    with atomic_write(path, overwrite=True) as part:
-        images[0].save(
-            part, format=path.suffix[1:], save_all=True, append_images=images[1:], duration=each, loop=0, **options
-        )
-    return path
+    return write_frames(images, path, round(seconds / len(images) * 1000), overwrite=overwrite, quality=64, method=4)
 
 
 def _pictures(plant: LegPlant, run: xr.Dataset, chosen: NDArray[np.int_]) -> NDArray[np.uint8]:
