@@ -48,6 +48,23 @@ def main() -> None:
         png, _ = save(figure, IMAGES, name)
         png.unlink()  # the pages show the SVG
     mk.report.animate(run_scenario(scenario).result, IMAGES / "knee.webp", overwrite=True)
+    _leg()
+
+
+def _leg() -> None:
+    """Pictures of the page on the leg."""
+    leg = mk.leg.LegScenario.read(ROOT / "examples" / "leg" / "lei-leg.yaml")
+    jumps = mk.leg.study_jump(leg)
+    figures = {
+        "leg-landing": mk.report.landing_forces(mk.leg.study_landing(leg)),
+        "leg-jump": mk.report.jump_traces(jumps),
+    }
+    for name, figure in figures.items():
+        _, svg = save(figure, IMAGES, name)
+        svg.unlink()  # larger than the PNG
+    for name, jump in (("constant", jumps.constant), ("timed", jumps.timed)):
+        path = IMAGES / f"leg-jump-{name}.webp"
+        mk.report.render_leg(leg.plant(), jump.run, path, frames=48, overwrite=True)
 
 
 if __name__ == "__main__":

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
+from mckibben.leg.metrics import LEG_UNITS, LegMetrics
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LEG_UNITS, LegMetrics, LegStart, check_step, simulate_leg, simulate_legs
+from mckibben.leg.simulate import LegStart, check_step, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress
 from mckibben.plant import AirValve, IdealValve

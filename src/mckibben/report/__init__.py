@@ -14,6 +14,9 @@ from mckibben.report.joint import (
     stiffness,
     torque_stiffness_map,
 )
+from mckibben.report.leg import foot_ellipses, jump_traces, landing_forces, write_jump, write_landing
+from mckibben.report.leg_animation import render_leg
+from mckibben.report.leg_player import leg_player
 from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.page import write_report
 from mckibben.report.study import planned, sweep, tuning
@@ -36,18 +39,23 @@ __all__ = [
     "envelope",
     "error_curves",
     "figures",
+    "foot_ellipses",
     "force_bands",
     "gain_histories",
     "house_style",
     "isobaric",
     "isobaric_curves",
+    "jump_traces",
+    "landing_forces",
     "law_comparison",
+    "leg_player",
     "loops",
     "measured_muscles",
     "planned",
     "profile_likelihood",
     "ranking",
     "relaxation",
+    "render_leg",
     "save",
     "stiffness",
     "sweep",
@@ -55,5 +63,7 @@ __all__ = [
     "tracking",
     "tuning",
     "write_benchmark",
+    "write_jump",
+    "write_landing",
     "write_report",
 ]

@@ -1,0 +1,209 @@
+"""Observations of a leg, and metrics that are accumulated along a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.leg.dynamics import motion
+from mckibben.leg.plant import LegPlant, LegState
+from mckibben.muscle.air import ATMOSPHERE, ENERGY
+
+Scalar = Float[Array, ""]
+
+IMPACT = 10e-3
+"""Time [s] after the first touch in which the force is that of the foot's own impact, `peak_force_late` leaves out."""
+
+
+class LegSample(NamedTuple):
+    """What is observed at the start of a control period; tuples are over joints or muscles."""
+
+    x: Scalar
+    z: Scalar
+    speed: Scalar
+    pitch: Scalar
+    angle: tuple[Scalar, ...]
+    velocity: tuple[Scalar, ...]
+    pressure: tuple[Scalar, ...]
+    tension: tuple[Scalar, ...]
+    contraction: tuple[Scalar, ...]
+    stop_torque: tuple[Scalar, ...]
+    ground_forward: Scalar
+    ground_up: Scalar
+    mass_height: Scalar
+    mass_speed: Scalar
+    kinetic: Scalar
+    muscle_power: Scalar
+    air_mass: tuple[Scalar, ...]
+    outside: Array  # whether a contraction is outside its muscle's domain
+
+
+def observe(plant: LegPlant, state: LegState) -> LegSample:
+    """Return a sample of a state."""
+    forces, volumes = plant.forces(state), plant.air_volumes(state)
+    moving = motion(plant.leg, state.posture, state.velocity, plant.gravity)
+    tensions = zip(forces.tensions, forces.path_rates, strict=True)
+    air = zip(state.pressures, volumes, strict=True)
+    inside = [
+        muscle.domain.contains_contraction(one)
+        for muscle, one in zip(plant.leg.muscles, forces.contractions, strict=True)
+    ]
+    return LegSample(
+        x=state.posture.x,
+        z=state.posture.z,
+        speed=state.velocity.z,
+        pitch=state.posture.pitch,
+        angle=state.posture.angles,
+        velocity=state.velocity.angles,
+        pressure=state.pressures,
+        tension=forces.tensions,
+        contraction=forces.contractions,
+        stop_torque=forces.stops,
+        ground_forward=forces.ground[0],
+        ground_up=forces.ground[1],
+        mass_height=moving.height,
+        mass_speed=moving.upward_speed,
+        kinetic=moving.kinetic,
+        muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
+        air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
+        outside=~_all(inside),
+    )
+
+
+def _all(flags: Sequence[Array]) -> Array:
+    found = flags[0]
+    for one in flags[1:]:
+        found = found & one
+    return found
+
+
+class LegMetrics(NamedTuple):
+    """Metrics of a run.
+
+    Attributes
+    ----------
+    peak_force, peak_force_late
+        Largest upward force of the ground [N], and that later than 10 ms after the first touch: without the impact of
+        the foot's own mass.
+    peak_trunk_force
+        Largest upward force [N] on the trunk: its mass times its acceleration, gravity included.
+    deflection
+        How far the hip sinks below its height at the first touch [m].
+    stop_torque
+        Largest torque of the stops of each joint [N*m]; above 0 it has bottomed out.
+    apex
+        Largest height of the centre of mass [m] that the run reaches or is on its way to when the foot is in the air,
+        after the first touch; NaN if the foot stays on the ground.
+    take_off_speed
+        Upward speed of the centre of mass [m/s] that belongs to `apex`.
+    muscle_work
+        Work of the muscles [J]: the integral of tension times rate of shortening.
+    air_mass
+        Mass of the air [kg] that flows into the muscles, at room temperature.
+    time_outside_domain
+        Time [s] with a contraction outside its muscle's domain.
+    """
+
+    peak_force: Scalar
+    peak_force_late: Scalar
+    peak_trunk_force: Scalar
+    deflection: Scalar
+    stop_torque: tuple[Scalar, ...]
+    apex: Scalar
+    take_off_speed: Scalar
+    muscle_work: Scalar
+    air_mass: Scalar
+    time_outside_domain: Scalar
+
+
+LEG_UNITS = {
+    "peak_force": "N",
+    "peak_force_late": "N",
+    "peak_trunk_force": "N",
+    "deflection": "m",
+    "stop_torque": "N*m",
+    "apex": "m",
+    "take_off_speed": "m/s",
+    "muscle_work": "J",
+    "air_mass": "kg",
+    "time_outside_domain": "s",
+}
+"""Units of `LegMetrics`."""
+
+
+class MetricSums(NamedTuple):
+    """Metrics on their way."""
+
+    metrics: LegMetrics
+    touched: Scalar  # time since the first touch [s], below 0 before
+    height: Scalar  # of the hip at the first touch [m]
+    speed: Scalar  # of the hip, upwards [m/s]
+    air: tuple[Scalar, ...]
+
+    @classmethod
+    def of(cls, first: LegSample) -> MetricSums:
+        zero = jnp.zeros_like(first.z)
+        stops = tuple(zero for _ in first.stop_torque)
+        start: dict[str, Any] = dict.fromkeys(LegMetrics._fields, zero)
+        metrics = LegMetrics(**start | {"stop_torque": stops, "apex": zero - jnp.inf})
+        return cls(metrics, zero - 1, first.z, first.speed, first.air_mass)
+
+    def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:
+        """With a further sample, a period [s] later."""
+        gravity, mass = plant.gravity, plant.leg.trunk.mass
+        last, force = self.metrics, sample.ground_up
+        before = self.touched < 0
+        touched = jnp.where(before, jnp.where(force > 0, 0.0, -1.0), self.touched + period)
+        height = jnp.where(touched <= 0, sample.z, self.height)
+        rising = jnp.maximum(sample.mass_speed, 0.0)
+        ballistic = sample.mass_height + rising * rising / (2 * gravity)
+        flying = (touched > 0) & (force <= 0)
+        higher = flying & (ballistic > last.apex + 1e-6)  # in flight it is constant but for rounding
+        stops = zip(last.stop_torque, sample.stop_torque, strict=True)
+        drawn = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
+        metrics = LegMetrics(
+            peak_force=jnp.maximum(last.peak_force, force),
+            peak_force_late=jnp.where(touched > IMPACT, jnp.maximum(last.peak_force_late, force), last.peak_force_late),
+            peak_trunk_force=jnp.maximum(
+                last.peak_trunk_force, mass * ((sample.speed - self.speed) / period + gravity)
+            ),
+            deflection=jnp.where(touched >= 0, jnp.maximum(last.deflection, height - sample.z), last.deflection),
+            stop_torque=tuple(jnp.maximum(most, jnp.abs(now)) for most, now in stops),
+            apex=jnp.where(higher, ballistic, last.apex),
+            take_off_speed=jnp.where(higher, sample.mass_speed, last.take_off_speed),
+            muscle_work=last.muscle_work + sample.muscle_power * period,
+            air_mass=last.air_mass + sum(drawn),
+            time_outside_domain=last.time_outside_domain + jnp.where(sample.outside, period, 0.0),
+        )
+        return MetricSums(metrics, touched, height, sample.speed, sample.air_mass)
+
+    def finished(self) -> LegMetrics:
+        """The metrics; NaN for the apex of a foot that never left the ground."""
+        apex = self.metrics.apex
+        return self.metrics._replace(apex=jnp.where(apex > -jnp.inf, apex, jnp.nan))
+
+
+SAMPLE_UNITS = {
+    "x": "m",
+    "z": "m",
+    "speed": "m/s",
+    "pitch": "rad",
+    "angle": "rad",
+    "velocity": "rad/s",
+    "pressure": "Pa",
+    "tension": "N",
+    "contraction": "1",
+    "stop_torque": "N*m",
+    "ground_forward": "N",
+    "ground_up": "N",
+    "mass_height": "m",
+    "mass_speed": "m/s",
+    "kinetic": "J",
+    "muscle_power": "W",
+    "air_mass": "kg",
+    "command": "Pa",
+}
+"""Units of `LegSample` and of the commands."""
