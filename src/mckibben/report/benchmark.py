@@ -16,11 +16,13 @@ from mckibben.report.figures import ReportFigure
 from mckibben.report.page import embedded, style_sheet, template_of, write_page
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number
+from mckibben.report.tracking import tracking
 from mckibben.study.benchmark import BenchmarkResult
 from mckibben.units import deg
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"
+_TRACED = 2  # controllers with time traces beside the first
 _NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
@@ -162,6 +164,11 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Report
             "other has less of both, with at most 1.1 times the stiffness error of the best trial."
         )
         drawn.append(("front", "Angle error against air", front, benchmark_front(result, numbers)))
+    first, *others = result.batches
+    shown = [first, *[name for name in numbers["order"] if name in others][:_TRACED]]
+    run, results = result.median_run(shown)
+    traces = f"Run {run}, that with the median angle error of {first}: {first} and the {_TRACED} best of the others."
+    drawn.append(("traces", "Time traces", traces, tracking(results)))
     return [ReportFigure(name, "", title, caption, title, figure) for name, title, caption, figure in drawn]
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import Collection
 from matplotlib.colors import ListedColormap
@@ -169,10 +170,13 @@ def by_direction(data: IsobaricDataset) -> Iterator[tuple[str, NDArray[np.bool_]
 
 
 @styled
-def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False) -> tuple[Path, Path]:
+def save(
+    figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False, pdf: bool = False
+) -> tuple[Path, Path]:
     """Write a figure as `name`.png (200 dpi) and `name`.svg to a folder; a preview only as PNG with 100 dpi.
 
-    The files are reproducible byte for byte; the SVG has text as outlines. Returns their paths.
+    With `pdf` as `name`.pdf too, which has its text as text. The files are reproducible byte for byte; the SVG has text
+    as outlines. Returns the paths of PNG and SVG.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -189,6 +193,9 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: 
     if not preview:
         with atomic_write(svg, overwrite=True) as part:
             FigureCanvasSVG(figure).print_svg(part, metadata={"Date": None, "Creator": None})
+        if pdf:
+            with atomic_write(folder / f"{name}.pdf", overwrite=True) as part:
+                FigureCanvasPdf(figure).print_pdf(part, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
     return png, svg
 
 

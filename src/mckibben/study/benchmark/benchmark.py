@@ -20,7 +20,7 @@ from mckibben.control import Controller
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
-from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
+from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.statistics import (
     MAIN,
@@ -35,6 +35,7 @@ from mckibben.study.benchmark.statistics import (
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory
@@ -80,6 +81,14 @@ class BenchmarkResult:
 
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
+
+    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, Result]]:
+        """Return the run with the median angle error of the first controller of all, and the results of some in it."""
+        errors = self.metric(next(iter(self.batches)), "angle_rmse")
+        order = np.argsort(errors)  # NaN last
+        run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
+        scenarios = {name: self.runs.scenario(name, run, self.tuned.get(name)) for name in controllers}
+        return run, {name: run_scenario(scenario).result for name, scenario in scenarios.items()}
 
     def _repr_html_(self) -> str:
         numbers = statistics(self)
