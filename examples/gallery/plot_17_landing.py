@@ -1,0 +1,37 @@
+"""
+Landing of a leg
+================
+
+A leg of two joints drops on its foot. How stiff should its knee be, and how does that depend on the valves?
+"""
+
+import mckibben as mk
+from mckibben.leg import LegScenario, attainable_foot_stiffness, study_landing
+
+leg = LegScenario.parse(
+    """
+    name: drop landing
+    leg: lei-leg
+    valve: {class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms}
+    ground: {stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0}
+    landing: {joint: knee, drop: [20 mm, 50 mm], time_constants: [20 ms]}
+    uncertainty: {strength: 5 %, mass: 3 %, draws: 32}
+    """
+)
+study = study_landing(leg)
+for landing in study.records()["landings"]:
+    low, high = landing["best_stiffness_interval"]
+    print(f"{landing['valve']}, {landing['drop_mm']:g} mm: {landing['best_stiffness']:.1f} ({low:.1f} to {high:.1f})")
+
+# %%
+# Below the best stiffness the knee meets its stop. Closed valves compress their air, and add its stiffness to that of
+# the muscles, so that a softer command is best.
+
+figure = mk.report.landing_forces(study)
+
+# %%
+# The stiffness of the foot that the joints can attain without torque: along the leg it is about 80 times that across.
+
+figure = mk.report.foot_ellipses(leg.leg.build(), study.angles)
+softest = attainable_foot_stiffness(leg.leg.build(), study.angles, [0.0, 0.0])[0]
+print([round(value) for value in softest.principal], "N/m")
