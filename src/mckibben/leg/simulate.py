@@ -253,7 +253,6 @@ def _native_metrics(given: Any, lane: Any) -> LegMetrics:
 
 
 _LONGEST = 0.5  # of a step, times the circular frequency of ground or stops
-_HEAVIEST = 10.0  # weights of the leg that a foot which slips may carry
 
 
 def check_step(plant: LegPlant, start: LegStart, control_period: float, substeps: int) -> None:
@@ -274,7 +273,7 @@ def check_step(plant: LegPlant, start: LegStart, control_period: float, substeps
     needed = {
         "the ground": math.sqrt(ground.stiffness * np.linalg.eigvalsh(mobility)[-1]) / _LONGEST,
         "the stops": max(stops, default=0.0) / _LONGEST,
-        "the friction": ground.friction * _HEAVIEST * weight / ground.slip_speed * mobility[0, 0] / STABILITY_LIMIT,
+        "the friction": ground.friction * weight / ground.slip_speed * mobility[0, 0] / STABILITY_LIMIT,
     }
     if isinstance(plant.valve, AirValve):
         volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in leg.muscles)
