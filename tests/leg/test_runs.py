@@ -11,7 +11,17 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import ParameterError, RangeError, SimulationError
-from mckibben.leg import BiarticularMuscle, Leg, LegPlant, LegStart, PressureSchedule, simulate_leg, simulate_legs
+from mckibben.leg import (
+    BiarticularMuscle,
+    JointwiseControl,
+    Leg,
+    LegPlant,
+    LegStart,
+    PressureSchedule,
+    TimedReference,
+    simulate_leg,
+    simulate_legs,
+)
 from mckibben.leg.control import LegMeasurement
 from mckibben.units import deg
 
@@ -157,6 +167,15 @@ def test_steps_that_do_not_resolve_the_ground(plant: LegPlant, start: LegStart, 
     assert caught.value.field == "substeps" and caught.value.lower is not None
     with pytest.raises(SimulationError):
         simulate_legs(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, **STEP)
+
+
+def test_controllers_of_another_leg(plant: LegPlant, start: LegStart) -> None:
+    with pytest.raises(RangeError) as caught:
+        simulate_leg(plant, PressureSchedule(((1e5,),) * 3), start, substeps=1, **STEP)
+    assert caught.value.field == "commands" and caught.value.value == 3
+    with pytest.raises(RangeError) as caught:
+        simulate_leg(plant, JointwiseControl((), TimedReference(())), start, substeps=1, **STEP)
+    assert caught.value.field == "controllers"
 
 
 def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) -> None:

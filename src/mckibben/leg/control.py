@@ -262,6 +262,13 @@ class JointwiseControl(LegController):
     biarticular: tuple[Pressure, ...] = ()
 
     def init(self, measurement: LegMeasurement) -> Any:
+        if len(self.controllers) != len(measurement.angles):
+            raise RangeError(
+                f"{len(self.controllers)} controllers for {len(measurement.angles)} joints",
+                field="controllers",
+                value=len(self.controllers),
+                remedy="give one for each joint, from the hip down",
+            )
         states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
         return self.reference.init(measurement), tuple(states)
 

@@ -184,7 +184,8 @@ class LegPlant(eqx.Module, Displayed):
         return LegState(posture, velocity, inside, muscles, air)
 
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
-        """Return the commands [Pa] within the rated pressures and the supply."""
+        """Return the commands [Pa] within rated pressures and supply; `RangeError` unless one for each muscle."""
+        _check_count("commands", len(commands), self.leg.muscle_names)
         supply = getattr(self.valve, "supply", None)
         clipped = []
         for muscle, command in zip(self.leg.muscles, commands, strict=True):
