@@ -165,3 +165,10 @@ def test_in_single_precision_what_depends_on_the_reference_alone_is_double(tmp_p
     (tmp_path / "filter.h").write_text(header)
     (tmp_path / "filter.c").write_text(source)
     subprocess.run([compiler(), *PLAIN, "filter.c"], cwd=tmp_path, check=True)
+
+
+def test_remainders_of_integers_in_lanes():
+    numbers = np.arange(-9, 23)
+    found = NativeFunction(lambda _, x: (x % 4, jnp.asarray(x) * 1.5 % 1.0))(None, numbers)
+    assert np.array_equal(found[0], numbers % 4)
+    assert np.allclose(found[1], numbers * 1.5 % 1.0)

@@ -190,6 +190,7 @@ def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) ->
 def test_hopping_in_place_settles_to_equal_hops() -> None:
     example = runpy.run_path("examples/leg/hopping.py")
     run = example["hop"]()
+    assert run.attrs["engine"] == "native"
     flights = example["flights"](run)
     assert flights.size >= 8
     assert flights[-5:].std() < 0.03 * flights[-5:].mean()

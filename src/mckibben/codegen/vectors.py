@@ -124,6 +124,8 @@ class VectorWriter(Writer):
         if name in ("max", "min") and value.kind is Kind.INTEGER:
             x, y = map(self._vector, arguments)
             return f"pick_integer({x} {'>' if name == 'max' else '<'} {y}, {x}, {y})", _ATOM
+        if name == "rem" and value.kind is Kind.INTEGER:
+            return f"({self._vector(arguments[0])} % {self._vector(arguments[1])})", _ATOM
         if name in ("real", "integer", "boolean"):
             return self._conversion(self._vector(arguments[0]), arguments[0].kind, value.kind), _ATOM
         if name == "bits":
