@@ -178,6 +178,13 @@ def test_controllers_of_another_leg(plant: LegPlant, start: LegStart) -> None:
     assert caught.value.field == "controllers"
 
 
+def test_a_fixed_trunk_has_no_speed(plant: LegPlant, start: LegStart) -> None:
+    leg = dataclasses.replace(plant.leg, trunk=dataclasses.replace(plant.leg.trunk, freedom="fixed"))
+    with pytest.raises(RangeError) as caught:
+        dataclasses.replace(plant, leg=leg).init_state(start.angles, start.pressures, upward_speed=-1.0)
+    assert caught.value.field == "upward_speed"
+
+
 def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     with pytest.raises(ParameterError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +18,7 @@ from mckibben.codegen.native import NativeFunction
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, frames, motion
+from mckibben.leg.landing import EDGES
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
 from mckibben.leg.simulate import LegStart, check_step, leg_metrics, simulate_leg, simulate_legs
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_EDGES = (5.0, 95.0)
 _GENERATIONS, _POPULATION = 80, 10  # of differential evolution; the latter for each variable
+_POSTURES = 41  # of each joint, tried for the highest
 _POLISHING = 30  # iterations of L-BFGS-B
 
 
@@ -51,29 +52,29 @@ class Jump:
     run
         Time traces of the nominal jump (`simulate_leg`).
     heights
-        Heights [m] of the centre of mass at the apex above that of the standing leg.
-    clearances
+        Heights [m] of the centre of mass at the apex above that of the standing leg of the same draw.
+    rises
         Rise of the centre of mass [m] after take-off.
     work
-        Work of the muscles [J], nominal.
+        Work of the muscles [J] until take-off, nominal.
     air_energy
-        Energy [J] that the air of the muscles could do work with at constant temperature when it leaves the supply.
+        Exergy [J], at room temperature, of the air in the muscles at the start and of what flows in until take-off.
     """
 
     schedule: PressureSchedule
     run: xr.Dataset
     heights: Floats
-    clearances: Floats
+    rises: Floats
     work: float
     air_energy: float
 
     def record(self) -> dict[str, Any]:
         """The results as plain data."""
-        low, high = np.nanpercentile(self.heights[1:], _EDGES)
+        low, high = np.nanpercentile(self.heights[1:], EDGES)
         return {
             "height_mm": float(self.heights[0] / mm),
             "height_interval_mm": [float(low / mm), float(high / mm)],
-            "rise_mm": float(self.clearances[0] / mm),
+            "rise_mm": float(self.rises[0] / mm),
             "muscle_work_J": self.work,
             "air_energy_J": self.air_energy,
             "efficiency": self.work / self.air_energy if self.air_energy > 0 else None,
@@ -93,7 +94,7 @@ class JumpStudy:
     constant, timed
         Both jumps.
     standing
-        Height [m] of the centre of mass of the leg stretched to the upper ends of its joints' ranges, foot on ground.
+        Greatest height [m] of the centre of mass with the foot on the ground, over the ranges of the joints; nominal.
     leg_length
         Height of the hip [m] then.
     """
@@ -107,7 +108,7 @@ class JumpStudy:
     def gain(self) -> tuple[float, float, float]:
         """Height [m] that timing adds: nominal, and 5 to 95 % over the same draws."""
         added = self.timed.heights - self.constant.heights
-        low, high = np.nanpercentile(added[1:], _EDGES)
+        low, high = np.nanpercentile(added[1:], EDGES)
         return float(added[0]), float(low), float(high)
 
     def records(self) -> dict[str, Any]:
@@ -283,7 +284,7 @@ def study_jump(
         raise ScenarioError(source, [Problem("lacks the section `jump`", remedy="see examples/leg/lei-leg.yaml")])
     plant = scenario.plant()
     leg = plant.leg
-    angles = tuple(jump.squat.get(joint.name, 0.0) for joint in leg.joints)
+    angles = scenario.posture(jump.squat)
     try:
         pressures = leg.pressures_for(angles, standing_torques(plant, angles).tolist(), [None] * len(angles))
         start = LegStart(angles, pressures)
@@ -293,19 +294,18 @@ def study_jump(
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
     drawn = drawn_plant(scenario)
-    standing, length = _standing_heights(plant)
+    standing, length = _standing_heights(plant, drawn)
     found = []
     best: Floats | None = None
     for timed in (False, True):
         variables = ScheduleVariables(pressures, jump.low, jump.high, jump.latest, timed)
-        duration = scenario.step * round(jump.duration / scenario.step)
-        runs = JumpRuns(plant, start, variables, duration, scenario.step)
+        runs = JumpRuns(plant, start, variables, scenario.whole_steps(jump.duration), scenario.step)
         # The constant jump is one of the timed ones.
         guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(pressures))])
         name = "timed pressures" if timed else "constant pressures"
         best = _highest(runs, guess, seed, lambda part, n=name, k=timed: progress and progress(n, (k + part) / 2))
         found.append(_jump(runs, best, drawn, standing))
-    return JumpStudy(scenario, found[0], found[1], standing, length)
+    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length)
 
 
 def _highest(runs: JumpRuns, guess: Floats | None, seed: int, report: Callable[[float], object]) -> Floats:
@@ -336,25 +336,35 @@ def _highest(runs: JumpRuns, guess: Floats | None, seed: int, report: Callable[[
     return np.asarray(polished.x if polished.fun <= found.fun else found.x)
 
 
-def _jump(runs: JumpRuns, variables: Floats, drawn: LegPlant, standing: float) -> Jump:
+def _jump(runs: JumpRuns, variables: Floats, drawn: LegPlant, standing: Floats) -> Jump:
     """A jump with its traces, and its heights for plants that differ."""
     schedule = runs.variables.schedule([float(one) for one in variables])
     run = simulate_leg(runs.plant, schedule, runs.start, duration=runs.duration, control_period=runs.step, substeps=1)
     table = runs.simulate(drawn, schedule)
     valve = runs.plant.valve
     supply = float(np.asarray(valve.supply if isinstance(valve, AirValve) else runs.variables.high)) + ATMOSPHERE
-    energy = float(table["air_mass"][0]) * ENERGY * math.log(supply / ATMOSPHERE)
+    inflow = float(table["air_mass"][0]) * ENERGY * math.log(supply / ATMOSPHERE)
+    ratio = 1 + run["pressure"].to_numpy()[:, 0] / ATMOSPHERE
+    stored = run["air_mass"].to_numpy()[:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY
     rises = table["take_off_speed"].to_numpy() ** 2 / (2 * runs.plant.gravity)
     heights = table["apex"].to_numpy() - standing
-    return Jump(schedule, run, heights, rises, float(table["muscle_work"][0]), energy)
+    return Jump(schedule, run, heights, rises, float(table["muscle_work"][0]), inflow + float(stored))
 
 
-def _standing_heights(plant: LegPlant) -> tuple[float, float]:
-    """Heights [m] of centre of mass and hip of the leg with its joints at the upper ends of their ranges."""
-    leg = plant.leg
+def _standing_heights(plant: LegPlant, drawn: LegPlant) -> tuple[Floats, float]:
+    """Heights [m] of the centre of mass of each draw in the posture in which it is highest, and that of the hip."""
     zero = jnp.zeros(())
-    angles = leg.held([joint.upper for joint in leg.joints])
-    posture = Posture(zero, zero, zero, angles)
-    still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
-    depth = contact(leg, frames(leg, posture, still)).z
-    return float(motion(leg, posture, still, plant.gravity).height - depth), float(-depth)
+
+    def heights(of: LegPlant, angles: Sequence[ArrayLike]) -> tuple[Array, Array]:
+        """Heights of the centre of mass and of the hip above the foot."""
+        posture = Posture(zero, zero, zero, of.leg.held(angles))
+        still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
+        depth = contact(of.leg, frames(of.leg, posture, still)).z
+        return motion(of.leg, posture, still, of.gravity).height - depth, -depth
+
+    ranges = [np.linspace(joint.lower, joint.upper, _POSTURES) for joint in plant.leg.joints]
+    grid = [axis.ravel() for axis in np.meshgrid(*ranges)]
+    best = int(np.argmax(heights(plant, grid)[0]))
+    angles = [axis[best] for axis in grid]
+    found = np.asarray(heights(drawn, angles)[0])
+    return np.broadcast_to(found, (np.size(drawn.leg.trunk.mass),)), float(heights(plant, angles)[1])

@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
+from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LEG_UNITS, LegMetrics
 from mckibben.leg.plant import LegPlant
@@ -30,7 +30,8 @@ ISOBARIC, CLOSED = "constant pressures", "closed valves"
 BEST_WITHIN = 0.02
 """The softest stiffness whose force on the trunk is within this part of the least one is the best."""
 _SHUT = 1e-6  # of the conductance
-_EDGES = (5.0, 95.0)  # percentiles of an interval
+EDGES = (5.0, 95.0)
+"""Percentiles of the draws that are an interval."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class LandingStudy:
     @property
     def angles(self) -> tuple[float, ...]:
         """Angles [rad] of the joints at the touch."""
-        return tuple(self._landing.touchdown.get(joint.name, 0.0) for joint in self.scenario.leg.joints)
+        return self.scenario.posture(self._landing.touchdown)
 
     def body_weights(self, name: str = "peak_force") -> Floats:
         """A force in weights of the leg, shape (valve, drop, stiffness, draw)."""
@@ -72,20 +73,13 @@ class LandingStudy:
         """Largest force on the trunk in its weights, shape (valve, drop, stiffness, draw)."""
         return self.table["peak_trunk_force"].to_numpy() / self.table["trunk_weight"].to_numpy()
 
-    def best(self) -> Floats:
-        """Best stiffness [N*m/rad]: the softest with a force on the trunk within 2 % of the least one.
+    def best(self) -> NDArray[np.int64]:
+        """Index of the best stiffness: the softest commanded one with a force on the trunk within 2 % of the least.
 
-        Shape (valve, drop, draw). Between two commanded ones it is interpolated.
+        Shape (valve, drop, draw). There is no margin to it: what is softer may bottom out.
         """
         forces = np.moveaxis(self.table["peak_trunk_force"].to_numpy(), 2, -1)
-        stiffness = self.table["stiffness"].to_numpy()
-        limit = forces.min(axis=-1, keepdims=True) * (1 + BEST_WITHIN)
-        first = np.argmax(forces <= limit, axis=-1)
-        before = np.maximum(first - 1, 0)
-        pick = lambda at: np.take_along_axis(forces, at[..., None], axis=-1)[..., 0]  # noqa: E731
-        drop = pick(before) - pick(first)
-        part = np.where(drop > 0, (pick(before) - limit[..., 0]) / np.where(drop > 0, drop, 1.0), 1.0)
-        return stiffness[before] + np.where(first > 0, part, 0.0) * (stiffness[first] - stiffness[before])
+        return np.argmax(forces <= forces.min(axis=-1, keepdims=True) * (1 + BEST_WITHIN), axis=-1)
 
     def compared_runs(self) -> dict[str, tuple[LegPlant, xr.Dataset]]:
         """Plant and time traces of two nominal landings by title: softest and best commanded stiffness.
@@ -98,15 +92,15 @@ class LandingStudy:
         place, d = min(1, len(valves) - 1), drops.size // 2
         name, valve = valves[place]
         plant = eqx.tree_at(lambda x: x.valve, plant, valve)
-        best = int(np.abs(stiffness - self.best()[place, d, 0]).argmin())
+        best = int(self.best()[place, d, 0])
         found = {}
         for title, k in (("softest", 0), ("best", best)):
             commands = tuple(map(float, self.pressures[k]))
             start = LegStart(self.angles, commands, 0.0, -float(np.sqrt(2 * plant.gravity * drops[d])))
             schedule = PressureSchedule(tuple((one,) for one in commands))
-            run = simulate_leg(
-                plant, schedule, start, duration=_duration(self.scenario), control_period=self.scenario.step, substeps=1
-            )
+            duration = self.scenario.whole_steps(self._landing.duration)
+            settings: dict[str, Any] = {"duration": duration, "control_period": self.scenario.step, "substeps": 1}
+            run = simulate_leg(plant, schedule, start, **settings)
             found[f"{title}: {stiffness[k]:.3g} N*m/rad, {name}, drop of {drops[d] / mm:g} mm"] = plant, run
         return found
 
@@ -125,11 +119,16 @@ class LandingStudy:
         rows = []
         for record in self.records()["landings"]:
             low, high = record["best_stiffness_interval"]
+            best = f"{record['best_stiffness']:.3g} ({low:.3g} to {high:.3g})"
+            if record["influence"] < BEST_WITHIN:
+                best = "no influence"
+            elif not record["avoids_stop"]:
+                best += ", none avoids the stop"
             rows.append(
                 (
                     record["valve"],
                     f"{record['drop_mm']:g} mm",
-                    f"{record['best_stiffness']:.3g} ({low:.3g} to {high:.3g})",
+                    best,
                     f"{record['peak_trunk_force_weights']:.2f}",
                     f"{record['peak_force_weights']:.2f}",
                     f"{record['deflection_mm']:.0f}",
@@ -149,18 +148,21 @@ class LandingStudy:
         landings = []
         for v, valve in enumerate(table["valve"].to_numpy()):
             for d, drop in enumerate(table["drop"].to_numpy()):
-                at = int(np.abs(stiffness - best[v, d, 0]).argmin())
-                low, high = np.percentile(best[v, d, 1:], _EDGES)
+                at = int(best[v, d, 0])
+                low, high = np.percentile(stiffness[best[v, d, 1:]], EDGES)
+                nominal = trunk[v, d, :, 0]
                 landings.append(
                     {
                         "valve": str(valve),
                         "drop_mm": float(drop / mm),
-                        "best_stiffness": float(best[v, d, 0]),
+                        "best_stiffness": float(stiffness[at]),
                         "best_stiffness_interval": [float(low), float(high)],
+                        "influence": float(nominal.max() / nominal.min() - 1),
+                        "avoids_stop": bool((~bottoms[v, d, :, 0]).any()),
                         "peak_trunk_force_weights": float(trunk[v, d, at, 0]),
-                        "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], _EDGES).tolist(),
+                        "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], EDGES).tolist(),
                         "peak_force_weights": float(forces[v, d, at, 0]),
-                        "peak_force_interval": np.percentile(forces[v, d, at, 1:], _EDGES).tolist(),
+                        "peak_force_interval": np.percentile(forces[v, d, at, 1:], EDGES).tolist(),
                         "peak_force_late_weights": float(late[v, d, at, 0]),
                         "softest_peak_force_weights": float(forces[v, d, 0, 0]),
                         "deflection_mm": float(deflection[v, d, at, 0] / mm),
@@ -211,11 +213,11 @@ def study_landing(
     nominal = scenario.plant()
     leg = nominal.leg
     index = leg.index(landing.joint)
-    angles = tuple(landing.touchdown.get(joint.name, 0.0) for joint in leg.joints)
+    angles = scenario.posture(landing.touchdown)
     pair = leg.joints[index].muscles
     low, high = (float(one) for one in pair.attainable_stiffness(angles[index], 0.0))
     given = landing.stiffness
-    stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if given is None else np.array(given)
+    stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if given is None else np.sort(given)
 
     def pressures_at(wanted: float) -> tuple[float, ...]:
         each = [wanted if at == index else None for at in range(len(leg.joints))]
@@ -225,11 +227,15 @@ def study_landing(
         pressures = np.array([pressures_at(float(one)) for one in stiffness])
         for each in pressures:
             nominal.init_state(angles, tuple(map(float, each)))  # within the supply
-        check_step(nominal, LegStart(angles, tuple(pressures[0])), scenario.step, 1)
+        valves = _valves(nominal, landing.time_constants)
+        for valve in valves.values():
+            own = eqx.tree_at(lambda x: x.valve, nominal, valve)
+            check_step(own, LegStart(angles, tuple(pressures[0])), scenario.step, 1)
     except SimulationError as error:
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
-        raise ScenarioError(source, [Problem.of(error, field="landing.stiffness")]) from error
+        field = "landing.time_constants" if error.field == "time_constants" else "landing.stiffness"
+        raise ScenarioError(source, [Problem.of(error, field=field)]) from error
 
     drops, draws = np.array(landing.drop), scenario.uncertainty.draws + 1
     drop, level, draw = (x.ravel() for x in np.indices((drops.size, stiffness.size, draws)))
@@ -239,7 +245,6 @@ def study_landing(
     start = LegStart(angles, commands, 0.0, -np.sqrt(2 * nominal.gravity * drops[drop]))
     controller = PressureSchedule(tuple((one,) for one in commands))
     tables = []
-    valves = _valves(nominal, landing.time_constants)
     for place, (name, valve) in enumerate(valves.items()):
 
         def report(what: str, part: float, name: str = name, place: int = place) -> None:
@@ -251,7 +256,7 @@ def study_landing(
             own,
             controller,
             start,
-            duration=_duration(scenario),
+            duration=scenario.whole_steps(landing.duration),
             control_period=scenario.step,
             engine=engine,
             progress=report,
@@ -266,12 +271,6 @@ def study_landing(
         table[name] = ("draw", np.broadcast_to(np.asarray(mass), (draws,)) * nominal.gravity, {"units": "N"})
     table.attrs["gravity"] = float(nominal.gravity)
     return LandingStudy(scenario, table, pressures, (low, high))
-
-
-def _duration(scenario: LegScenario) -> float:
-    """Duration of a landing [s], a multiple of the step."""
-    assert scenario.landing is not None
-    return scenario.step * round(scenario.landing.duration / scenario.step)
 
 
 def _valves(plant: LegPlant, time_constants: tuple[float, ...]) -> dict[str, Any]:
@@ -291,8 +290,8 @@ def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirVal
 
     Raises
     ------
-    ScenarioError
-        If the time constant is below the valve's own lag.
+    RangeError
+        If the time constant is not above the valve's own lag.
     """
     muscle = plant.leg.muscles[0]
     domain = muscle.domain
@@ -300,15 +299,13 @@ def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirVal
     now = float(valve.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume))
     lag = float(np.asarray(valve.lag))
     if not time_constant > lag:
-        raise ScenarioError(
-            "landing",
-            [
-                Problem(
-                    f"a time constant of {time_constant / ms:g} ms is below the lag of the valve, {lag / ms:g} ms",
-                    field="landing.time_constants",
-                    remedy="give a longer one, or a valve with less lag",
-                )
-            ],
+        raise RangeError(
+            f"a time constant of {time_constant / ms:g} ms is not above the lag of the valve",
+            field="time_constants",
+            value=time_constant,
+            lower=lag,
+            unit="s",
+            remedy="give a longer one, or a valve with less lag",
         )
     return _scaled(valve, (now - lag) / (time_constant - lag))
 

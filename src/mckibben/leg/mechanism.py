@@ -148,6 +148,16 @@ class LegJoint(eqx.Module, Displayed):
                 unit="rad",
                 remedy="give the lower angle first",
             )
+        if isinstance(self.locked, Real) and not self.lower <= self.locked <= self.upper:
+            raise RangeError(
+                f"{self.name}: it is locked at {self.locked / deg:g} deg, beyond its range",
+                field="locked",
+                value=self.locked,
+                lower=self.lower,
+                upper=self.upper,
+                unit="rad",
+                remedy="lock it within its range",
+            )
         _check_paths(self)
 
     @property
@@ -202,7 +212,7 @@ class BiarticularMuscle(eqx.Module, Displayed):
         )
 
 
-class Unit(NamedTuple):
+class RoutedMuscle(NamedTuple):
     """A muscle in the leg: its path length [m], and the derivative [m/rad] of that over the angles of its joints."""
 
     muscle: Muscle
@@ -306,24 +316,24 @@ class Leg(eqx.Module, Displayed):
             for angle, joint in zip(angles, self.joints, strict=True)
         )
 
-    def units(self, angles: Sequence[ArrayLike]) -> list[Unit]:
+    def routed_muscles(self, angles: Sequence[ArrayLike]) -> list[RoutedMuscle]:
         """Return all muscles with their paths at angles [rad]."""
         found = []
         for index, (joint, angle) in enumerate(zip(self.joints, angles, strict=True)):
             pair = joint.muscles
             (path1, path2), (arm1, arm2) = pair.geometry.paths_and_arms(angle)
-            found.append(Unit(pair.muscle1, pair.tendon, path1, {index: arm1}))
-            found.append(Unit(pair.muscle2, pair.tendon, path2, {index: -arm2}))
+            found.append(RoutedMuscle(pair.muscle1, pair.tendon, path1, {index: arm1}))
+            found.append(RoutedMuscle(pair.muscle2, pair.tendon, path2, {index: -arm2}))
         for one in self.biarticular:
             first, second = self.index(one.joint1), self.index(one.joint2)
             (part1, slope1), (part2, slope2) = one.parts(angles[first], angles[second])
-            found.append(Unit(one.muscle, RigidTendon(), part1 + part2, {first: slope1, second: slope2}))
+            found.append(RoutedMuscle(one.muscle, RigidTendon(), part1 + part2, {first: slope1, second: slope2}))
         return found
 
     def torques(self, angles: Sequence[ArrayLike], pressures: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the torque [N*m] of all muscles' laws on each joint at angles [rad] and gauge pressures [Pa]."""
         total: list[Array] = [jnp.zeros(())] * len(self.joints)
-        for unit, pressure in zip(self.units(angles), pressures, strict=True):
+        for unit, pressure in zip(self.routed_muscles(angles), pressures, strict=True):
             tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
             for joint, slope in unit.slopes.items():
                 total[joint] = total[joint] - tension * slope
@@ -348,7 +358,7 @@ class Leg(eqx.Module, Displayed):
         """
         given = tuple(biarticular) or (0.0,) * len(self.biarticular)
         needed = [jnp.asarray(torque) for torque in torques]
-        for unit, pressure in zip(self.units(angles)[2 * len(self.joints) :], given, strict=True):
+        for unit, pressure in zip(self.routed_muscles(angles)[2 * len(self.joints) :], given, strict=True):
             tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
             for joint, slope in unit.slopes.items():
                 needed[joint] = needed[joint] + tension * slope

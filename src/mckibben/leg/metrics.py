@@ -89,20 +89,21 @@ class LegMetrics(NamedTuple):
         Largest upward force of the ground [N], and that later than 10 ms after the first touch: without the impact of
         the foot's own mass.
     peak_trunk_force
-        Largest upward force [N] on the trunk: its mass times its acceleration, gravity included.
+        Largest upward force [N] on the trunk: its mass times the acceleration of the hip, gravity included.
     deflection
         How far the hip sinks below its height at the first touch [m].
     stop_torque
         Largest torque of the stops of each joint [N*m]; above 0 it has bottomed out.
     apex
         Largest height of the centre of mass [m] that the run reaches or is on its way to when the foot is in the air,
-        after the first touch; NaN if the foot stays on the ground.
+        after the first touch, in whichever flight; NaN if the foot stays on the ground.
     take_off_speed
         Upward speed of the centre of mass [m/s] that belongs to `apex`.
     muscle_work
-        Work of the muscles [J]: the integral of tension times rate of shortening.
+        Work of the muscles [J]: the integral of tension times rate of shortening. Until the take-off of the flight that
+        `apex` is of, or, without one, to the end of the run.
     air_mass
-        Mass of the air [kg] that flows into the muscles, at room temperature.
+        Mass of the air [kg] that flows into the muscles until then, at room temperature.
     time_outside_domain
         Time [s] with a contraction outside its muscle's domain.
     """
@@ -141,6 +142,8 @@ class MetricSums(NamedTuple):
     touched: Scalar  # time since the first touch [s], below 0 before
     height: Scalar  # of the hip at the first touch [m]
     speed: Scalar  # of the hip, upwards [m/s]
+    work: Scalar  # of the muscles so far [J]
+    drawn: Scalar  # air so far [kg]
     air: tuple[Scalar, ...]
 
     @classmethod
@@ -149,7 +152,7 @@ class MetricSums(NamedTuple):
         stops = tuple(zero for _ in first.stop_torque)
         start: dict[str, Any] = dict.fromkeys(LegMetrics._fields, zero)
         metrics = LegMetrics(**start | {"stop_torque": stops, "apex": zero - jnp.inf})
-        return cls(metrics, zero - 1, first.z, first.speed, first.air_mass)
+        return cls(metrics, zero - 1, first.z, first.speed, zero, zero, first.air_mass)
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:
         """With a further sample, a period [s] later."""
@@ -157,13 +160,15 @@ class MetricSums(NamedTuple):
         last, force = self.metrics, sample.ground_up
         before = self.touched < 0
         touched = jnp.where(before, jnp.where(force > 0, 0.0, -1.0), self.touched + period)
-        height = jnp.where(touched <= 0, sample.z, self.height)
+        height = jnp.where(touched < 0, sample.z, self.height)  # at the touch that of the sample before
         rising = jnp.maximum(sample.mass_speed, 0.0)
         ballistic = sample.mass_height + rising * rising / (2 * gravity)
         flying = (touched > 0) & (force <= 0)
         higher = flying & (ballistic > last.apex + 1e-6)  # in flight it is constant but for rounding
         stops = zip(last.stop_torque, sample.stop_torque, strict=True)
-        drawn = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
+        inflow = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
+        work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(inflow)
+        counts = higher | (last.apex == -jnp.inf)
         metrics = LegMetrics(
             peak_force=jnp.maximum(last.peak_force, force),
             peak_force_late=jnp.where(touched > IMPACT, jnp.maximum(last.peak_force_late, force), last.peak_force_late),
@@ -174,11 +179,11 @@ class MetricSums(NamedTuple):
             stop_torque=tuple(jnp.maximum(most, jnp.abs(now)) for most, now in stops),
             apex=jnp.where(higher, ballistic, last.apex),
             take_off_speed=jnp.where(higher, sample.mass_speed, last.take_off_speed),
-            muscle_work=last.muscle_work + sample.muscle_power * period,
-            air_mass=last.air_mass + sum(drawn),
+            muscle_work=jnp.where(counts, work, last.muscle_work),
+            air_mass=jnp.where(counts, drawn, last.air_mass),
             time_outside_domain=last.time_outside_domain + jnp.where(sample.outside, period, 0.0),
         )
-        return MetricSums(metrics, touched, height, sample.speed, sample.air_mass)
+        return MetricSums(metrics, touched, height, sample.speed, work, drawn, sample.air_mass)
 
     def finished(self) -> LegMetrics:
         """The metrics; NaN for the apex of a foot that never left the ground."""

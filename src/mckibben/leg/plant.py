@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.errors import RangeError
 from mckibben.joint import RigidTendon
 from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, frames, motion
-from mckibben.leg.mechanism import Leg, LegJoint, Unit
+from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
 from mckibben.muscle import MuscleState
 from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import rk4, value_and_derivative
@@ -170,6 +170,13 @@ class LegPlant(eqx.Module, Displayed):
             _check_pressure(name, pressure, highest)
             _check_pressure(f"{name} (supply)", pressure, highest if supply is None else supply)
         check_positive("LegPlant", "m", zero=True, clearance=clearance)
+        if leg.trunk.freedom == "fixed" and not (isinstance(upward_speed, Real) and upward_speed == 0):
+            raise RangeError(
+                "a fixed trunk has no speed",
+                field="upward_speed",
+                value=upward_speed,
+                remedy="give the trunk the freedom vertical, planar or free",
+            )
         held = tuple(map(floating, leg.held(angles)))
         zero, speed = jnp.zeros(()), floating(upward_speed)
         posture = Posture(zero, zero, zero, held)
@@ -178,7 +185,7 @@ class LegPlant(eqx.Module, Displayed):
         inside = tuple(map(floating, pressures))
         muscles = tuple(
             unit.muscle.init_state(unit.tendon.contraction(unit.muscle, unit.path, pressure))
-            for unit, pressure in zip(leg.units(held), inside, strict=True)
+            for unit, pressure in zip(leg.routed_muscles(held), inside, strict=True)
         )
         air = self.valve.init_air(inside) if isinstance(self.valve, AirValve) else ()
         return LegState(posture, velocity, inside, muscles, air)
@@ -204,7 +211,7 @@ class LegPlant(eqx.Module, Displayed):
         angles, rates = state.posture.angles, state.velocity.angles
         torques: list[Array] = [-joint.damping * rate for joint, rate in zip(leg.joints, rates, strict=True)]
         tensions, contractions, path_rates = [], [], []
-        for unit, pressure, held in zip(leg.units(angles), state.pressures, state.muscles, strict=True):
+        for unit, pressure, held in zip(leg.routed_muscles(angles), state.pressures, state.muscles, strict=True):
             path_rate = _path_rate(unit, rates)
             contraction = unit.tendon.contraction(unit.muscle, unit.path, pressure, held)
             tension = unit.muscle.tension(contraction, pressure, held)
@@ -278,10 +285,10 @@ class LegPlant(eqx.Module, Displayed):
         """Return the volume of the air of each muscle, dead volume included."""
         dead = self.valve.dead_volume if isinstance(self.valve, AirValve) else 0.0
         volumes = []
-        units = self.leg.units(state.posture.angles)
+        units = self.leg.routed_muscles(state.posture.angles)
         for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):
 
-            def volume(path: Array, pressure: Array, unit: Unit = unit, held: MuscleState = held) -> Array:
+            def volume(path: Array, pressure: Array, unit: RoutedMuscle = unit, held: MuscleState = held) -> Array:
                 contraction = unit.tendon.contraction(unit.muscle, path, pressure, held)
                 return unit.muscle.specimen.volume(contraction) + dead
 
@@ -297,7 +304,7 @@ class LegPlant(eqx.Module, Displayed):
         if not any(one.friction or one.creep for one in state.muscles):
             return state
         muscles = []
-        units = self.leg.units(state.posture.angles)
+        units = self.leg.routed_muscles(state.posture.angles)
         for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):
             contraction = unit.tendon.contraction(unit.muscle, unit.path, pressure, held)
             muscles.append(unit.muscle.update_state(held, contraction, pressure))
@@ -309,7 +316,7 @@ class LegPlant(eqx.Module, Displayed):
         return found.kinetic + found.potential
 
 
-def _path_rate(unit: Unit, rates: Sequence[Array]) -> Array:
+def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
     """Rate of the length of a muscle's path [m/s]."""
     return sum((slope * rates[joint] for joint, slope in unit.slopes.items()), start=jnp.zeros(()))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +15,7 @@ from mckibben.config.schema import model_of
 from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
 from mckibben.leg.plant import Ground, LegPlant
+from mckibben.muscle import SpringLaw
 from mckibben.plant import AirValve, IdealValve
 from mckibben.study.scenario.building import build_joint
 from mckibben.study.scenario.muscle import CatalogName, MuscleSpec
@@ -148,13 +150,14 @@ def _tuples(value: Any) -> Any:
 
 
 Angles = dict[str, Angle]
-"""Angles [rad] by the name of the joint; 0 for those not named."""
+"""Angles [rad] by the name of the joint."""
 
 
 class UncertaintySpec(ConfigModel):
-    """What is uncertain: relative standard deviations of the muscles' strength and of the bodies' masses.
+    """What is uncertain: relative standard deviations of the strength of each muscle and of the mass of each body.
 
-    Muscles whose law is a fit file vary within the covariance of the fit as well.
+    All are independent; the inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors
+    of the fit as well, those with the same file alike.
     """
 
     strength: Spread = 0.05
@@ -177,14 +180,15 @@ class LandingSpec(ConfigModel):
     drop
         Drop heights [m].
     time_constants
-        Time constants [s] of the valve at small changes of its command, beside constant pressures and closed valves.
+        Time constants [s] of the valve at small changes of its command, beside constant pressures and closed valves;
+        for the volume of the first muscle.
     """
 
     joint: Title
     touchdown: Angles = Field(default_factory=dict)
-    stiffness: tuple[Stiffness, ...] | None = None
+    stiffness: Annotated[tuple[Stiffness, ...], Field(min_length=2)] | None = None
     levels: Annotated[int, BoundedInt(3, 200)] = 13
-    drop: tuple[DropHeight, ...] = (0.02, 0.05, 0.1)
+    drop: Annotated[tuple[DropHeight, ...], Field(min_length=1)] = (0.02, 0.05, 0.1)
     time_constants: tuple[PositiveTime, ...] = (0.02,)
     duration: Duration = 0.3
 
@@ -207,6 +211,20 @@ class JumpSpec(ConfigModel):
     high: Pressure = 6e5
     latest: Duration = 0.15
     duration: Duration = 0.5
+
+    @model_validator(mode="after")
+    def _in_order(self) -> JumpSpec:
+        if self.high <= self.low:
+            fail_validation(
+                f"high, {self.high / bar:g} bar, is not above low", "give a higher pressure", value=self.high
+            )
+        if self.duration <= self.latest:
+            fail_validation(
+                f"the duration of {self.duration:g} s ends before the latest switching time of {self.latest:g} s",
+                "give a longer duration",
+                value=self.duration,
+            )
+        return self
 
 
 class LegScenario(RunSpec):
@@ -234,13 +252,20 @@ class LegScenario(RunSpec):
         leg = info.data.get("leg")
         if value is None or leg is None:
             return value
+        if leg.trunk.freedom == "fixed":
+            fail_validation("needs a trunk that can move", "give the trunk the freedom vertical, planar or free")
         ranges = {joint.name: (joint.lower, joint.upper) for joint in leg.joints}
+        locked = {joint.name: joint.locked for joint in leg.joints if joint.locked is not None}
         angles = value.touchdown if isinstance(value, LandingSpec) else value.squat
         for name in [*angles, *([value.joint] if isinstance(value, LandingSpec) else [])]:
             if name not in ranges:
                 fail_validation(f"there is no joint {quoted(name)}", suggest(name, list(ranges)))
+        if isinstance(value, LandingSpec) and value.joint in locked:
+            fail_validation(f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move")
         for name, angle in angles.items():
             lower, upper = ranges[name]
+            if name in locked and abs(angle - locked[name]) > 1e-9:
+                fail_validation(f"{name} is locked at {locked[name] / deg:g} deg", "leave it out", value=angle)
             if not lower <= angle <= upper:
                 fail_validation(
                     f"{name} is at {angle / deg:.4g} deg, beyond its stops",
@@ -252,13 +277,18 @@ class LegScenario(RunSpec):
     @field_validator("jump", mode="after")
     @classmethod
     def _supplied(cls, value: JumpSpec | None, info: ValidationInfo) -> JumpSpec | None:
-        supply = getattr(info.data.get("valve"), "supply", None)
-        if value is not None and supply is not None and value.high > supply:
-            fail_validation(
-                f"high is {value.high / bar:g} bar, above the supply of {supply / bar:g} bar",
-                "lower it, or give the valve a higher supply",
-                value=value.high,
-            )
+        leg, supply = info.data.get("leg"), getattr(info.data.get("valve"), "supply", None)
+        if value is None or leg is None:
+            return value
+        muscles = [one for one in leg.build().muscles if not isinstance(one.law, SpringLaw)]
+        rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
+        for what, highest in (("rating of a muscle", rated), ("supply", supply)):
+            if highest is not None and value.high > highest:
+                fail_validation(
+                    f"high is {value.high / bar:g} bar, above the {what} of {highest / bar:g} bar",
+                    "lower it",
+                    value=value.high,
+                )
         return value
 
     @model_validator(mode="after")
@@ -267,8 +297,8 @@ class LegScenario(RunSpec):
             runtime = None if self.valve is None else self.valve.runtime
             if runtime is None or not issubclass(runtime, AirValve):
                 fail_validation(
-                    "a landing compresses the air, which a valve without it does not show",
-                    "give a valve with air, such as {class: PressureRegulator, ...}, or `time_constants: []`",
+                    "landing.time_constants (20 ms unless given) are of a valve with air, and the valve has none",
+                    "give a valve such as {class: PressureRegulator, ...}, or `time_constants: []`",
                 )
         return self
 
@@ -282,6 +312,17 @@ class LegScenario(RunSpec):
     def parse(cls, text: str, *, source: str = "leg", folder: str | os.PathLike[str] = ".") -> LegScenario:
         """Read YAML text; errors as for `read`."""
         return parse_model(cls, text, source=source, folder=folder)[0]
+
+    def posture(self, angles: Mapping[str, float]) -> tuple[float, ...]:
+        """Angles [rad] of all joints: as given by name, else where a joint is locked, or as near 0 as it can be."""
+        return tuple(
+            angles.get(one.name, min(max(0.0, one.lower), one.upper) if one.locked is None else one.locked)
+            for one in self.leg.joints
+        )
+
+    def whole_steps(self, duration: float) -> float:
+        """The duration [s] as a multiple of the step."""
+        return self.step * round(duration / self.step)
 
     def plant(self) -> LegPlant:
         """The simulated leg."""

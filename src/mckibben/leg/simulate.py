@@ -19,6 +19,7 @@ from mckibben.leg.control import LegController, LegMeasurement
 from mckibben.leg.dynamics import Posture, foot_mobility
 from mckibben.leg.metrics import LEG_UNITS, SAMPLE_UNITS, LegMetrics, MetricSums, observe
 from mckibben.leg.plant import LegPlant, LegState
+from mckibben.muscle import SpringLaw
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, lanes_of, map_chunks, pad_chunk, recheck, with_leaves
 from mckibben.numerics.compiled import compiled, compiled_as_given, compiled_batch, numeric
@@ -276,7 +277,8 @@ def check_step(plant: LegPlant, start: LegStart, control_period: float, substeps
         "the friction": ground.friction * weight / ground.slip_speed * mobility[0, 0] / STABILITY_LIMIT,
     }
     if isinstance(plant.valve, AirValve):
-        volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in leg.muscles)
+        muscles = (muscle for muscle in leg.muscles if not isinstance(muscle.law, SpringLaw))
+        volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
         needed["the air"] = plant.valve.fastest_rate_in(min(volumes)) / STABILITY_LIMIT
     what, fastest = max(needed.items(), key=lambda item: item[1])
     if fastest * step > 1 + 1e-9:

@@ -11,10 +11,11 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.identification.fit import Fit
 from mckibben.identification.storage import read_fit
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
-from mckibben.muscle import ForceLaw, SpringLaw, scaled_law
+from mckibben.muscle import Muscle, SpringLaw, scaled_law
 from mckibben.study.scenario.muscle import MuscleSpec
 
 
@@ -31,19 +32,27 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
         return found
 
     leg = plant.leg
-    trunk = _heavier(leg.trunk, factors(spec.mass))
-    links = tuple(_heavier(link, factors(spec.mass)) for link in leg.links)
+    fits: dict[Path, dict[str, NDArray[np.float64]]] = {}  # one draw of a fit for all muscles that have it
+
+    def drawn(own: MuscleSpec | None, muscle: Muscle) -> Muscle:
+        """A muscle with arrays in its law; springs do not scatter."""
+        if own is None or isinstance(muscle.law, SpringLaw):
+            return muscle
+        if isinstance(own.law, Path):
+            values = fits.setdefault(own.law, _fit_draws(read_fit(own.law), rng, count))
+            muscle = own.build(dataclasses.replace(read_fit(own.law).law, **values))
+        return eqx.tree_at(lambda x: x.law, muscle, scaled_law(muscle.law, factors(spec.strength)))
+
+    trunk = _with_mass(leg.trunk, factors(spec.mass))
+    links = tuple(_with_mass(link, factors(spec.mass)) for link in leg.links)
     joints = []
     for joint, part in zip(leg.joints, scenario.leg.joints, strict=True):
         given = (part.muscle1 or part.muscle, part.muscle2 or part.muscle)
-        muscles = [
-            muscle if isinstance(muscle.law, SpringLaw) else _drawn(own, muscle, factors(spec.strength), rng, count)
-            for own, muscle in zip(given, (joint.muscles.muscle1, joint.muscles.muscle2), strict=True)
-        ]
+        muscles = list(map(drawn, given, (joint.muscles.muscle1, joint.muscles.muscle2)))
         pair = eqx.tree_at(lambda one: (one.muscle1, one.muscle2), joint.muscles, tuple(muscles))
         joints.append(eqx.tree_at(lambda one: one.muscles, joint, pair))
     biarticular = tuple(
-        eqx.tree_at(lambda x: x.muscle, one, _drawn(part.muscle, one.muscle, factors(spec.strength), rng, count))
+        eqx.tree_at(lambda x: x.muscle, one, drawn(part.muscle, one.muscle))
         for one, part in zip(leg.biarticular, scenario.leg.biarticular, strict=True)
     )
     leg = eqx.tree_at(lambda x: (x.trunk, x.links, x.joints), leg, (trunk, links, tuple(joints)))
@@ -52,24 +61,20 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
     return eqx.tree_at(lambda x: x.leg, plant, leg)
 
 
-def _heavier(body: Any, factors: NDArray[np.float64]) -> Any:
+def _with_mass(body: Any, factors: NDArray[np.float64]) -> Any:
     """A body with mass and inertia times factors."""
     return eqx.tree_at(lambda x: (x.mass, x.inertia), body, (body.mass * factors, body.inertia * factors))
 
 
-def _drawn(spec: MuscleSpec, muscle: Any, strengths: NDArray[np.float64], rng: np.random.Generator, count: int) -> Any:
-    """A muscle with arrays in its law: the parameters of a fit within their covariance, and the strength."""
-    law: ForceLaw | None = None
-    if isinstance(spec.law, Path):
-        fit = read_fit(spec.law)
-        means = np.array(list(fit.estimates.values()))
-        known = np.isfinite(np.diag(fit.covariance))
-        draws = np.tile(means, (count, 1))
-        covariance = fit.covariance[np.ix_(known, known)]
-        draws[1:, known] = rng.multivariate_normal(means[known], covariance, count - 1)
-        law = dataclasses.replace(fit.law, **dict(zip(fit.estimates, draws.T, strict=True)))
-    base = muscle if law is None else spec.build(law)
-    return eqx.tree_at(lambda x: x.law, base, scaled_law(base.law, strengths))
+def _fit_draws(fit: Fit, rng: np.random.Generator, count: int) -> dict[str, NDArray[np.float64]]:
+    """Draws of a fit's parameters by name, the first as identified; robust standard errors where the fit has them."""
+    robust = fit.robust.standard_errors if fit.robust else fit.standard_errors
+    errors = np.array([robust[name] for name in fit.estimates])
+    known = np.isfinite(errors) & np.isfinite(np.diag(fit.correlations))
+    draws = np.tile(np.array(list(fit.estimates.values())), (count, 1))
+    covariance = (fit.correlations * np.outer(errors, errors))[np.ix_(known, known)]
+    draws[1:, known] += rng.multivariate_normal(np.zeros(known.sum()), covariance, count - 1)
+    return dict(zip(fit.estimates, draws.T, strict=True))
 
 
 def take(tree: Any, index: NDArray[np.int64]) -> Any:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from mckibben import catalog
 from mckibben.leg.foot import attainable_foot_stiffness
 from mckibben.leg.jumping import JumpStudy
-from mckibben.leg.landing import LandingStudy
+from mckibben.leg.landing import EDGES, LandingStudy
 from mckibben.leg.mechanism import Leg
 from mckibben.report.figures import ReportFigure
 from mckibben.report.leg_player import leg_player
@@ -36,8 +36,6 @@ from mckibben.report.style import (
 )
 from mckibben.report.tables import Table
 from mckibben.units import bar, mm, ms
-
-_EDGES = (5.0, 95.0)
 
 
 @styled
@@ -61,11 +59,13 @@ def landing_forces(study: LandingStudy) -> Figure:
         for j, drop in enumerate(drops):
             axes: Axes = grid[i, j]
             for v, (name, look) in enumerate(looks_of(valves).items()):
-                low, high = np.percentile(values[v, j, :, 1:], _EDGES, axis=-1)
+                low, high = np.percentile(values[v, j, :, 1:], EDGES, axis=-1)
                 draw_band(axes, stiffness, low, high, color=look["color"], alpha=0.15)
                 axes.plot(stiffness, values[v, j, :, 0], label=name, **look)
-                at = np.interp(best[v, j, 0], stiffness, values[v, j, :, 0])
-                axes.plot(best[v, j, 0], at, "v", color=look["color"], markersize=6, markeredgecolor="white")
+                at = best[v, j, 0]
+                axes.plot(
+                    stiffness[at], values[v, j, at, 0], "v", color=look["color"], markersize=6, markeredgecolor="white"
+                )
             if i == 0:
                 letter(axes, j, f"drop of {drop / mm:g} mm")
         grid[i, 0].set_ylabel(label)
@@ -174,13 +174,13 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
     """Write `jump.html`, self-contained, and its figure in `figures/`; return its path."""
     gain, low, high = (one / mm for one in study.gain())
     text = (
-        f"From the squat the centre of mass rises {study.constant.heights[0] / mm:.0f} mm above that of the stretched "
-        f"leg with the best constant pressures, {study.timed.heights[0] / mm:.0f} mm with the best timed ones: "
-        f"{gain:.0f} mm more ({low:.0f} to {high:.0f} mm in 5 to 95 % of the draws of muscles and masses)."
+        f"From the squat the centre of mass rises {study.constant.heights[0] / mm:.0f} mm above that of the "
+        f"standing leg with the best constant pressures, {study.timed.heights[0] / mm:.0f} mm with the best timed "
+        f"ones: {gain:.0f} mm more ({low:.0f} to {high:.0f} mm in 5 to 95 % of the draws of muscles and masses)."
     )
     caption = (
-        "Pressures (thin: commands), force of the ground and height of the centre of mass. Dashed: apex, above the "
-        "height of the stretched leg that stands."
+        "Pressures (thin: commands), force of the ground and height of the centre of mass above its greatest height "
+        "with the foot on the ground. Dashed: apex."
     )
     figure = ReportFigure("jump", "", "Jumps", caption, "Time traces of two jumps", jump_traces(study))
     tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _published(study)]
@@ -197,8 +197,13 @@ def _published(study: JumpStudy) -> Table:
         found = catalog.find("robots", name)[0]
         rows.append((found["title"], found["jump"], found["of_height"], found["actuators"], found["differs"]))
     height, length = study.timed.heights[0] / mm, study.leg_length / mm
-    ours = f"{height:.0f} mm, centre of mass", f"{height / length * 100:.0f} % of the leg", "four PAMs of 10 mm"
-    rows.append(("this leg, timed pressures", *ours, "simulated, on a slider, one leg, from a squat"))
+    leg = study.scenario.leg.build()
+    ours = (
+        f"{height:.0f} mm, centre of mass",
+        f"{height / length * 100:.0f} % of the leg",
+        f"{len(leg.muscles)} muscles",
+    )
+    rows.append(("this leg, timed pressures", *ours, f"simulated, in the plane, trunk: {leg.trunk.freedom}"))
     return Table("Beside published jumps", head, rows)
 
 
