@@ -1,6 +1,7 @@
 """Identification from commanded pressures, of a simulated joint with known lag, delay, strengths and load."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +11,12 @@ from jax import lax
 
 from mckibben import catalog
 from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands, calibrate_joint
-from mckibben.calibration.experiment import statements
+from mckibben.calibration.experiment import calibrated_scenario, statements
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, GeneralLoad
 from mckibben.muscle import MaxwellSlip, scaled_law
 from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
+from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
 PERIOD, DELAY, LAG = 10 * ms, 34 * ms, 80 * ms
@@ -103,6 +105,9 @@ def test_the_joints_own_friction_is_told_apart_or_said_not_to_be():
     assert sum("friction.total" in line for line in statements(found)) >= len(apart)
     before, after = found.simulate(one).errors
     assert after < 0.2 * before
+    example = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+    scenario = Scenario.parse(example + "friction: {torque: 0.3 N*m}\n")
+    assert calibrated_scenario(scenario, found).plant().friction == found.friction
 
 
 def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):
