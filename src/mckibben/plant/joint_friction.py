@@ -34,10 +34,10 @@ class JointFriction(eqx.Module, Displayed):
     torque
         tau_C [N*m].
     presliding
-        theta_0 [rad]: after a reversal 63 % of the change from tau_C to -tau_C is reached after theta_0, 86 % after
-        2 theta_0.
+        theta_0 [rad]: after a reversal about 63 % of the change from tau_C to -tau_C is reached after theta_0, 86 %
+        after 2 theta_0.
     elements
-        Springs, 1 to 16. With one the torque of a joint that sticks is linear in the angle, up to theta_0 / 2.
+        Springs, 1 to 16. With one the torque of a joint that sticks is linear in the angle.
 
     References
     ----------
@@ -51,7 +51,7 @@ class JointFriction(eqx.Module, Displayed):
     >>> friction = JointFriction(0.3, 1 * deg)
     >>> state = friction.project(friction.initial(0.0), 10 * deg)
     >>> [round(float(friction.resisting_torque(state, angle * deg)), 3) for angle in (10, 9, 0)]
-    [0.3, -0.077, -0.3]
+    [0.3, -0.072, -0.3]
     """
 
     torque: PositiveTorque
