@@ -74,6 +74,7 @@ from .plant import (
     FirstOrderValve as FirstOrderValve,
     FlowValve as FlowValve,
     IdealValve as IdealValve,
+    JointFriction as JointFriction,
     JointPlant as JointPlant,
     PressureRegulator as PressureRegulator,
     SwitchingValves as SwitchingValves,

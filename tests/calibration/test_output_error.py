@@ -1,6 +1,7 @@
 """Identification from commanded pressures, of a simulated joint with known lag, delay, strengths and load."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +11,12 @@ from jax import lax
 
 from mckibben import catalog
 from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands, calibrate_joint
+from mckibben.calibration.experiment import calibrated_scenario, statements
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, GeneralLoad
 from mckibben.muscle import MaxwellSlip, scaled_law
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
+from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -37,7 +40,7 @@ def commands(time, seed):
     return levels[np.minimum((time / 1.2).astype(int), 19)]
 
 
-def recorded(seed, *, seconds=12.0):
+def recorded(seed, *, seconds=12.0, friction=None):
     """Angles of the true joint, computed at a fine step, at 100 Hz with noise and times that jitter."""
     joint = model()
     muscles = [
@@ -45,7 +48,7 @@ def recorded(seed, *, seconds=12.0):
         for one, by in zip((joint.muscle1, joint.muscle2), STRENGTHS, strict=True)
     ]
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    plant = JointPlant(joint, dataclasses.replace(LOAD, inertia=0.024), FirstOrderValve(LAG))
+    plant = JointPlant(joint, dataclasses.replace(LOAD, inertia=0.024), FirstOrderValve(LAG), friction=friction)
     fine, every = 2 * ms, 5
     time = np.arange(0.0, seconds, fine)
     late = jnp.asarray(commands(np.maximum(time - DELAY, 0.0), seed))
@@ -87,6 +90,25 @@ def test_what_has_one_scale_is_told_up_to_a_factor(found):
     assert strength2.value / strength1.value == pytest.approx(STRENGTHS[1] / STRENGTHS[0], rel=0.05)
     for one, true in ((strength1, 0.9), (strength2, 1.12), (inertia, 0.024), (gravity, 0.6)):
         assert abs(one.value - true) < 3 * one.deviation
+
+
+def test_the_joints_own_friction_is_told_apart_or_said_not_to_be():
+    true, before = JointFriction(0.15, 1 * deg), JointFriction(0.3, 1 * deg)
+    one = recorded(4, friction=true)
+    found = calibrate_from_commands(model(), LOAD, VALVE, [one], JointPrior(strength=0.2, offset=0.05), friction=before)
+    torque, total = found.quantities["friction.torque"], found.quantities["friction.total"]
+    assert abs(torque.value - true.torque) < 3 * torque.deviation
+    assert total.determined
+    arms = [float(arm) for arm in model().geometry.moment_arms(float(one.angle.mean()))]
+    assert abs(total.value - true.torque - sum(arms) * FRICTION.half_width) < 3 * total.deviation
+    assert found.plant.friction.torque == pytest.approx(torque.value)
+    apart = [name for name in ("friction.torque", "muscle1.friction") if not found.quantities[name].determined]
+    assert sum("friction.total" in line for line in statements(found)) >= len(apart)
+    before, after = found.simulate(one).errors
+    assert after < 0.2 * before
+    example = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+    scenario = Scenario.parse(example + "friction: {torque: 0.3 N*m}\n")
+    assert calibrated_scenario(scenario, found).plant().friction == found.friction
 
 
 def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):

@@ -82,6 +82,8 @@ class JointPrior:
     lag, rate, delay, damping
         For recordings of commands: of the logarithms of the valve's time constant, of the limit of its rate, of the
         delay about 20 ms, and of the load's damping. There `mass` is that of the logarithms of inertia and gravity.
+    joint_friction, joint_presliding
+        For recordings of commands: of the logarithms of torque and presliding angle of the joint's own friction.
     """
 
     strength: float = 0.1
@@ -98,6 +100,8 @@ class JointPrior:
     rate: float = 1.0
     delay: float = 1.0
     damping: float = 1.0
+    joint_friction: float = 1.0
+    joint_presliding: float = 0.7
 
 
 class JointSamples(NamedTuple):

@@ -237,7 +237,8 @@ def calibrate_scenario(
             field="valve",
             remedy="give the scenario one that may be, such as `valve: {time_constant: 50 ms}`",
         )
-    return calibrate_from_commands(joint, load, valve, recordings, prior)
+    friction = None if scenario.friction is None else scenario.friction.build()
+    return calibrate_from_commands(joint, load, valve, recordings, prior, friction=friction)
 
 
 def calibrated_model(scenario: Scenario, found: JointCalibration) -> JointSpec:
@@ -279,7 +280,11 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
         assert scenario.valve is not None  # or nothing could have been found
         rows = {name: float(getattr(found.valve, name)) for name in ("time_constant", "rate")}
         valve = scenario.valve.model_copy(update=rows)
-        return scenario.model_copy(update={"joint": joint, "load": load, "valve": valve, "controller": control})
+        update: dict[str, Any] = {"joint": joint, "load": load, "valve": valve, "controller": control}
+        if found.friction is not None:
+            rows = {name: float(getattr(found.friction, name)) for name in ("torque", "presliding")}
+            update["friction"] = scenario.friction.model_copy(update=rows)  # type: ignore[union-attr]
+        return scenario.model_copy(update=update)
     control = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
     mass = found.load.adapted_mass
     if mass and control.load is not None:
@@ -316,7 +321,14 @@ SHOWN |= {unit: unit for unit in ("1", "N", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
 def statements(found: JointCalibration) -> list[str]:
     """Return one sentence for each quantity that is not determined."""
     names = {"added_mass": "the weight", "zero": "the encoder's zero", "arm_scale": "the scale of the moment arms"}
-    return [
+    apart = ("friction.torque", "muscle1.friction", "muscle2.friction")
+    together = "friction.total" in found.quantities and found.quantities["friction.total"].determined
+    said = [
+        f"{name} cannot be told apart from the other friction; friction.total is determined"
+        for name in apart
+        if together and name in found.quantities and not found.quantities[name].determined
+    ]
+    return said + [
         f"not determined: {names.get(name, name)}, {show(one.value, SHOWN[one.unit], 4)} with a standard deviation of "
         f"{show(one.deviation, SHOWN[one.unit], 2)} ({show(one.prior, SHOWN[one.unit], 2)} before)"
         for name, one in found.quantities.items()

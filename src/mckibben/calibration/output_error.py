@@ -40,7 +40,7 @@ from mckibben.calibration.estimation import (
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
 from mckibben.units import ms
 
 _REST = 3.0  # s after the last change of the commands; samples from then to the next change are left out
@@ -57,9 +57,16 @@ _RATE_START = -1.5  # prior standard deviations: a limit that acts on large step
 _FIRST, _STAGES, _ITERATIONS = 8, 3, 25
 _FRICTION = 2 * COEFFICIENTS  # place of the half width among a muscle's parameters
 _SHARED = 3  # parameters beside the muscles' that `corrected` has too: the weight, zero and scale of the arms
-_OWN = ("valve.time_constant", "valve.rate", "delay", "load.damping", "load.inertia", "load.gravity_torque")
-_OWN_UNITS = ("s", "Pa/s", "s", "N*m*s/rad", "kg*m^2", "N*m")
-_OWN_PRIORS = ("lag", "rate", "delay", "damping", "mass", "mass")
+_OWN = {  # units, and fields of the prior; those of the friction where the joint has its own
+    "valve.time_constant": ("s", "lag"),
+    "valve.rate": ("Pa/s", "rate"),
+    "delay": ("s", "delay"),
+    "load.damping": ("N*m*s/rad", "damping"),
+    "load.inertia": ("kg*m^2", "mass"),
+    "load.gravity_torque": ("N*m", "mass"),
+    "friction.torque": ("N*m", "joint_friction"),
+    "friction.presliding": ("rad", "joint_presliding"),
+}
 
 
 class _Motion(NamedTuple):
@@ -102,6 +109,7 @@ class _Problem(NamedTuple):
 
     base: CalibrationProblem
     valve: FirstOrderValve
+    friction: JointFriction | None
     medians: tuple[float, ...]
 
 
@@ -114,21 +122,31 @@ class CommandedCalibration(JointCalibration):
     quantities
         As those of `JointCalibration`, and ``valve.time_constant``, ``valve.rate``, ``delay``, ``load.damping``,
         ``load.inertia``, ``load.gravity_torque``, with prior deviations relative to the estimates; no ``load.mass``.
+        With friction of the joint ``friction.torque`` and ``friction.presliding``, and ``friction.total`` [N*m], the
+        sum of its torque and of the muscles' half widths times their moment arms.
     residual
         Root mean square of the error of the simulated angle [rad].
     valve, delay
         The valve with the estimates, and the delay [s] of the commands before it.
+    friction
+        That of the joint itself with the estimates, None where the model before has none.
     """
 
     valve: FirstOrderValve
     delay: float
     _before: _Simulated
+    friction: JointFriction | None
+
+    @property
+    def plant(self) -> JointPlant:
+        """Joint, load, valve and friction with the estimates."""
+        return JointPlant(self.joint, self.load, self.valve, friction=self.friction)
 
     def simulate(self, recording: JointRecording) -> SimulatedAngles:
         """Return angles simulated from the first angle and the commands of a recording, without its rests."""
         motion = _motion(recording, _highest(self.joint))
         zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
-        after = _Simulated(JointPlant(self.joint, self.load, self.valve), self.delay, zero, added)
+        after = _Simulated(self.plant, self.delay, zero, added)
         substeps = _substeps([motion])
         before, found = (
             np.asarray(_angle(one, _padded(motion), substeps))[: motion.angle.size] for one in (self._before, after)
@@ -142,6 +160,8 @@ def calibrate_from_commands(
     valve: FirstOrderValve,
     recordings: Sequence[JointRecording],
     prior: JointPrior | None = None,
+    *,
+    friction: JointFriction | None = None,
 ) -> CommandedCalibration:
     r"""Identify a joint, its load and valves from commanded pressures and angles (output-error method).
 
@@ -164,6 +184,8 @@ def calibrate_from_commands(
         At least one, with commands as `pressures`.
     prior
         Standard deviations before. Those of a joint whose muscles are little known are larger than the default ones.
+    friction
+        Dry friction of the joint itself, whose torque and presliding angle are then estimated.
 
     Raises
     ------
@@ -185,23 +207,28 @@ def calibrate_from_commands(
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
     medians = (valve.time_constant, rate, _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
-    problem = _Problem(base, valve, tuple(map(float, medians)))
+    medians += () if friction is None else (friction.torque, friction.presliding)
+    problem = _Problem(base, valve, friction, tuple(map(float, medians)))
     z, covariance, residual = _solve(problem, motions)
     full, slope = map(np.asarray, _full_and_slope(base, z))
     wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # what is not estimated is as before
     found = jax.tree.map(number, _simulated_by(problem, jnp.asarray(z)))
-    plant = found.plant
+    plant, total = found.plant, {}
+    if friction is not None:
+        middle = float(np.concatenate([one.angle for one in motions]).mean())
+        total["friction.total"] = _total_friction(problem, plant, z, covariance, middle)
     return CommandedCalibration(
         plant.joint,
         plant.load,
-        quantities_of(base, full, wide) | _own_quantities(problem, z, np.sqrt(np.diag(covariance))),
+        quantities_of(base, full, wide) | _own_quantities(problem, z, np.sqrt(np.diag(covariance))) | total,
         residual,
         base,
         full,
         wide,
         plant.valve,
         found.delay,
-        _Simulated(JointPlant(joint, rigid, valve), 0.0, 0.0, 1.0),
+        _Simulated(JointPlant(joint, rigid, valve, friction=friction), 0.0, 0.0, 1.0),
+        plant.friction,
     )
 
 
@@ -293,36 +320,57 @@ def _full_and_slope(base: CalibrationProblem, z: Any) -> tuple[Array, Array]:
     return _full(base, z), jax.jacfwd(lambda z: _full(base, z))(z)
 
 
-def _own_deviations(base: CalibrationProblem) -> Any:
-    return jnp.stack([jnp.asarray(base.prior[name]) for name in _OWN_PRIORS])
+def _own_deviations(problem: _Problem) -> Any:
+    names = [name for _, name in _OWN.values()][: len(problem.medians)]
+    return jnp.stack([jnp.asarray(problem.base.prior[name]) for name in names])
 
 
 def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     """The model by parameters in prior standard deviations from their prior mean."""
-    base, load = problem.base, problem.base.load
+    base, load, friction = problem.base, problem.base.load, problem.friction
     joint, _, added, zero, _ = corrected(base, _full(base, z))
-    factors = jnp.exp(_own_deviations(base) * z[-len(_OWN) :])
-    lag, rate, delay, damping, inertia, gravity = (median * factors[i] for i, median in enumerate(problem.medians))
+    factors = jnp.exp(_own_deviations(problem) * z[-len(problem.medians) :])
+    own = (median * factors[i] for i, median in enumerate(problem.medians))
+    lag, rate, delay, damping, inertia, gravity, *rubbing = own
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)
     valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
-    return _Simulated(JointPlant(joint, load, valve), delay, zero, added)
+    if friction is not None:
+        friction = dataclasses.replace(friction, **dict(zip(("torque", "presliding"), rubbing, strict=True)))
+    return _Simulated(JointPlant(joint, load, valve, friction=friction), delay, zero, added)
 
 
 def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:
-    prior = np.asarray(_own_deviations(problem.base))
-    rows = zip(_OWN, _OWN_UNITS, problem.medians, prior, z[-len(_OWN) :], deviation[-len(_OWN) :], strict=True)
+    prior, own = np.asarray(_own_deviations(problem)), len(problem.medians)
+    rows = zip(list(_OWN.items())[:own], problem.medians, prior, z[-own:], deviation[-own:], strict=True)
     found = {}
-    for name, unit, median, wide, at, narrow in rows:
+    for (name, (unit, _)), median, wide, at, narrow in rows:
         value = median * math.exp(wide * at)
         if median:
             found[name] = JointEstimate(value, abs(value) * wide * float(narrow), abs(value) * wide, unit)
     return found
 
 
+def _total_friction(problem: _Problem, plant: JointPlant, z: Floats, covariance: Floats, angle: float) -> JointEstimate:
+    """Torque [N*m] of the friction of joint and muscles at an angle [rad]; logarithms of its parts are estimated."""
+    assert plant.friction is not None
+    prior, own = problem.base.prior, iter(range(muscle_parameters(problem.base) // OF_MUSCLE))
+    slope = np.zeros(z.size)
+    muscles, arms = (plant.joint.muscle1, plant.joint.muscle2), plant.joint.geometry.moment_arms(angle)
+    for muscle, arm, spring in zip(muscles, arms, plant.joint.springs, strict=True):
+        if not spring:
+            friction: Any = muscle.friction
+            slope[OF_MUSCLE * next(own) + _FRICTION] = friction.half_width * abs(float(arm))
+    slope[-2] = plant.friction.torque
+    total = float(slope.sum())
+    slope *= prior["friction"]
+    slope[-2] *= prior["joint_friction"] / prior["friction"]
+    return JointEstimate(total, math.sqrt(slope @ covariance @ slope), float(np.linalg.norm(slope)), "N*m")
+
+
 def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Floats, float]:
     """Estimates and covariance of the parameters, and the residual angle [rad]."""
-    muscles = muscle_parameters(problem.base)
-    count, substeps, variance = muscles + _SHARED + len(_OWN), _substeps(motions), _FIRST_VARIANCE
+    muscles, own = muscle_parameters(problem.base), len(problem.medians)
+    count, substeps, variance = muscles + _SHARED + own, _substeps(motions), _FIRST_VARIANCE
     padded, sizes = list(map(_padded, motions)), [one.angle.size for one in motions]
     measured = np.concatenate([one.angle for one in motions])
     moves = np.vstack([np.zeros(count), _DIFFERENCE * np.eye(count)])
@@ -344,7 +392,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Float
     def begun(strength: float) -> tuple[Floats, float]:
         z = np.zeros(count)
         z[:muscles] = start(problem.base, strength)[:muscles]
-        z[_OWN.index("valve.rate") - len(_OWN)] = _RATE_START
+        z[list(_OWN).index("valve.rate") - own] = _RATE_START
         return minimised(terms, z, _FIRST)
 
     z = min((begun(strength) for strength in STARTS), key=lambda found: found[1])[0]

@@ -69,7 +69,7 @@ def plant_unit(
     """Program of a plant from an initial state, with a step of `JointPlant.advance` no longer than a period [s]."""
     valve = plant.valve
     numbers, fixed = eqx.partition(plant, is_real)
-    initial = plant.complete_state(initial._replace(muscles=(MuscleState((), ()),) * 2, io=(), air=()))
+    initial = plant.complete_state(initial._replace(muscles=(MuscleState((), ()),) * 2, io=(), air=(), friction=()))
     held = not isinstance(valve, IdealValve)
     start = {"angle": initial.angle, "velocity": initial.velocity, **({"pressures": initial.pressures} if held else {})}
     inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
@@ -131,7 +131,7 @@ def plant_unit(
     switching = isinstance(valve, AirValve) and type(valve).before_step is not AirValve.before_step
     if not switching:
         module.add("differentiate", "time derivatives of the state", rates, both)
-        if plant.joint.has_friction or plant.joint.has_creep:
+        if plant.slips:
             module.add("project", "state after a step of an integrator", project, both)
     first = {"angle": initial.angle, "velocity": initial.velocity}
     pressures = dict(zip(("pressures.0", "pressures.1"), initial.pressures, strict=True))

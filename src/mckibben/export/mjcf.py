@@ -108,6 +108,7 @@ def joint_model(
     check_tendon(plant.joint)
     moved = transmissions(plant.joint.geometry)
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
+    left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo's has its own"]
     for number, one in enumerate(moved, 1):
         if not one.tendon:
             left_out.append(f"tendon of muscle {number}: MuJoCo has none with such a path; its torque turns the joint")
@@ -242,6 +243,7 @@ def _mjcf(
         "\n    ".join(filter(None, (getattr(one, part) for one in moved)))
         for part in ("fixed_sites", "moving_sites", "tendon")
     )
+    lost = "" if plant.friction is None else f' frictionloss="{float(plant.friction.torque)!r}"'
     return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
 <mujoco model="{name}">
   <extension><plugin plugin="mckibben.{name}"/></extension>
@@ -254,7 +256,7 @@ def _mjcf(
     <body name="base" xyaxes="{cosine!r} 0 {-sine!r} {sine!r} 0 {cosine!r}">
     {fixed}
       <body name="limb">
-        <joint name="joint" type="hinge" axis="0 0 1" damping="{float(plant.load.damping)!r}"/>
+        <joint name="joint" type="hinge" axis="0 0 1" damping="{float(plant.load.damping)!r}"{lost}/>
         <inertial {inertial}/>
         <geom type="capsule" fromto="0 0 0 0 {-distance or -0.1!r} 0" size="0.01" rgba="0.4 0.45 0.5 1"/>
     {moving}

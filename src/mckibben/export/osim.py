@@ -53,6 +53,7 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
     left_out = ["valves: the pressures are constant"]
     left_out += [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += ["friction and creep of the muscles"] if joint.has_friction or joint.has_creep else []
+    left_out += [] if plant.friction is None else ["friction of the joint"]
     expressions, rests, forces = [], [], []
     for number, (moved, muscle, pressure) in enumerate(zip((first, second), muscles, pressures, strict=True), 1):
         rest = float(muscle.specimen.initial_length - moved.offset) if moved.tendon else None

@@ -70,7 +70,7 @@ def plant_module(
     module.add("stiffness", "isobaric stiffness [N*m/rad] of the muscles", stiffness, static)
     module.add("tensions", "tension [N] of each muscle", tensions, static)
     moving = {"state": state, "commands": pair}
-    if plant.joint.has_friction or plant.joint.has_creep:
+    if plant.slips:
         left_out.append("rate: friction and creep slip after each integration step; step has them")
     elif isinstance(plant.valve, SwitchingValves):
         left_out.append("rate: the valves switch at integration steps; step has them")

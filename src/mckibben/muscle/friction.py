@@ -199,11 +199,7 @@ class MaxwellSlip(Friction):
         self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike
     ) -> FrictionState:
         forces = self._forces(state, length, tension, pressure)
-        yielding = self.presliding_length / self.half_width
-        return tuple(
-            jnp.asarray(length) - force * (yielding / stiffness)
-            for force, stiffness in zip(forces, polygon(self.elements).stiffness.tolist(), strict=True)
-        )
+        return anchors(forces, length, self.presliding_length / self.half_width)
 
     def viscous_force(self, tension: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         half = jnp.asarray(tension) / 2
@@ -239,12 +235,26 @@ class MaxwellSlip(Friction):
 
     def _forces(self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> list[Array]:
         """Force [N] of each element."""
-        limit, steepness = self.half_width_at(tension, pressure), self.half_width / self.presliding_length
-        share, stiffness = (column.tolist() for column in polygon(self.elements))
-        return [
-            jnp.clip(k * steepness * (jnp.asarray(length) - anchor), -w * limit, w * limit)
-            for w, k, anchor in zip(share, stiffness, state, strict=True)
-        ]
+        return slip_forces(
+            state, length, self.half_width_at(tension, pressure), self.half_width / self.presliding_length
+        )
+
+
+def slip_forces(state: FrictionState, position: ArrayLike, limit: ArrayLike, steepness: ArrayLike) -> list[Array]:
+    """Return the force of each element, within its share of a limit; the steepness is half width over presliding."""
+    share, stiffness = (column.tolist() for column in polygon(len(state)))
+    return [
+        jnp.clip(k * steepness * (jnp.asarray(position) - anchor), -w * limit, w * limit)
+        for w, k, anchor in zip(share, stiffness, state, strict=True)
+    ]
+
+
+def anchors(forces: list[Array], position: ArrayLike, yielding: ArrayLike) -> FrictionState:
+    """Return the positions at which elements with these forces are unstressed; `yielding` is presliding over width."""
+    return tuple(
+        jnp.asarray(position) - force * (yielding / stiffness)
+        for force, stiffness in zip(forces, polygon(len(forces)).stiffness.tolist(), strict=True)
+    )
 
 
 def play_response(

@@ -1,6 +1,7 @@
 """The plant: joint, load (Eq. 6), valves, sensors and disturbances."""
 
 from mckibben.plant.air_valve import AirValve, FlowValve, PressureRegulator, SwitchingValves
+from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.joint_plant import IOState, JointPlant, PlantState
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, SampledSensors, Sensors, TorquePulses
 from mckibben.plant.valve import FirstOrderValve, IdealValve, Valve, ValveModel
@@ -12,6 +13,7 @@ __all__ = [
     "FlowValve",
     "IOState",
     "IdealValve",
+    "JointFriction",
     "JointPlant",
     "NoDisturbance",
     "PerfectSensors",

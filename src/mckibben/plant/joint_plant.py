@@ -18,12 +18,14 @@ from mckibben.joint.geometry import Pressures
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import MuscleState
 from mckibben.muscle.creep import CreepState
+from mckibben.muscle.friction import FrictionState
 from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant.air_valve import AirState, AirValve, AirVolume
+from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.plant.valve import Valve, ValveModel
 
@@ -41,7 +43,8 @@ class IOState(NamedTuple):
 class PlantState(NamedTuple):
     """State of a `JointPlant`.
 
-    `muscles` has no leaves without friction and creep, `io` none for ideal sensors, `air` none but for an `AirValve`.
+    `muscles` has no leaves without friction and creep, `io` none for ideal sensors, `air` none but for an `AirValve`,
+    `friction` none but for a `JointFriction`.
     """
 
     angle: Scalar
@@ -50,6 +53,7 @@ class PlantState(NamedTuple):
     muscles: MuscleStates = NO_STATES
     io: IOState | tuple[()] = ()
     air: AirState | tuple[()] = ()
+    friction: FrictionState = ()
 
 
 class Motion(NamedTuple):
@@ -75,17 +79,22 @@ class Motion(NamedTuple):
         """Return a state with this motion, and other pressures [Pa] unless they are part of it."""
         (friction1, _), (friction2, _) = state.muscles
         muscles = MuscleState(friction1, self.creep[0]), MuscleState(friction2, self.creep[1])
-        return PlantState(self.angle, self.velocity, self.pressures or pressures, muscles, state.io, self.air)
+        pressures = self.pressures or pressures
+        return PlantState(self.angle, self.velocity, pressures, muscles, state.io, self.air, state.friction)
 
 
 class JointPlant(eqx.Module, Displayed):
-    """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it."""
+    """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it.
+
+    `friction` is that of the joint itself, None for none; that of a muscle belongs to the muscle.
+    """
 
     joint: AntagonisticJoint
     load: Load
     valve: ValveModel
     sensors: Sensors = PerfectSensors()
     disturbance: Disturbance = NoDisturbance()
+    friction: JointFriction | None = None
 
     def __check_init__(self) -> None:
         check_kind(
@@ -95,6 +104,7 @@ class JointPlant(eqx.Module, Displayed):
             valve=(self.valve, ValveModel),
             sensors=(self.sensors, Sensors),
             disturbance=(self.disturbance, Disturbance),
+            **({} if self.friction is None else {"friction": (self.friction, JointFriction)}),
         )
 
     def __repr__(self) -> str:
@@ -105,6 +115,11 @@ class JointPlant(eqx.Module, Displayed):
     def has_ideal_io(self) -> bool:
         """Whether sensors are perfect and there is no disturbance."""
         return isinstance(self.sensors, PerfectSensors) and isinstance(self.disturbance, NoDisturbance)
+
+    @property
+    def slips(self) -> bool:
+        """Whether internal states of friction or creep are updated after each integration step (`project`)."""
+        return self.joint.has_friction or self.joint.has_creep or self.friction is not None
 
     @property
     def supplied_joint(self) -> AntagonisticJoint:
@@ -232,7 +247,7 @@ class JointPlant(eqx.Module, Displayed):
 
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
-        angle, velocity, pressures, muscles, io, _ = state
+        angle, velocity, pressures, muscles, io, _, friction = state
         creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity))
         if muscles == NO_STATES:
             torque = self.joint.torque(angle, pressures)
@@ -240,11 +255,17 @@ class JointPlant(eqx.Module, Displayed):
             torque = self.joint.forces(angle, velocity, pressures, muscles).torque
         if isinstance(io, IOState):
             torque = torque + io.disturbance
+        if self.friction is not None and friction:
+            torque = torque - self.friction.resisting_torque(friction, angle)
         return Motion(velocity, self.load.acceleration(angle, velocity, torque), (creep1, creep2))
 
     def project(self, state: PlantState) -> PlantState:
         """Return the state after an integration step with updated internal states; no force changes by it."""
-        return state._replace(muscles=self.joint.update_state(state.muscles, state.angle, state.pressures))
+        friction = state.friction
+        if self.friction is not None and friction:
+            friction = self.friction.project(friction, state.angle)
+        muscles = self.joint.update_state(state.muscles, state.angle, state.pressures)
+        return state._replace(muscles=muscles, friction=friction)
 
     def init_state(self, angle: ArrayLike, pressures: Pressures) -> PlantState:
         """Return the state without velocity at an angle [rad] and gauge pressures [Pa], its muscles relaxed."""
@@ -254,7 +275,7 @@ class JointPlant(eqx.Module, Displayed):
 
     def complete_state(self, state: PlantState) -> PlantState:
         """Return a state with initial values for the internal states and the io state that it leaves empty."""
-        angle, _, pressures, given, io, air = state
+        angle, _, pressures, given, io, air, friction = state
         initial = self.joint.init_state(angle, pressures)
         muscle1, muscle2 = (MuscleState(*map(_given_or, *pair)) for pair in zip(given, initial, strict=True))
         if io == () and not self.has_ideal_io:
@@ -262,7 +283,9 @@ class JointPlant(eqx.Module, Displayed):
             io = IOState(zero, zero, self.sensors.init(Measurement(angle, pressures)))
         if air == () and isinstance(self.valve, AirValve):
             air = self.valve.init_air((floating(pressures[0]), floating(pressures[1])))
-        return state._replace(muscles=(muscle1, muscle2), io=io, air=air)
+        if friction == () and self.friction is not None:
+            friction = self.friction.initial(angle)
+        return state._replace(muscles=(muscle1, muscle2), io=io, air=air, friction=friction)
 
     def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """Return the state of `equilibrium` and whether it exists, for traced numbers; NaN for no given stiffness."""

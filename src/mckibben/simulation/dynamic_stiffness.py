@@ -190,6 +190,8 @@ def _last_cycle(
 
             angle, velocity, pressures, muscles = loop[0][:4]
             torque = plant.joint.forces(angle, velocity, pressures, muscles).torque
+            if plant.friction is not None:
+                torque = torque - plant.friction.resisting_torque(loop[0].friction, angle)
             return lax.fori_loop(0, periods, advance, loop), (velocity, torque)
 
         start = initial._replace(velocity=amplitude * rate)

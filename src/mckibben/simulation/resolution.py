@@ -77,6 +77,8 @@ def fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) -> 
             if isinstance(creep, MaxwellCreep):
                 total += float(creep.stiffness) * arm**2
                 modes.append(1 / float(creep.time_constants[0]))
+    if plant.friction is not None:
+        total += float(plant.friction.steepest)
     half = damping / (2 * inertia)  # of s^2 + 2 half s + total/inertia
     root = half**2 - total / inertia
     return max(*modes, half + math.sqrt(root) if root > 0 else math.sqrt(total / inertia))

@@ -101,6 +101,7 @@ UNITS = {
     "stiffness_estimate": (_STIFFNESS, "controller's estimate of the joint stiffness"),
     "torque": ("N*m", "torque of the muscles"),
     "friction_torque": ("N*m", "torque of the muscles' friction"),
+    "joint_friction_torque": ("N*m", "torque of the joint's own friction"),
     "creep_torque": ("N*m", "torque of the muscles' creep"),
     "friction_compensation": ("N*m", "friction torque compensated by the controller"),
     "velocity_estimate": ("rad/s", "controller's estimate of the angular velocity"),

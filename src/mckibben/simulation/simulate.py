@@ -276,6 +276,8 @@ def _episode_result(
         telemetry |= plant.valve.telemetry(state.air, (record.command1, record.command2), state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
+    if plant.friction is not None:
+        telemetry |= {"joint_friction_torque": -plant.friction.resisting_torque(state.friction, state.angle)}
     immediate = {
         "angle": state.angle,
         "velocity": state.velocity,

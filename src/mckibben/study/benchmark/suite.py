@@ -18,13 +18,21 @@ from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps,
 from mckibben.study.parameters.values import explained
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.controller import AnyController
-from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
+from mckibben.study.scenario.plant import (
+    AnyDisturbance,
+    AnyLoad,
+    AnySensors,
+    AnyValve,
+    JointFrictionSpec,
+    JointSpec,
+    StartSpec,
+)
 from mckibben.study.scenario.reference import ReferenceSpec
 from mckibben.study.scenario.scenario import RunSpec
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime
 
-_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
+_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction")
 _LONGEST_NAME = 80
 
 
@@ -241,6 +249,7 @@ class Suite(RunSpec):
     valve: AnyValve | None = None
     sensors: AnySensors | None = None
     disturbance: AnyDisturbance | None = None
+    friction: JointFrictionSpec | None = None
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None
@@ -308,6 +317,7 @@ class Suite(RunSpec):
             valve=plant.valve,
             sensors=self.sensors,
             disturbance=self.disturbance,
+            friction=self.friction,
             controller=control,
             reference=signals,
             start=start_of(signals),

@@ -139,7 +139,7 @@ def _builder(place: Place) -> Callable[[Any], object]:
             return lambda spec: (building.observers(spec), _load_and_adaptation(spec))
         case ("controller", "inverse_model"):
             return lambda spec: spec.load and spec.load.build()
-        case ("load",) | ("valve",) | ("controller", _) | ("reference", _):
+        case ("load",) | ("valve",) | ("friction",) | ("controller", _) | ("reference", _):
             return lambda spec: spec.build()
         case _:
             return _nothing

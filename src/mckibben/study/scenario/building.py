@@ -34,6 +34,7 @@ from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.controller import ControllerSpec, DecouplingSpec, ModelBasedSpec, OwnControllerSpec
 from mckibben.study.scenario.plant import (
     DisturbanceSpec,
+    JointFrictionSpec,
     JointSpec,
     LoadSpec,
     SensorsSpec,
@@ -49,6 +50,7 @@ def build_plant(
     valve: ValveSpec | None,
     sensors: SensorsSpec | None = None,
     disturbance: DisturbanceSpec | None = None,
+    friction: JointFrictionSpec | None = None,
 ) -> JointPlant:
     """The simulated plant."""
     return JointPlant(
@@ -57,6 +59,7 @@ def build_plant(
         IdealValve() if valve is None else valve.build(),
         PerfectSensors() if sensors is None else sensors.build(),
         NoDisturbance() if disturbance is None else disturbance.build(),
+        None if friction is None else friction.build(),
     )
 
 

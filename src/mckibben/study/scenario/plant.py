@@ -12,7 +12,7 @@ from mckibben.config.schema import PartOf, model_of
 from mckibben.errors import quoted
 from mckibben.joint import GeneralLoad, KneeGeometry, KneeLoad, PendulumLoad, SeriesSpring
 from mckibben.muscle import Muscle, SpringLaw, return_spring
-from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
+from mckibben.plant import FirstOrderValve, JointFriction, SampledSensors, TorquePulses
 from mckibben.study.scenario.muscle import CatalogName, CatalogPart, MuscleSpec, entry_of, expanded
 from mckibben.units import Angle, Distance, Stiffness, Strength, Torque
 
@@ -212,6 +212,10 @@ class DisturbanceSpec(ConfigModel):
     def build(self) -> Any:
         """The disturbance."""
         return self.pulses.build()
+
+
+class JointFrictionSpec(model_of(JointFriction)):
+    """Dry friction of the joint itself: ``friction: {torque: 0.3 N*m, presliding: 0.5 deg}``."""
 
 
 def _valve_of_catalog(value: Any) -> Any:

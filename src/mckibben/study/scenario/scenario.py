@@ -15,7 +15,15 @@ from mckibben.config.model import ConfigModel, fail_validation, parse_model, rea
 from mckibben.numerics.checks import whole_periods
 from mckibben.storage.files import atomic_write
 from mckibben.study.scenario.controller import AnyController, ControllerSpec
-from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
+from mckibben.study.scenario.plant import (
+    AnyDisturbance,
+    AnyLoad,
+    AnySensors,
+    AnyValve,
+    JointFrictionSpec,
+    JointSpec,
+    StartSpec,
+)
 from mckibben.study.scenario.reference import ReferenceSpec
 from mckibben.units import BoundedInt, Duration, PositiveTime
 
@@ -76,8 +84,8 @@ class Scenario(RunSpec):
 
     Attributes
     ----------
-    valve, sensors, disturbance
-        None for ideal valves and sensors, and no disturbance torques.
+    valve, sensors, disturbance, friction
+        None for ideal valves and sensors, no disturbance torques, and no friction of the joint itself.
     signals
         The references; ``reference`` in the text and as an argument.
     start
@@ -102,6 +110,7 @@ class Scenario(RunSpec):
     valve: AnyValve | None = None
     sensors: AnySensors | None = None
     disturbance: AnyDisturbance | None = None
+    friction: JointFrictionSpec | None = None
     controller: AnyController
     signals: ReferenceSpec = Field(alias="reference")
     start: StartSpec = StartSpec()
@@ -152,7 +161,7 @@ class Scenario(RunSpec):
         """The simulated plant."""
         from mckibben.study.scenario.building import build_plant
 
-        return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance)
+        return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance, self.friction)
 
     def control(self) -> Controller:
         """The controller, with its own model of the joint."""

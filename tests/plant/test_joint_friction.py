@@ -1,0 +1,176 @@
+"""Dry friction of the joint itself: a pendulum against closed forms, its energy, sticking, scenarios and exports."""
+
+import dataclasses
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import mckibben as mk
+from mckibben.codegen.native import compiler
+from mckibben.errors import RangeError, ScenarioError, SimulationError
+from mckibben.export.mjcf import joint_model
+from mckibben.export.plant import plant_module
+from mckibben.joint import GeneralLoad, PairedPaths, Pulley
+from mckibben.muscle.friction import polygon
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import IdealValve, JointFriction, JointPlant
+from mckibben.study.parameters import batched, find_parameter
+from mckibben.study.scenario import Scenario
+from mckibben.units import deg, mm
+
+TORQUE, PRESLIDING, GRAVITY, INERTIA = 0.01, 2e-3, 0.7, 0.02  # N*m, rad, N*m, kg*m^2
+PERIOD, SUBSTEPS = 1e-3, 2
+FRICTION = JointFriction(TORQUE, PRESLIDING)
+SCENARIO = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+OF_SCENARIO = "friction: {torque: 0.2 N*m, presliding: 0.4 deg}\n"
+
+
+@pytest.fixture(scope="module")
+def pendulum(knee):
+    """A pendulum whose muscles are slack at all angles."""
+    pulley = Pulley(10 * mm, 100 * mm)
+    joint = dataclasses.replace(knee, geometry=PairedPaths(pulley, pulley))
+    return JointPlant(joint, GeneralLoad(INERTIA, GRAVITY), IdealValve(), friction=FRICTION)
+
+
+@pytest.fixture(scope="module")
+def swing(pendulum):
+    """States of a swing from an angle at rest."""
+
+    @eqx.filter_jit
+    def run(plant, angle):
+        def step(state, _):
+            return plant.advance(state, (0.0, 0.0), PERIOD, SUBSTEPS), state
+
+        return lax.scan(step, plant.init_state(angle, (0.0, 0.0)), None, 8000)[1]
+
+    return lambda angle, **changes: run(
+        numeric(dataclasses.replace(pendulum, friction=dataclasses.replace(FRICTION, **changes))), jnp.asarray(angle)
+    )
+
+
+def test_the_loop_of_a_reversal_has_the_area_of_coulomb_friction():
+    """4 tau A, less what the elements give back, w tau / k in each at both ends."""
+    amplitude = 20 * deg
+    angles = amplitude * np.sin(np.linspace(0, 4 * np.pi, 4001))
+
+    def move(state, angle):
+        return FRICTION.project(state, angle), FRICTION.resisting_torque(state, angle)
+
+    torque = np.asarray(lax.scan(move, FRICTION.initial(0.0), jnp.asarray(angles))[1])
+    assert np.abs(torque).max() == pytest.approx(TORQUE)
+    share, stiffness = polygon(FRICTION.elements)
+    travel = amplitude - share @ (share / stiffness) * PRESLIDING
+    assert np.trapezoid(torque[2000:], angles[2000:]) == pytest.approx(4 * TORQUE * travel, rel=1e-4)
+    assert travel == pytest.approx(amplitude, rel=0.01)
+
+
+def test_the_amplitude_of_a_pendulum_falls_by_the_same_in_every_cycle(swing):
+    angle = np.asarray(swing(0.15).angle)
+    peaks = angle[1:-1][(angle[1:-1] > angle[:-2]) & (angle[1:-1] >= angle[2:])]
+    peaks = np.append(angle[0], peaks[peaks > 0.04])
+    assert len(peaks) >= 2
+    np.testing.assert_allclose(-np.diff(peaks), 4 * TORQUE / GRAVITY, rtol=0.04)
+
+
+def test_it_sticks_within_the_friction_and_does_not_creep(swing):
+    """At rest at an angle whose gravity is 80 % of the friction."""
+    held = 0.8 * TORQUE / GRAVITY
+    angle = np.asarray(swing(held).angle)
+    assert np.abs(angle - held).max() < 2 * PRESLIDING
+    end = angle[-4000:]
+    assert np.ptp(end) < np.ptp(angle[:1000])
+    assert abs(end[:2000].mean() - end[2000:].mean()) < 0.01 * PRESLIDING
+    loose = np.asarray(swing(held, torque=1e-9).angle)
+    assert loose.min() == pytest.approx(-held, rel=1e-3)
+
+
+def test_energy_only_falls(swing):
+    state = swing(0.15)
+    stiffness = polygon(FRICTION.elements).stiffness
+    stored = sum(
+        k * TORQUE / PRESLIDING * (np.asarray(state.angle) - np.asarray(a)) ** 2 / 2
+        for k, a in zip(stiffness, state.friction, strict=True)
+    )
+    total = INERTIA * np.asarray(state.velocity) ** 2 / 2 - GRAVITY * np.cos(np.asarray(state.angle)) + stored
+    assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
+    assert total[0] - total[-1] > 0.9 * GRAVITY * (1 - np.cos(0.15))
+
+
+def test_derivatives_are_those_of_differences(pendulum):
+    @jax.jit
+    def end(torque):
+        plant = dataclasses.replace(pendulum, friction=dataclasses.replace(FRICTION, torque=torque))
+        start = plant.init_state(0.1, (0.0, 0.0))
+        return lax.fori_loop(0, 400, lambda _, s: plant.advance(s, (0.0, 0.0), PERIOD, 1), start).angle
+
+    by = 1e-5
+    quotient = (end(TORQUE + by) - end(TORQUE - by)) / (2 * by)
+    assert float(jax.jacfwd(end)(TORQUE)) == pytest.approx(float(quotient), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [({"torque": 0.0}, "torque"), ({"presliding": 0.0}, "presliding"), ({"elements": 0}, "elements")],
+)
+def test_wrong_numbers_are_refused(change, field):
+    with pytest.raises(RangeError) as caught:
+        JointFriction(**{"torque": 0.1, "presliding": 1 * deg, **change})
+    assert caught.value.field == field
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return Scenario.parse(SCENARIO.replace("duration: 10 s", "duration: 500 ms") + OF_SCENARIO)
+
+
+def test_a_scenario_has_it(scenario):
+    assert scenario.plant().friction == JointFriction(0.2, 0.4 * deg)
+    assert Scenario.parse(scenario.dumps()) == scenario
+    assert find_parameter(scenario, "friction.torque").show(0.3) == "0.3 N*m"
+    assert batched(scenario, {"friction.torque": [0.1, 0.2]}).plant().friction.torque.tolist() == [0.1, 0.2]
+    assert Scenario.parse(SCENARIO).plant().friction is None
+    with pytest.raises(ScenarioError) as caught:
+        Scenario.parse(SCENARIO + "friction: {torque: 0 N*m}\n")
+    assert caught.value.problems[0].field == "friction.torque"
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_both_engines_have_the_same_runs_and_batches(scenario):
+    plant = scenario.plant()
+    timing = {"duration": 0.5, "control_period": scenario.control_period, "initial": scenario.initial(plant)}
+    parts = plant, scenario.control(), scenario.reference()
+    runs = [mk.simulate(*parts, engine=engine, **timing) for engine in ("native", "xla")]
+    for name in ("angle", "joint_friction_torque"):
+        expected = runs[1][name]
+        np.testing.assert_allclose(runs[0][name], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    assert np.abs(runs[0]["joint_friction_torque"]).max() == pytest.approx(0.2, rel=1e-6)
+    over = {"plant.friction.torque": np.linspace(0.1, 0.3, 3)}
+    batch = mk.simulate_many(*parts, over=over, keep=["angle"], every=0.01, **timing)
+    np.testing.assert_allclose(batch["angle"][1], runs[0]["angle"][::10], rtol=0, atol=1e-9)
+
+
+def test_too_few_substeps_are_refused(scenario):
+    stiff = Scenario.parse(SCENARIO + "friction: {torque: 30 N*m, presliding: 0.005 deg}\n")
+    plant = stiff.plant()
+    with pytest.raises(SimulationError) as caught:
+        mk.simulate(
+            plant, stiff.control(), stiff.reference(), duration=0.5, control_period=1e-3, substeps=1,
+            initial=stiff.initial(plant),
+        )  # fmt: skip
+    assert caught.value.field == "substeps"
+
+
+def test_exports_have_it_or_say_so(scenario):
+    plant = scenario.plant()
+    model = joint_model(plant)
+    assert 'frictionloss="0.2"' in model.xml
+    assert any("friction" in one for one in model.left_out)
+    module = plant_module(plant, 1e-3)
+    assert {one.name for one in module.module.functions} >= {"step", "torque"}
+    assert "rate" not in {one.name for one in module.module.functions}
