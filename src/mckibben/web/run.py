@@ -1,0 +1,5 @@
+"""Page of runs."""
+
+
+def page() -> None:
+    """x."""
