@@ -30,6 +30,7 @@ from typing import Any
 from websockets.sync.client import connect
 
 ROOT = Path(__file__).parents[1]
+DATA = ROOT / "examples" / "rig.csv"
 MEDIAN, PERCENTILE_95 = 40.0, 80.0  # ms
 
 
@@ -213,12 +214,42 @@ def main() -> None:
         print(f"{len(tab.requests)} requests, to others {len(outside)} {outside[:3]}; errors {tab.errors[:3]}")
 
 
+def click(tab: Tab, text: str) -> None:
+    """Click the button with a text."""
+    tab.evaluate(
+        f"[...document.querySelectorAll('button')].find(b => b.innerText.trim() === {json.dumps(text)}).click()"
+    )
+
+
+PASTE = """(() => {
+  const field = document.querySelector('textarea');
+  Object.getOwnPropertyDescriptor(HTMLTextAreaElement.prototype, 'value').set.call(field, %s);
+  field.dispatchEvent(new Event('input', { bubbles: true }));
+})()"""
+"""Text into the first text area, as if typed."""
+
+
 def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
     """The pages, after what a user would do first."""
     end = "" if width > 500 else f"-{width}"
     tab.open(f"{address}/", width, 900)
     settle(tab, FIRST_CURVE)
     tab.picture(folder / f"web-joint{end}.png")
+    tab.open(f"{address}/identify", width, 900)
+    tab.wait("document.querySelector('.q-expansion-item')")
+    time.sleep(1.0)
+    tab.evaluate("document.querySelector('.q-expansion-item .q-item').click()")
+    time.sleep(0.6)
+    tab.evaluate(PASTE % json.dumps(DATA.read_text(encoding="utf-8")))
+    time.sleep(0.6)
+    click(tab, "Read")
+    settle(tab, "document.body.innerText.includes('points')")
+    tab.evaluate("document.querySelector('.q-expansion-item .q-item').click()")
+    click(tab, "Rank all laws")
+    settle(tab, "document.body.innerText.includes('ranked')")
+    click(tab, "Fit")
+    settle(tab, FIRST_CURVE)
+    tab.picture(folder / f"web-muscle{end}.png")
 
 
 if __name__ == "__main__":

@@ -227,7 +227,8 @@ class _Page:
 
     def show(self, found: Designed) -> None:
         """Draw what was computed."""
-        self.errors.clear()
+        if self.errors.default_slot.children:
+            self.errors.clear()
         design, here, angles = self.design, found.here, _ANGLES / deg
         muscle = self.known[design.muscle]
         low, high = found.stiffness

@@ -130,6 +130,12 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int 
     return made.classes("w-full number").props("rows-per-page-options=[0]")
 
 
+class _Slider(ui.slider):
+    """A slider whose value the server does not send back."""
+
+    LOOPBACK = False
+
+
 class NumberSlider:
     """A number with a slider and a field, in a unit that is shown."""
 
@@ -153,7 +159,7 @@ class NumberSlider:
                     .classes("number")
                     .style("width: 120px; height: 28px; margin-top: -10px")
                 )
-            self.slider = ui.slider(min=low, max=high, step=step, value=value, on_change=self._slide)
+            self.slider = _Slider(min=low, max=high, step=step, value=value, on_change=self._slide)
             self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label)
 
     async def _slide(self) -> None:
@@ -266,10 +272,9 @@ def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[st
     """
     series = list(series)
     names = [one["name"] for one in series if not one["name"].endswith(" from")] if legend is None else list(legend)
-    before = len(on.options["series"])
-    on.options["series"] = series
-    on.options["legend"]["data"] = list(dict.fromkeys(names))
-    if before == len(series):
-        on.run_chart_method("setOption", {"series": series, "legend": {"data": on.options["legend"]["data"]}})
+    names = list(dict.fromkeys(names))
+    if len(on.options["series"]) == len(series) and series:
+        on.run_chart_method("setOption", {"series": series, "legend": {"data": names}})
     else:
-        on.update()
+        on.options["series"] = series
+        on.options["legend"]["data"] = names
