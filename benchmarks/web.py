@@ -12,7 +12,6 @@ import argparse
 import base64
 import itertools
 import json
-import os
 import re
 import shutil
 import socket
@@ -22,7 +21,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -53,7 +52,7 @@ def served() -> Iterator[str]:
 
 
 class Tab:
-    """A tab of a browser; `errors` has what its console and the network reported, `requests` the addresses asked for."""
+    """A tab of a browser; `errors` has what its console reported, `requests` the addresses asked for."""
 
     def __init__(self, address: str) -> None:
         self._socket = connect(address, max_size=None, legacy=True)
@@ -111,6 +110,12 @@ class Tab:
         """Press and release a key."""
         for kind in ("keyDown", "keyUp"):
             self.send("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+    def click(self, element: str) -> None:
+        """Click the middle of an element."""
+        x, y = self.evaluate(f"(r => [r.x + r.width / 2, r.y + r.height / 2])(({element}).getBoundingClientRect())")
+        for kind in ("mousePressed", "mouseReleased"):
+            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def picture(self, path: Path) -> None:
         """Save the whole page."""
@@ -243,13 +248,24 @@ def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
     tab.evaluate(PASTE % json.dumps(DATA.read_text(encoding="utf-8")))
     time.sleep(0.6)
     click(tab, "Read")
-    settle(tab, "document.body.innerText.includes('points')")
+    settle(tab, "document.body.innerText.includes(' slack')")
     tab.evaluate("document.querySelector('.q-expansion-item .q-item').click()")
     click(tab, "Rank all laws")
     settle(tab, "document.body.innerText.includes('ranked')")
     click(tab, "Fit")
     settle(tab, FIRST_CURVE)
     tab.picture(folder / f"web-muscle{end}.png")
+    tab.open(f"{address}/run", width, 900)
+    settle(tab, FIRST_CURVE + " && document.body.innerText.includes('completed')")
+    click(tab, "Keep this run")
+    tab.click("document.querySelector('[aria-label^=\"controller\"]').closest('.q-field__control')")
+    item = "[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText.includes('decoupling'))"
+    tab.wait(item)
+    time.sleep(0.4)
+    tab.click(item)
+    tab.wait("document.querySelector('textarea').value.includes('decoupling')")
+    time.sleep(2.0)
+    tab.picture(folder / f"web-run{end}.png")
 
 
 if __name__ == "__main__":

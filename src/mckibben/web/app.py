@@ -11,8 +11,8 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from mckibben.errors import ParameterError
 from mckibben.web import identify, joint, run
+from mckibben.web.security import LOCAL, Guard
 from mckibben.web.session import collect_warnings
-from mckibben.web.security import Guard, LOCAL
 
 HOST = LOCAL[0]
 

@@ -72,7 +72,7 @@ def column_names(text: str) -> dict[str, str]:
 
 
 def read(path: Path, initial_length: str, columns: str) -> IsobaricDataset:
-    """The points of a file, with the initial length and the columns as text; errors name the file without its folder."""
+    """The points of a file, with initial length and columns as text; errors name the file without its folder."""
     length = quantity(initial_length, "m") if initial_length.strip() else None
     try:
         return read_dataset(path, columns=column_names(columns), initial_length=length)
@@ -175,20 +175,16 @@ class _Page:
     def example(self, event: events.ValueChangeEventArguments) -> None:
         """Take a dataset of the catalog."""
         if event.value:
-            name = event.value
-            self.take(name, None, lambda: catalog.dataset(name))
+            self.take(event.value, None)
 
-    def take(self, name: str, source: Path | None, load: Callable[[], IsobaricDataset] | None = None) -> None:
-        """Read a file, in place of what was there."""
+    def take(self, name: str, source: Path | None) -> None:
+        """Read a file, or a dataset of the catalog, in place of what was there."""
         state = self.state
         state.name, state.source = name, source
-        if load is None:
-            if source is None:
-                return
-            path, length, columns = source, state.initial_length, state.columns
+        length, columns = state.initial_length, state.columns
 
-            def load() -> IsobaricDataset:
-                return read(path, length, columns)
+        def load() -> IsobaricDataset:
+            return catalog.dataset(name) if source is None else read(source, length, columns)
 
         state.data = state.fit = state.ranking = state.error = None
 
@@ -199,7 +195,8 @@ class _Page:
 
     def read(self) -> None:
         """Read the same file again, with other columns or another length."""
-        self.take(self.state.name, self.state.source)
+        if self.state.name:
+            self.take(self.state.name, self.state.source)
 
     def fit(self) -> None:
         """Fit the chosen law."""
@@ -244,8 +241,8 @@ class _Page:
             if state.error is None and not state.jobs.busy:
                 with panel("No points yet"):
                     ui.label(
-                        "A table with columns of pressure, force, and contraction or length, one row a point. Units are "
-                        "read from the headers: pressure_bar, Force [N], length / mm."
+                        "A table with columns of pressure, force, and contraction or length, one row a point. Units "
+                        "are read from the headers: pressure_bar, Force [N], length / mm."
                     ).classes("quiet")
             return
         self.show_data(state.data)
@@ -282,7 +279,7 @@ class _Page:
             with ui.element("div").classes("pair"):
                 forces = chart("contraction [%]", "force [N]", height=320)
                 residuals = chart("contraction [%]", "residual [N]", height=320)
-            levels = np.unique(means.pressure)
+            levels = means.pressures
             chosen = levels[
                 np.unique(np.linspace(0, len(levels) - 1, min(len(levels), _MOST_CURVES)).round().astype(int))
             ]
@@ -290,7 +287,7 @@ class _Page:
             curves, left = [], []
             for i, level in enumerate(chosen):
                 color, name = PALETTE[i % len(PALETTE)], f"{level / bar:.3g} bar"
-                here = means.pressure == level
+                here = means.levels == level
                 x, y = means.contraction[here], means.force[here]
                 curves.append(dots(name, x / percent, y, color))
                 curves.append(
@@ -310,7 +307,8 @@ class _Page:
             unseen = fit.leave_one_pressure_out
             held_out = f"; {unseen.rmse:.3g} N at pressures left out" if unseen else ""
             ui.label(
-                f"residuals: RMSE {fit.rmse:.3g} N, at most {fit.max_error:.3g} N{held_out}; {fit.points_used} points used"
+                f"residuals: RMSE {fit.rmse:.3g} N, at most {fit.max_error:.3g} N{held_out}; "
+                f"{fit.points_used} points used"
             ).classes("quiet number")
             show_warnings(fit.warnings)
             with ui.row().classes("items-center").style("gap: 8px"):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import ArrayLike
 from nicegui import ui
 
 from mckibben import catalog
@@ -34,7 +35,7 @@ from mckibben.web.layout import (
     show_error,
     side,
 )
-from mckibben.web.session import Latest, in_thread, session
+from mckibben.web.session import Latest, session
 
 _MUSCLES = {"MAS-10-180N-AA-MC-O": "lei-mas-10-180n", "DMSP-10-250": "sarosi-dmsp-10"}
 """Specimens of the catalog and their laws."""
@@ -77,10 +78,10 @@ class _Pose(NamedTuple):
 
 @compiled
 def _ranges(
-    joint: AntagonisticJoint, angles: Array, torque: Array, angle: Array, limits: tuple[float, float]
+    joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
 ) -> tuple[Any, Any, _Pose]:
     """Stiffness and torque over angles and at one of them; compiled once for each kind of law."""
-    every = jnp.append(angles, angle)
+    every = jnp.append(jnp.asarray(angles), jnp.asarray(angle))
     stiffness = joint.attainable_stiffness(every, torque, pressure_limits=limits)
     torques = joint.attainable_torque(every, pressure_limits=limits)
     lengths, arms = joint.geometry.paths_and_arms(angle)
@@ -102,6 +103,11 @@ def joint_of(design: Design, muscle: Muscle) -> AntagonisticJoint:
 def connector_length(design: Design, muscle: Muscle) -> float:
     """Length of the connectors [m] with which the muscles have the asked contraction at 0 deg."""
     return design.joint_length * mm - muscle.specimen.initial_length * (1 - design.contraction * percent)
+
+
+def highest_pressure(muscle: Muscle) -> float:
+    """Highest pressure [bar] of a muscle's domain."""
+    return round(float(muscle.domain.pressure_max) / bar, 2)
 
 
 def compute(design: Design, muscle: Muscle) -> Designed:
@@ -157,7 +163,7 @@ class _Page:
                 self.connectors = ui.label().classes("quiet number")
             with panel("Load and air"):
                 self.number("torque of the load", "N·m", "torque", (-20, 20), 0.1)
-                most = round(muscle.domain.pressure_max / bar, 2)
+                most = highest_pressure(muscle)
                 design.pressure = min(design.pressure, most)
                 self.pressure = self.number("highest pressure", "bar", "pressure", (0.5, most), 0.1)
             with ui.row().classes("w-full").style("gap: 8px"):
@@ -217,7 +223,7 @@ class _Page:
         """Take another muscle; the joint gets as much longer as the muscle is."""
         before, self.design.muscle = self.known[self.design.muscle], event.value
         now = self.known[event.value]
-        most = round(now.domain.pressure_max / bar, 2)
+        most = highest_pressure(now)
         self.design.pressure = min(self.design.pressure, most)
         self.pressure.slider.props(f"max={most}")
         self.pressure.slider.value = self.pressure.field.value = self.design.pressure
@@ -256,7 +262,8 @@ class _Page:
             if len(reached)
             else "no pressures hold the load at any angle"
         )
-        self.connectors.text = f"connectors {connector_length(design, muscle) / mm:.1f} mm, muscles of {muscle.specimen.initial_length / mm:g} mm"
+        own = muscle.specimen.initial_length / mm
+        self.connectors.text = f"connectors {connector_length(design, muscle) / mm:.1f} mm, muscles of {own:g} mm"
         (k1, k2), (t1, t2), arms = (tuple(float(x) for x in pair) for pair in (here.stiffness, here.torque, here.arms))
         self.facts[0].text = f"{k1:.3g} to {k2:.3g} N·m/rad" if math.isfinite(k1) else "the load is not held"
         self.facts[1].text = f"{t1:.3g} to {t2:.3g} N·m" if math.isfinite(t1) else "a muscle is out of its range"
@@ -294,7 +301,8 @@ class _Page:
         """Take the joint to the page of runs."""
         from mckibben.web.run import Workbench
 
-        session().state(Workbench).take_joint(scenario_lines(self.design, self.known[self.design.muscle]), self.design)
+        muscle = self.known[self.design.muscle]
+        session().state(Workbench).joint = scenario_lines(self.design, muscle)
         ui.navigate.to("/run")
 
 

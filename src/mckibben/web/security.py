@@ -24,7 +24,7 @@ class _TooLargeError(Exception):
 
 
 class Guard:
-    """Refuses requests and websockets of other origins and bodies that are too large; pages load nothing from outside."""
+    """Refuses other origins and bodies that are too large; lets pages load nothing from outside."""
 
     def __init__(self, app: ASGIApp, largest: int = LARGEST) -> None:
         self._app, self._largest = app, largest

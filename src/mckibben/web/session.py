@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from nicegui import app, background_tasks
 
-from mckibben.errors import McKibbenError, McKibbenWarning
+from mckibben.errors import McKibbenError, McKibbenWarning, printable
 
 T = TypeVar("T")
 
@@ -51,6 +51,10 @@ def session() -> Session:
     return found
 
 
+class _CancelledError(Exception):
+    """A job was cancelled."""
+
+
 _heard: contextvars.ContextVar[list[str] | None] = contextvars.ContextVar("heard", default=None)
 _show_otherwise = warnings.showwarning
 
@@ -70,12 +74,18 @@ def collect_warnings() -> None:
 
 
 async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, list[str]]:
-    """Result of a function in a thread, and the warnings that it issued."""
+    """Result of a function in a thread, and the warnings that it issued; any exception becomes a `McKibbenError`."""
     kept: list[str] = []
 
     def run() -> T:
         _heard.set(kept)  # of this context, which is the thread's own
-        return function(*arguments)
+        try:
+            return function(*arguments)
+        except (McKibbenError, _CancelledError):
+            raise
+        except Exception as error:
+            reason = printable(f"{type(error).__name__}: {error}", 1000)
+            raise McKibbenError(reason, remedy="this is a fault of mckibben: please report it") from error
 
     return await asyncio.to_thread(run), kept
 
@@ -105,10 +115,6 @@ class Latest:
                     self._show(found)
         finally:
             self._busy = False
-
-
-class _CancelledError(Exception):
-    """A job was cancelled."""
 
 
 class Jobs:
