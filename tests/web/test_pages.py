@@ -41,7 +41,11 @@ async def visitor():
 
 
 def the(user, kind, marker=None):
-    return next(iter(user.find(kind, marker=marker).elements if marker else user.find(kind).elements))
+    return next(iter((user.find(kind=kind, marker=marker) if marker else user.find(kind=kind)).elements))
+
+
+def there(user, marker):
+    return bool(user._gather_elements(None, None, marker, None))
 
 
 async def until(condition, seconds=20.0):
@@ -56,6 +60,10 @@ def state(kind):
     return kept.state(kind)
 
 
+def charts(user):
+    return sorted(user.find(ui.echart).elements, key=lambda one: one.id)
+
+
 def curve(chart, name):
     return np.array([y if y is not None else np.nan for _, y in series(chart, name)["data"]])
 
@@ -68,7 +76,7 @@ def test_the_joint_page_draws_what_the_joint_attains():
     async def visit():
         async with visitor() as user:
             await user.open("/")
-            chart = sorted(user.find(ui.echart).elements, key=lambda one: one.id)[0]
+            chart = charts(user)[0]
             await until(lambda: chart.options["series"])
             return curve(chart, "lowest"), curve(chart, "highest")
 
@@ -87,12 +95,12 @@ def test_a_slider_changes_the_joint_and_a_reload_keeps_it():
     async def visit():
         async with visitor() as user:
             await user.open("/")
-            await until(lambda: the(user, ui.echart).options["series"])
-            slider = the(user, ui.slider, "radius of the anchors")
+            await until(lambda: charts(user)[0].options["series"])
+            slider = the(user, ui.slider, "radius-of-the-anchors")
             slider.set_value(45)
             await until(lambda: any("44." in one.text or "45." in one.text for one in user.find(ui.label).elements))
             await user.open("/")
-            return the(user, ui.slider, "radius of the anchors").value, state(joint.Design).joint_radius
+            return the(user, ui.slider, "radius-of-the-anchors").value, state(joint.Design).joint_radius
 
     assert asyncio.run(visit()) == (45, 45)
 
@@ -191,14 +199,13 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
             await until(lambda: bench.current is not None, 60)
             first = bench.current
             user.find(marker="keep").click()
-            await until(lambda: user.find(marker="controller.position.ki").elements)
+            await until(lambda: there(user, "controller.position.ki"))
             the(user, ui.number, "controller.position.ki").set_value(90)
             await until(lambda: bench.current is not first, 60)
-            names = [one["name"] for one in the(user, ui.echart).options["series"]]
-            await until(lambda: "run 1" in [one["name"] for one in the(user, ui.echart).options["series"]])
-            return first, bench, names
+            await until(lambda: "run 1" in [one["name"] for one in charts(user)[0].options["series"]])
+            return first, bench
 
-    first, bench, _ = asyncio.run(visit())
+    first, bench = asyncio.run(visit())
     assert "ki: 90 bar/(rad*s)" in bench.current.text
     assert bench.current.metrics["angle_rmse_deg"] < first.metrics["angle_rmse_deg"]
     assert [one.text for one in bench.kept] == [first.text]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import socket
 from collections.abc import Callable
 
-from nicegui import app, ui
+from nicegui import app, background_tasks, ui
+from nicegui.server import Server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from mckibben.errors import ParameterError
@@ -46,7 +48,13 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
     pages()
     app.add_middleware(Guard)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(LOCAL))
-    app.on_startup(lambda: ready(f"http://{HOST}:{port}"))
+
+    async def announce() -> None:
+        while not Server.instance.started:
+            await asyncio.sleep(0.01)
+        ready(f"http://{HOST}:{port}")
+
+    app.on_startup(lambda: background_tasks.create(announce(), name="announce"))
     ui.run(
         host=HOST,
         port=port,

@@ -160,7 +160,7 @@ class NumberSlider:
                     .style("width: 120px; height: 28px; margin-top: -10px")
                 )
             self.slider = _Slider(min=low, max=high, step=step, value=value, on_change=self._slide)
-            self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label)
+            self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label.replace(" ", "-"))
 
     async def _slide(self) -> None:
         value = self.slider.value

@@ -67,9 +67,10 @@ CONTROLLERS = {
     "two PID loops": _START[_START.index("  position") : _START.index("reference")],
     "PID loops with backpropagation": """\
   position: {backprop: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, gain_ratio: 2, learning_rate: 3 1/s,
-    momentum: 0.5, signal_scale: 10 deg}}
+    momentum: 0.5, signal_scale: 10 deg, error_scale: 1 deg, output_scale: 10 bar/s, seed: 0}}
   stiffness: {backprop: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad), gain_ratio: 2,
-    learning_rate: 3 1/s, momentum: 0.5, signal_scale: 5 N*m/rad}}
+    learning_rate: 3 1/s, momentum: 0.5, signal_scale: 15 N*m/rad, error_scale: 1 N*m/rad, output_scale: 1 bar/s,
+    jacobian: sign, seed: 0}}
 """,
     "model inversion (decoupling)": """\
   decoupling:
@@ -87,7 +88,7 @@ CONTROLLERS = {
 _SIGNALS = {
     "constant": "{at}",
     "step": "{{step: {{before: {low}, after: {high}, at: 3 s}}}}",
-    "ramp": "{{ramp: {{before: {low}, after: {high}, from_time: 2 s, to_time: 4 s}}}}",
+    "ramp": "{{ramp: {{before: {low}, after: {high}, start: 2 s, duration: 2 s}}}}",
     "sine": "{{sine: {{amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}}}",
 }
 _ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}

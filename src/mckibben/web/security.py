@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
+from python_multipart.exceptions import FormParserError
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -65,7 +67,10 @@ class Guard:
 
         try:
             await self._app(scope, limited, marked)
-        except _TooLargeError:
+        except* (ClientDisconnect, FormParserError):  # an upload that was broken off gets an answer that nobody reads
+            if not began:
+                await _refuse(scope, receive, send, 400, "the upload is no form, or not all of it")
+        except* _TooLargeError:
             if not began:
                 await _refuse(scope, receive, send, 413, self._too_large)
 
