@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import argparse
 import base64
+import io
 import itertools
 import json
+import os
 import re
 import shutil
 import socket
@@ -26,6 +28,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from websockets.sync.client import connect
 
 ROOT = Path(__file__).parents[1]
@@ -118,9 +121,10 @@ class Tab:
             self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def picture(self, path: Path) -> None:
-        """Save the whole page."""
+        """Save the whole page, in 128 colours."""
         found = self.send("Page.captureScreenshot", format="png", captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(found["data"]))
+        image = Image.open(io.BytesIO(base64.b64decode(found["data"]))).convert("RGB")
+        image.quantize(128).save(path, optimize=True)
 
 
 @contextmanager
@@ -189,6 +193,20 @@ def latency(tab: Tab, address: str, slider: str, presses: int) -> list[float]:
     return found[5:]
 
 
+def computation() -> float:
+    """Median time [ms] of what the server computes for a slider."""
+    from mckibben.web.joint import IdentificationState, JointDesign, compute, muscles
+
+    design, times = JointDesign(), []
+    muscle = muscles(IdentificationState())[design.muscle]
+    for i in range(60):
+        design.torque = 0.1 * i
+        start = time.perf_counter()
+        compute(design, muscle)
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times[10:])
+
+
 def settle(tab: Tab, condition: str) -> None:
     tab.wait(condition)
     time.sleep(1.5)
@@ -206,6 +224,7 @@ def main() -> None:
             asked.images.mkdir(parents=True, exist_ok=True)
             pictures(tab, address, asked.images, asked.width)
         else:
+            print(f"computation alone: median {computation():.1f} ms; load of the machine {os.getloadavg()[0]:.1f}")
             for slider in ("radius of the anchors", "torque of the load", "angle"):
                 times = sorted(latency(tab, address, slider, asked.presses))
                 median, late = statistics.median(times), times[int(0.95 * len(times))]

@@ -100,20 +100,20 @@ def test_a_slider_changes_the_joint_and_a_reload_keeps_it():
             slider.set_value(45)
             await until(lambda: any("44." in one.text or "45." in one.text for one in user.find(ui.label).elements))
             await user.open("/")
-            return the(user, ui.slider, "radius-of-the-anchors").value, state(joint.Design).joint_radius
+            return the(user, ui.slider, "radius-of-the-anchors").value, state(joint.JointDesign).joint_radius
 
     assert asyncio.run(visit()) == (45, 45)
 
 
 def test_a_joint_that_cannot_be_is_an_error_with_a_remedy():
-    design = joint.Design(joint_length=150.0)
+    design = joint.JointDesign(joint_length=150.0)
     with pytest.raises(McKibbenError) as found:
         joint.compute(design, catalog.joint("knee-table-2").muscle1)
     assert found.value.unit == "m"
 
 
 def test_the_drawing_has_the_lengths_of_the_geometry():
-    design = joint.Design(angle=20.0)
+    design = joint.JointDesign(angle=20.0)
     found = joint.compute(design, catalog.joint("knee-table-2").muscle1)
     lines = re.findall(
         r'x1="(\S+)" y1="(\S+)" x2="(\S+)" y2="(\S+)" stroke="(#0072B2|#D55E00)"', joint.drawing(design, found)
@@ -137,7 +137,7 @@ def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
             await user.should_see("ExponentialLaw: F =", retries=100)
             user.find(marker="download").click()
             answer = await user.download.next()
-            kept = state(joint.Identification)
+            kept = state(joint.IdentificationState)
             await user.open("/identify")  # a reload
             await user.should_see("ExponentialLaw: F =", retries=30)
             await user.open("/")
@@ -158,7 +158,7 @@ def test_problems_are_listed_by_line_and_shown_as_text():
         async with visitor() as user:
             await user.open("/identify")
             await paste(user, "pressure_bar,contraction_percent,force_N\n1,0,10\n1,<img src=x onerror=alert(1)>,5\n")
-            await until(lambda: state(joint.Identification).error is not None)
+            await until(lambda: state(joint.IdentificationState).error is not None)
             await user.should_see("1 problem", retries=30)
             table = the(user, ui.table)
             assert not user.find(ui.label).elements & {
@@ -177,7 +177,7 @@ def test_a_ranking_can_be_cancelled():
             await user.open("/identify")
             await paste(user, RIG)
             await user.should_see("204 points", retries=60)
-            kept = state(joint.Identification)
+            kept = state(joint.IdentificationState)
             user.find(marker="rank").click()
             await until(lambda: kept.jobs.part > 0)
             user.find(marker="cancel").click()
@@ -221,7 +221,7 @@ def test_other_controllers_and_references_are_scenarios():
 
 
 def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
-    design = joint.Design(joint_length=400.0, joint_radius=40.0)
+    design = joint.JointDesign(joint_length=400.0, joint_radius=40.0)
     muscle = catalog.joint("knee-table-2").muscle1
     found = run.with_joint(run._START, joint.scenario_lines(design, muscle), tmp_path)
     assert found.plant().joint.geometry == joint.joint_of(design, muscle).geometry
@@ -253,7 +253,7 @@ def test_hundreds_of_damaged_files_leave_a_page_that_lives():
         chance, seen = random.Random(3), {"points": 0, "problems": 0}
         async with visitor() as user:
             await user.open("/identify")
-            kept, upload = state(joint.Identification), the(user, ui.upload)
+            kept, upload = state(joint.IdentificationState), the(user, ui.upload)
             names = [name for name in FILES if not name.endswith((".h5", "73.mat"))]  # these cost a process each
             for number in range(240):
                 name = names[number % len(names)]

@@ -43,7 +43,7 @@ _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.I
 
 
 @dataclass
-class Identification:
+class IdentificationState:
     """State of the page."""
 
     name: str = ""
@@ -95,13 +95,13 @@ def page() -> None:
     """The page."""
     kept = session()
     with frame("/identify"):
-        _Page(kept.state(Identification), kept.folder)
+        _Page(kept.state(IdentificationState), kept.folder)
 
 
 class _Page:
     """Inputs and results of one visit."""
 
-    def __init__(self, state: Identification, folder: Path) -> None:
+    def __init__(self, state: IdentificationState, folder: Path) -> None:
         self.state, self.folder, self.shown = state, folder, -1
         with side():
             with panel("Measured points"):
@@ -345,7 +345,7 @@ class _Page:
 
     def design(self) -> None:
         """Take the muscle to the page of the joint."""
-        from mckibben.web.joint import YOURS, Design
+        from mckibben.web.joint import YOURS, JointDesign
 
-        session().state(Design).muscle = YOURS
+        session().state(JointDesign).muscle = YOURS
         ui.navigate.to("/")

@@ -19,7 +19,7 @@ from mckibben.joint import AntagonisticJoint, KneeGeometry
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
 from mckibben.units import bar, deg, mm, percent
-from mckibben.web.identify import Identification
+from mckibben.web.identify import IdentificationState
 from mckibben.web.layout import (
     BLACK,
     BLUE,
@@ -45,7 +45,7 @@ _POSE = 40.0
 
 
 @dataclass
-class Design:
+class JointDesign:
     """Numbers of the page, in the units that are shown."""
 
     muscle: str = next(iter(_MUSCLES))
@@ -91,7 +91,7 @@ def _ranges(
     return (low[:-1], high[:-1]), (least[:-1], most[:-1]), here
 
 
-def joint_of(design: Design, muscle: Muscle) -> AntagonisticJoint:
+def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
     """The joint of two such muscles; raises a `RangeError` for lengths that do not fit."""
     return AntagonisticJoint(
         KneeGeometry(design.joint_length * mm, design.joint_radius * mm, connector_length(design, muscle)),
@@ -100,7 +100,7 @@ def joint_of(design: Design, muscle: Muscle) -> AntagonisticJoint:
     )
 
 
-def connector_length(design: Design, muscle: Muscle) -> float:
+def connector_length(design: JointDesign, muscle: Muscle) -> float:
     """Length of the connectors [m] with which the muscles have the asked contraction at 0 deg."""
     return design.joint_length * mm - muscle.specimen.initial_length * (1 - design.contraction * percent)
 
@@ -110,7 +110,7 @@ def highest_pressure(muscle: Muscle) -> float:
     return round(float(muscle.domain.pressure_max) / bar, 2)
 
 
-def compute(design: Design, muscle: Muscle) -> Designed:
+def compute(design: JointDesign, muscle: Muscle) -> Designed:
     """The joint and its ranges."""
     joint = joint_of(design, muscle)
     limits = (0.0, design.pressure * bar)
@@ -119,13 +119,13 @@ def compute(design: Design, muscle: Muscle) -> Designed:
     return Designed(joint, tuple(map(np.asarray, stiffness)), tuple(map(np.asarray, torque)), here)  # type: ignore[arg-type]
 
 
-def muscles(fitted: Identification) -> dict[str, Muscle]:
+def muscles(fitted: IdentificationState) -> dict[str, Muscle]:
     """Muscles to choose from: of the catalog, and the one identified in this session."""
     known = {name: Muscle(catalog.specimen(name), catalog.law(law)) for name, law in _MUSCLES.items()}
     return {YOURS: fitted.muscle} | known if fitted.muscle is not None else known
 
 
-def scenario_lines(design: Design, muscle: Muscle) -> str:
+def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
     """The section `joint` of a scenario."""
     made_of = (
         "muscle.yaml" if design.muscle == YOURS else f"{{specimen: {design.muscle}, law: {_MUSCLES[design.muscle]}}}"
@@ -138,7 +138,7 @@ def scenario_lines(design: Design, muscle: Muscle) -> str:
 def page() -> None:
     """The page."""
     kept = session()
-    design, known = kept.state(Design), muscles(kept.state(Identification))
+    design, known = kept.state(JointDesign), muscles(kept.state(IdentificationState))
     if design.muscle not in known:
         design.muscle = next(iter(known))
     with frame("/"):
@@ -148,7 +148,7 @@ def page() -> None:
 class _Page:
     """Sliders, drawing and charts of one visit."""
 
-    def __init__(self, design: Design, known: dict[str, Muscle]) -> None:
+    def __init__(self, design: JointDesign, known: dict[str, Muscle]) -> None:
         self.design, self.known = design, known
         self.latest = Latest(compute, self.show, self.fail)
         muscle = known[design.muscle]
@@ -306,7 +306,7 @@ class _Page:
         ui.navigate.to("/run")
 
 
-def drawing(design: Design, found: Designed) -> str:
+def drawing(design: JointDesign, found: Designed) -> str:
     """SVG of the joint at its angle, to scale; of numbers only."""
     angle, H, r = design.angle * deg, design.joint_length, design.joint_radius
     shank, bottom = 0.55 * H, 0.62 * H

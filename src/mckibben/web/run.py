@@ -356,7 +356,7 @@ class _Page:
         for prefix, title in _GROUPS.items():
             found = [one for one in every if one[0].name.startswith(prefix) and ".model." not in one[0].name]
             if found:
-                with panel(title), ui.element("div").classes("pair").style("gap: 4px 14px; display: grid"):
+                with panel(title), ui.element("div").classes("fields"):
                     for one, nominal in found:
                         self.number(one, nominal, one.name.removeprefix(prefix))
 
@@ -409,7 +409,7 @@ class _Page:
         self.numbers.clear()
         with self.numbers:
             rows = [_row(one) for one in (dataclasses.replace(now, name="now"), *overlays)]
-            table(("run", "angle RMSE °", "stiffness RMSE", "coupling °", "air L", "outcome"), rows)
+            table(("run", "angle RMSE °", "stiffness RMSE N·m/rad", "coupling °", "air L", "outcome"), rows)
 
 
 def _row(one: Kept) -> tuple[str, ...]:
