@@ -83,12 +83,12 @@ def test_the_joint_page_draws_what_the_joint_attains():
     low, high = asyncio.run(visit())
     muscle = catalog.joint("knee-table-2").muscle1
     knee = KneeGeometry(joint_length=370 * mm, joint_radius=30 * mm, connector_length=208 * mm)
-    angles = np.linspace(-40, 40, 121) * deg
+    angles = np.linspace(-40, 40, 81) * deg
     expected = type(catalog.joint("knee-table-2"))(knee, muscle, muscle).attainable_stiffness(
         angles, 0.0, pressure_limits=(0.0, 6 * bar)
     )
-    np.testing.assert_allclose(low, expected[0], rtol=1e-5)
-    np.testing.assert_allclose(high, expected[1], rtol=1e-5)
+    np.testing.assert_allclose(low, expected[0], rtol=1e-4)
+    np.testing.assert_allclose(high, expected[1], rtol=1e-4)
 
 
 def test_a_slider_changes_the_joint_and_a_reload_keeps_it():

@@ -24,6 +24,7 @@ from mckibben.web.layout import (
     BLACK,
     BLUE,
     GREEN,
+    LATER,
     VERMILLION,
     NumberSlider,
     band,
@@ -40,7 +41,7 @@ from mckibben.web.session import Latest, session
 _MUSCLES = {"MAS-10-180N-AA-MC-O": "lei-mas-10-180n", "DMSP-10-250": "sarosi-dmsp-10"}
 """Specimens of the catalog and their laws."""
 YOURS = "your fit"
-_ANGLES = np.linspace(-40, 40, 121) * deg
+_ANGLES = np.linspace(-40, 40, 81) * deg
 _POSE = 40.0
 
 
@@ -193,7 +194,9 @@ class _Page:
                 self.facts = [self.fact(name) for name in ("stiffness", "torque of the muscles", "moment arms")]
         self.errors = ui.column()
         self.phase = 0.0
+        self.found: Designed | None = None
         ui.timer(0.0, self.first, once=True)
+        ui.timer(LATER, self.show_rest)
 
     @staticmethod
     def fact(name: str) -> ui.label:
@@ -232,31 +235,37 @@ class _Page:
         await self.again()
 
     def show(self, found: Designed) -> None:
-        """Draw what was computed."""
+        """Draw the stiffness, and leave the rest to `show_rest`."""
+        angles = _ANGLES / deg
+        low, high = found.stiffness
+        lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
+        draw(self.stiffness, [*band("attainable", angles, low, high, BLUE), lowest | self.mark(), highest])
+        self.found = found
+
+    def mark(self) -> dict[str, Any]:
+        """Line at the angle that is drawn."""
+        look = {"color": BLACK, "type": [4, 3], "width": 1}
+        data = [{"xAxis": self.design.angle}]
+        return {
+            "markLine": {"symbol": "none", "silent": True, "label": {"show": False}, "lineStyle": look, "data": data}
+        }
+
+    def show_rest(self) -> None:
+        """Drawing, torque and texts of the newest joint, if they are not shown yet."""
+        found, self.found = self.found, None
+        if found is None:
+            return
         if self.errors.default_slot.children:
             self.errors.clear()
         design, here, angles = self.design, found.here, _ANGLES / deg
         muscle = self.known[design.muscle]
-        low, high = found.stiffness
-        mark = {
-            "symbol": "none",
-            "silent": True,
-            "label": {"show": False},
-            "lineStyle": {"color": BLACK, "type": [4, 3], "width": 1},
-            "data": [{"xAxis": design.angle}],
-        }
-        lowest = line("lowest", angles, low, BLUE) | {"markLine": mark}
-        draw(
-            self.stiffness,
-            [*band("attainable", angles, low, high, BLUE), lowest, line("highest", angles, high, VERMILLION)],
-        )
         self.drawing.content = drawing(design, found)
         least, most = found.torque
         load = line("load", [-_POSE, _POSE], [design.torque] * 2, BLACK, dash=True, width=1.5)
         lower, upper = (line(name, angles, edge, GREEN) for name, edge in (("lowest", least), ("highest", most)))
-        curves = [*band("attainable", angles, least, most, GREEN), lower | {"markLine": mark}, upper, load]
+        curves = [*band("attainable", angles, least, most, GREEN), lower | self.mark(), upper, load]
         draw(self.torque, curves, legend=("attainable", "load"))
-        reached = np.flatnonzero(np.isfinite(low))
+        reached = np.flatnonzero(np.isfinite(found.stiffness[0]))
         self.note.text = (
             f"the load is held from {angles[reached[0]]:.0f}° to {angles[reached[-1]]:.0f}°"
             if len(reached)
@@ -276,6 +285,7 @@ class _Page:
     def fail(self, error: Exception) -> None:
         """Show why there is no such joint."""
         self.errors.clear()
+        self.found = None
         assert isinstance(error, McKibbenError)
         for one in (self.stiffness, self.torque):
             draw(one, [])

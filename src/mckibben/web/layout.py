@@ -5,6 +5,7 @@ Text goes through labels and tables, which show it as it is: nothing of a file b
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,9 @@ BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """The palette of `report.style`, which imports matplotlib."""
 PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#5f6b76"
+
+LATER = 0.05
+"""Seconds after which what a slider does not change first is sent: the browser draws the curves meanwhile."""
 
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run"}
 _STYLE = """
@@ -169,7 +173,8 @@ class NumberSlider:
         value = self.slider.value
         if value is not None and value != self.field.value:
             await self._changed(value)
-            self.field.value = self.slider.value  # after it: sent together with the curves
+            await asyncio.sleep(LATER)
+            self.field.value = self.slider.value
 
     async def _field(self) -> None:
         value = self.field.value
@@ -185,7 +190,7 @@ def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | No
     x, y = np.asarray(x, float), np.asarray(y, float)
     step = max(1, -(-len(x) // most))
     kept = zip(x[::step].tolist(), y[::step].tolist(), strict=True)
-    return [[round(a, 5), float(f"{b:.6g}") if math.isfinite(b) else None] for a, b in kept]
+    return [[round(a, 5), float(f"{b:.5g}") if math.isfinite(b) else None] for a, b in kept]
 
 
 def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = False, width: float = 2) -> dict[str, Any]:
@@ -277,7 +282,8 @@ def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[st
     names = [one["name"] for one in series if not one["name"].endswith(" from")] if legend is None else list(legend)
     names = list(dict.fromkeys(names))
     if len(on.options["series"]) == len(series) and series:
-        on.run_chart_method("setOption", {"series": series, "legend": {"data": names}})
+        changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
+        on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})
     else:
         on.options["series"] = series
         on.options["legend"]["data"] = names
