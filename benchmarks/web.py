@@ -285,6 +285,11 @@ def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
     tab.wait("document.querySelector('textarea').value.includes('decoupling')")
     time.sleep(2.0)
     tab.picture(folder / f"web-run{end}.png")
+    tab.open(f"{address}/rig", width, 900)
+    time.sleep(1.0)
+    click(tab, "Start")
+    settle(tab, "document.body.innerText.includes('points measured')")
+    tab.picture(folder / f"web-rig{end}.png")
 
 
 if __name__ == "__main__":

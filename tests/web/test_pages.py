@@ -20,11 +20,11 @@ from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import user_simulation
 
 from mckibben import Scenario, catalog, identify, read_dataset
-from mckibben.errors import McKibbenError, ParameterError, ScenarioError
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ExponentialLaw
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, joint, run, session
+from mckibben.web import app, joint, rig, run, session
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -279,3 +279,33 @@ def test_damaged_scenarios_are_scenarios_or_errors(tmp_path):
             run.parse(text, tmp_path)
         except McKibbenError as error:
             assert str(error)
+
+
+def test_a_test_on_the_simulated_rig_is_vented_or_gives_points():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/rig")
+            bench = state(rig.RigState)
+            bench.pace = 20
+            user.find(marker="start").click()
+            await until(lambda: len(bench.rows) > 8)
+            user.find(marker="vent").click()
+            await until(lambda: bench.error is not None)
+            stopped, rows = bench.error, len(bench.rows)
+            bench.pace = 0
+            bench.text = rig._START.replace("[1 bar, 2 bar, 3 bar, 4 bar, 5 bar, 6 bar]", "[2 bar, 3 bar]")
+            user.find(marker="start").click()
+            await until(lambda: bench.data is not None)
+            return stopped, rows, bench
+
+    stopped, rows, bench = asyncio.run(visit())
+    assert isinstance(stopped, StoppedError) and "vented" in stopped.message
+    assert bench.error is None and len(bench.rows) > rows
+    assert sorted({round(p / bar) for p in bench.data.pressure}) == [2, 3]
+
+
+def test_the_page_moves_no_hardware(tmp_path):
+    card = "{nidaqmx: {device: Dev1}}"
+    text = rig._START.replace("{simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}", card)
+    with pytest.raises(McKibbenError):
+        rig.checked(text, tmp_path)

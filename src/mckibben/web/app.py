@@ -12,7 +12,7 @@ from nicegui.server import Server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from mckibben.errors import ParameterError
-from mckibben.web import identify, joint, run
+from mckibben.web import identify, joint, rig, run
 from mckibben.web.security import LOCAL, Guard
 from mckibben.web.session import collect_warnings
 
@@ -25,6 +25,7 @@ def pages() -> None:
     ui.page("/")(joint.page)
     ui.page("/identify")(identify.page)
     ui.page("/run")(run.page)
+    ui.page("/rig")(rig.page)
 
 
 def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:

@@ -186,7 +186,7 @@ class _Page:
                     self.timer = ui.timer(0.05, self.swing, active=False)
                 with panel("Attainable stiffness", stays=True):
                     degrees = {"min": -_POSE, "max": _POSE}
-                    self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=300, xAxis=degrees)
+                    self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=350, xAxis=degrees)
                     self.note = ui.label().classes("quiet number")
             with panel("Attainable torque"):
                 self.torque = chart("joint angle [°]", "torque [N·m]", height=230, xAxis=degrees)

@@ -26,7 +26,7 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Seconds after which what a slider does not change first is sent: the browser draws the curves meanwhile."""
 
-PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run"}
+PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/rig": "Rig"}
 _STYLE = """
 body { background: #f6f7f9; color: #1b2126; }
 .q-header { background: #ffffff; color: #1b2126; border-bottom: 1px solid #dfe3e8; }
