@@ -42,6 +42,7 @@ from mckibben.cli.options import (
 from mckibben.cli.plan import envelope, plan, stiffness
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep, tune
+from mckibben.cli.web import web
 from mckibben.errors import McKibbenError, McKibbenWarning, printable
 from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
@@ -170,6 +171,7 @@ app.command()(calibrate)
 app.command()(export)
 app.add_typer(rig)
 app.add_typer(leg)
+app.command()(web)
 
 
 @app.command()

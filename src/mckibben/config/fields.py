@@ -70,6 +70,8 @@ def read_path(value: Any, info: ValidationInfo, ending: str) -> Path:
     if not isinstance(value, str | Path) or not str(value):
         fail_validation(f"{quoted(value)} is not a path", f"name a file, such as 'some{ending}'")
     path = Path(os.path.abspath(folder / value))  # noqa: PTH100 (resolve() would follow links)
+    if (info.context or {}).get("confined") and path.parent != folder.absolute():
+        fail_validation(f"{quoted(str(value))} is in another folder", "leave it out, or run it on the command line")
     try:
         found = path.is_file()
     except (OSError, ValueError):

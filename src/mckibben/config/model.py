@@ -72,17 +72,26 @@ P = TypeVar("P", bound=ConfigModel)
 
 
 def parse_model(
-    kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".", files: tuple[Path, ...] = ()
+    kind: type[P],
+    text: str,
+    *,
+    source: str,
+    folder: str | os.PathLike[str] = ".",
+    files: tuple[Path, ...] = (),
+    confined: bool = False,
 ) -> tuple[P, Document]:
     """A model from YAML text, and the document with its lines; ScenarioError with every problem of the text.
 
-    `files` are those by which the text was found, each named in the one before.
+    `files` are those by which the text was found, each named in the one before. A `confined` text may name only files
+    in its folder.
     """
     document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)
     try:
-        part = kind.model_validate(document.data, context={"folder": Path(folder), "files": files})
+        part = kind.model_validate(
+            document.data, context={"folder": Path(folder), "files": files, "confined": confined}
+        )
     except ValidationError as error:
         raise ScenarioError(source, problems_of(error, document, kind)) from None
     if document.problems:

@@ -1,0 +1,296 @@
+"""The local page in headless Chromium: time from a slider to the drawn curve, and pictures of the pages.
+
+    python benchmarks/web.py                      # latency
+    python benchmarks/web.py --images docs/images # pictures for the docs
+
+Chromium is driven through its DevTools protocol; nothing but Chromium and the extra `web` is needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import io
+import itertools
+import json
+import os
+import re
+import shutil
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from websockets.sync.client import connect
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT / "examples" / "rig.csv"
+MEDIAN, PERCENTILE_95 = 40.0, 80.0  # ms
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+@contextmanager
+def served() -> Iterator[str]:
+    """Address of a server in a process of its own."""
+    command = [sys.executable, "-m", "mckibben", "web", "--no-browser", "--port", str(free_port())]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        try:
+            assert process.stdout is not None
+            yield process.stdout.readline().split()[0]
+        finally:
+            process.terminate()
+
+
+class Tab:
+    """A tab of a browser; `errors` has what its console reported, `requests` the addresses asked for."""
+
+    def __init__(self, address: str) -> None:
+        self._socket = connect(address, max_size=None, legacy=True)
+        self._number = itertools.count(1)
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.send(f"{domain}.enable")
+
+    def send(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Answer to a command."""
+        number = next(self._number)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=60))
+            if answer.get("id") == number:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']}")
+                return answer["result"]
+            self._notice(answer)
+
+    def _notice(self, event: dict[str, Any]) -> None:
+        told = event.get("params", {})
+        if event["method"] == "Network.requestWillBeSent":
+            self.requests.append(told["request"]["url"])
+        elif event["method"] == "Runtime.exceptionThrown":
+            self.errors.append(str(told["exceptionDetails"])[:400])
+        elif event["method"] == "Log.entryAdded" and told["entry"]["level"] == "error":
+            self.errors.append(f"{told['entry']['text']} {told['entry'].get('url', '')}")
+
+    def evaluate(self, script: str) -> Any:
+        """Value of an expression; a promise is awaited."""
+        found = self.send("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        if "exceptionDetails" in found:
+            raise RuntimeError(str(found["exceptionDetails"])[:500])
+        return found["result"].get("value")
+
+    def wait(self, condition: str, seconds: float = 60.0) -> None:
+        """Wait until an expression is true."""
+        end = time.monotonic() + seconds
+        while not self.evaluate(f"!!({condition})"):
+            if time.monotonic() > end:
+                raise TimeoutError(condition)
+            time.sleep(0.05)
+
+    def open(self, address: str, width: int = 1200, height: int = 900) -> None:
+        """Open an address in a window of a size."""
+        self.send(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
+        )
+        self.send("Page.navigate", url=address)
+        self.wait("document.readyState === 'complete' && window.did_handshake !== false")
+
+    def press(self, key: str, code: int) -> None:
+        """Press and release a key."""
+        for kind in ("keyDown", "keyUp"):
+            self.send("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+    def click(self, element: str) -> None:
+        """Click the middle of an element."""
+        x, y = self.evaluate(f"(r => [r.x + r.width / 2, r.y + r.height / 2])(({element}).getBoundingClientRect())")
+        for kind in ("mousePressed", "mouseReleased"):
+            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def picture(self, path: Path) -> None:
+        """Save the whole page, in 128 colours."""
+        found = self.send("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+        image = Image.open(io.BytesIO(base64.b64decode(found["data"]))).convert("RGB")
+        image.quantize(128).save(path, optimize=True)
+
+
+@contextmanager
+def browser() -> Iterator[Tab]:
+    """A tab of a new Chromium."""
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        sys.exit("no Chromium is installed")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        options = [
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--remote-debugging-port=0",
+            f"--user-data-dir={profile}",
+        ]
+        process = subprocess.Popen([program, *options, "about:blank"], stderr=subprocess.PIPE, text=True)
+        try:
+            assert process.stderr is not None
+            port = next(m[1] for one in process.stderr if (m := re.search(r"ws://127\.0\.0\.1:(\d+)/", one)))
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
+                pages = [one for one in json.load(answer) if one["type"] == "page"]
+            yield Tab(pages[0]["webSocketDebuggerUrl"])
+        finally:
+            process.terminate()
+            process.wait()
+
+
+CHARTS = "[...document.querySelectorAll('[_echarts_instance_]')]"
+FIRST_CURVE = f"{CHARTS}.length && {CHARTS}[0].querySelector('canvas')"
+# From the key to the end of the task in which the first chart was drawn anew; the frame is shown right after it.
+HOOK = """(() => {
+  const canvas = [...document.querySelectorAll('[_echarts_instance_] canvas')][0];
+  const stroke = CanvasRenderingContext2D.prototype.stroke;
+  window.__pressed = 0; window.__drawn = 0;
+  CanvasRenderingContext2D.prototype.stroke = function () {
+    if (this.canvas === canvas && window.__pressed && !window.__drawn) {
+      window.__drawn = -1;
+      const channel = new MessageChannel();  // after the frame's own work, in which the chart is drawn
+      channel.port1.onmessage = () => { window.__drawn = performance.now(); };
+      channel.port2.postMessage(0);
+    }
+    return stroke.apply(this, arguments);
+  };
+  document.addEventListener('keydown', () => { window.__drawn = 0; window.__pressed = performance.now(); }, true);
+})()"""
+
+
+def latency(tab: Tab, address: str, slider: str, presses: int) -> list[float]:
+    """Times [ms] from a key on a slider of the joint's page to its drawn curve."""
+    tab.open(address)
+    tab.wait(FIRST_CURVE)
+    time.sleep(2.0)  # the first computation compiles
+    tab.evaluate(HOOK)
+    tab.evaluate(f"document.querySelector('.q-slider[aria-label=\"{slider}\"]').focus()")
+    tab.evaluate(
+        f"(document.querySelector('.q-slider[aria-label=\"{slider}\"] [tabindex]') || "
+        f"document.querySelector('.q-slider[aria-label=\"{slider}\"]')).focus()"
+    )
+    found = []
+    for i in range(presses):
+        tab.press(*(("ArrowRight", 39) if i % 40 < 20 else ("ArrowLeft", 37)))
+        tab.wait("window.__drawn > 0", 5)
+        found.append(tab.evaluate("window.__drawn - window.__pressed"))
+        time.sleep(0.12)
+    return found[5:]
+
+
+def computation() -> float:
+    """Median time [ms] of what the server computes for a slider."""
+    from mckibben.web.joint import IdentificationState, JointDesign, compute, muscles
+
+    design, times = JointDesign(), []
+    muscle = muscles(IdentificationState())[design.muscle]
+    for i in range(60):
+        design.torque = 0.1 * i
+        start = time.perf_counter()
+        compute(design, muscle)
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times[10:])
+
+
+def settle(tab: Tab, condition: str) -> None:
+    tab.wait(condition)
+    time.sleep(1.5)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--presses", type=int, default=100)
+    parser.add_argument("--images", type=Path, help="folder of the pictures, in place of the latency")
+    parser.add_argument("--width", type=int, default=1200)
+    asked = parser.parse_args()
+    with served() as address, browser() as tab:
+        if asked.images:
+            asked.images.mkdir(parents=True, exist_ok=True)
+            pictures(tab, address, asked.images, asked.width)
+        else:
+            print(f"computation alone: median {computation():.1f} ms; load of the machine {os.getloadavg()[0]:.1f}")
+            for slider in ("radius of the anchors", "torque of the load", "angle"):
+                times = sorted(latency(tab, address, slider, asked.presses))
+                median, late = statistics.median(times), times[int(0.95 * len(times))]
+                verdict = "met" if median <= MEDIAN and late <= PERCENTILE_95 else "NOT met"
+                print(f"{slider}: median {median:.0f} ms, 95 % {late:.0f} ms, {len(times)} presses: {verdict}")
+        outside = [
+            one
+            for one in tab.requests
+            if not one.startswith((address, address.replace("http", "ws"), "data:", "blob:", "about:"))
+        ]
+        print(f"{len(tab.requests)} requests, to others {len(outside)} {outside[:3]}; errors {tab.errors[:3]}")
+
+
+def click(tab: Tab, text: str) -> None:
+    """Click the button with a text."""
+    tab.evaluate(
+        f"[...document.querySelectorAll('button')].find(b => b.innerText.trim() === {json.dumps(text)}).click()"
+    )
+
+
+PASTE = """(() => {
+  const field = document.querySelector('textarea');
+  Object.getOwnPropertyDescriptor(HTMLTextAreaElement.prototype, 'value').set.call(field, %s);
+  field.dispatchEvent(new Event('input', { bubbles: true }));
+})()"""
+"""Text into the first text area, as if typed."""
+
+
+def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
+    """The pages, after what a user would do first."""
+    end = "" if width > 500 else f"-{width}"
+    tab.open(f"{address}/", width, 900)
+    settle(tab, FIRST_CURVE)
+    tab.picture(folder / f"web-joint{end}.png")
+    tab.open(f"{address}/identify", width, 900)
+    tab.wait("document.querySelector('.q-expansion-item')")
+    time.sleep(1.0)
+    tab.evaluate("document.querySelector('.q-expansion-item .q-item').click()")
+    time.sleep(0.6)
+    tab.evaluate(PASTE % json.dumps(DATA.read_text(encoding="utf-8")))
+    time.sleep(0.6)
+    click(tab, "Read")
+    settle(tab, "document.body.innerText.includes(' slack')")
+    tab.evaluate("document.querySelector('.q-expansion-item .q-item').click()")
+    click(tab, "Rank all laws")
+    settle(tab, "document.body.innerText.includes('ranked')")
+    click(tab, "Fit")
+    settle(tab, FIRST_CURVE)
+    tab.picture(folder / f"web-muscle{end}.png")
+    tab.open(f"{address}/run", width, 900)
+    settle(tab, FIRST_CURVE + " && document.body.innerText.includes('completed')")
+    click(tab, "Keep this run")
+    tab.click("document.querySelector('[aria-label^=\"controller\"]').closest('.q-field__control')")
+    item = "[...document.querySelectorAll('.q-menu .q-item')].find(i => i.innerText.includes('decoupling'))"
+    tab.wait(item)
+    time.sleep(0.4)
+    tab.click(item)
+    tab.wait("document.querySelector('textarea').value.includes('decoupling')")
+    time.sleep(2.0)
+    tab.picture(folder / f"web-run{end}.png")
+    tab.open(f"{address}/rig", width, 900)
+    time.sleep(1.0)
+    click(tab, "Start")
+    settle(tab, "document.body.innerText.includes('points measured')")
+    tab.picture(folder / f"web-rig{end}.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Local web page: identification, design of a joint, and runs. Needs the extra `web`."""

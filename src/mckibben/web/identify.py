@@ -1,0 +1,351 @@
+"""Page of the muscle: data in, force law, residuals and ranking out."""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from nicegui import events, ui
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.errors import DatasetError, McKibbenError, ParameterError, printable
+from mckibben.identification import Fit, Ranking, identify, rank
+from mckibben.identification.storage import law_types
+from mckibben.muscle import Muscle
+from mckibben.study.scenario.muscle import MuscleSpec, muscle_text
+from mckibben.units import bar, factor, percent, quantity
+from mckibben.web.layout import (
+    PALETTE,
+    chart,
+    dots,
+    draw,
+    frame,
+    line,
+    panel,
+    show_error,
+    show_warnings,
+    side,
+    table,
+)
+from mckibben.web.security import LARGEST
+from mckibben.web.session import Jobs, session
+
+_LONGEST_PASTE = 400_000  # characters: a message of the browser holds a megabyte
+_MOST_CURVES = 12
+_SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
+_READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
+
+
+@dataclass
+class IdentificationState:
+    """State of the page."""
+
+    name: str = ""
+    source: Path | None = None
+    data: IsobaricDataset | None = None
+    law: str = "ExponentialLaw"
+    initial_length: str = ""
+    columns: str = ""
+    fit: Fit | None = None
+    ranking: Ranking | None = None
+    muscle: Muscle | None = None
+    error: McKibbenError | None = None
+    notes: list[str] = field(default_factory=list)
+    jobs: Jobs = field(default_factory=Jobs)
+
+
+def column_names(text: str) -> dict[str, str]:
+    """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``."""
+    found = {}
+    for number, one in enumerate(filter(str.strip, text.splitlines()), start=1):
+        header, equals, name = (part.strip() for part in one.rpartition("="))
+        if not (header and equals and name):
+            raise ParameterError(f"columns, line {number} is no pair", value=one, remedy="write HEADER = pressure_bar")
+        found[header] = name
+    return found
+
+
+def read(path: Path, initial_length: str, columns: str) -> IsobaricDataset:
+    """The points of a file, with initial length and columns as text; errors name the file without its folder."""
+    length = quantity(initial_length, "m") if initial_length.strip() else None
+    try:
+        return read_dataset(path, columns=column_names(columns), initial_length=length)
+    except DatasetError as error:
+        raise DatasetError(path.name, error.problems) from None
+
+
+def keep_muscle(fit: Fit, data: IsobaricDataset, folder: Path) -> Muscle | None:
+    """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown."""
+    fit.to_yaml(folder / "fit.yaml")
+    attrs = data.table.attrs
+    text = muscle_text("fit.yaml", specimen=attrs["specimen"], initial_length=attrs.get("initial_length"))
+    if not text:
+        return None
+    (folder / "muscle.yaml").write_text(text, encoding="utf-8")
+    return MuscleSpec.model_validate("muscle.yaml", context={"folder": folder}).build()
+
+
+def page() -> None:
+    """The page."""
+    kept = session()
+    with frame("/identify"):
+        _Page(kept.state(IdentificationState), kept.folder)
+
+
+class _Page:
+    """Inputs and results of one visit."""
+
+    def __init__(self, state: IdentificationState, folder: Path) -> None:
+        self.state, self.folder, self.shown = state, folder, -1
+        with side():
+            with panel("Measured points"):
+                ui.upload(
+                    label="CSV, .xlsx, .mat, .tdms, .lvm or .nc",
+                    auto_upload=True,
+                    max_file_size=LARGEST,
+                    on_upload=self.uploaded,
+                    on_rejected=lambda: ui.notify(f"larger than {LARGEST // 2**20} MiB", type="negative"),
+                ).props("flat bordered").classes("w-full")
+                examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
+                ui.select(examples, value="", label="or an example", on_change=self.example).props("dense").classes(
+                    "w-full"
+                )
+                with ui.expansion("or paste a table").props("dense").classes("w-full"):
+                    self.pasted = (
+                        ui.textarea(placeholder="pressure_bar,contraction_percent,force_N\n1,0,120\n...")
+                        .props(f"outlined maxlength={_LONGEST_PASTE} input-style='height: 130px'")
+                        .classes("w-full mono")
+                        .mark("paste")
+                    )
+                    ui.button("Read", on_click=self.paste).props("flat no-caps")
+                with ui.expansion("initial length and columns").props("dense").classes("w-full"):
+                    ui.input("initial length, such as 180 mm").props("dense").classes("w-full").bind_value(
+                        state, "initial_length"
+                    )
+                    ui.textarea("columns, one a line: HEADER = pressure_bar").props("dense autogrow").classes(
+                        "w-full mono"
+                    ).bind_value(state, "columns")
+                    ui.button("Read again", on_click=self.read).props("flat no-caps")
+            with panel("Force law"):
+                ui.select(sorted(law_types()), label="law").props("dense").classes("w-full").bind_value(
+                    state, "law"
+                ).mark("law")
+                with ui.row().style("gap: 8px"):
+                    ui.button("Fit", on_click=self.fit).props("unelevated no-caps").mark("fit")
+                    ui.button("Rank all laws", on_click=self.rank).props("flat no-caps").mark("rank")
+                with ui.row().classes("w-full items-center no-wrap") as self.busy:
+                    self.bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
+                    ui.button("Cancel", on_click=state.jobs.cancel).props("flat dense no-caps").mark("cancel")
+                self.step = ui.label().classes("quiet")
+        with side():
+            self.results = ui.column().classes("w-full").style("gap: 16px")
+        ui.timer(0.15, self.refresh)
+
+    def refresh(self) -> None:
+        """Show progress, and results as soon as they are new."""
+        jobs = self.state.jobs
+        self.busy.visible = self.step.visible = jobs.busy
+        if jobs.busy:
+            self.bar.value, self.step.text = jobs.part, jobs.step
+        if self.shown != jobs.version:
+            self.shown = jobs.version
+            self.results.clear()
+            with self.results:
+                self.show()
+
+    async def uploaded(self, event: events.UploadEventArguments) -> None:
+        """Keep an uploaded file under a name of ours, with its ending."""
+        ending = Path(event.file.name).suffix.lower()
+        path = self.folder / f"data{ending if _READABLE.fullmatch(ending) else '.csv'}"
+        await event.file.save(path)
+        self.take(printable(event.file.name, 80), path)
+
+    def paste(self) -> None:
+        """Keep a pasted table."""
+        path = self.folder / "data.csv"
+        path.write_text((self.pasted.value or "")[:_LONGEST_PASTE], encoding="utf-8")
+        self.take("pasted table", path)
+
+    def example(self, event: events.ValueChangeEventArguments) -> None:
+        """Take a dataset of the catalog."""
+        if event.value:
+            self.take(event.value, None)
+
+    def take(self, name: str, source: Path | None) -> None:
+        """Read a file, or a dataset of the catalog, in place of what was there."""
+        state = self.state
+        state.name, state.source = name, source
+        length, columns = state.initial_length, state.columns
+
+        def load() -> IsobaricDataset:
+            return catalog.dataset(name) if source is None else read(source, length, columns)
+
+        state.data = state.fit = state.ranking = state.error = None
+
+        def done(data: IsobaricDataset, heard: list[str]) -> None:
+            state.data, state.notes = data, heard
+
+        state.jobs.start(lambda _: load(), done, self.fail)
+
+    def read(self) -> None:
+        """Read the same file again, with other columns or another length."""
+        if self.state.name:
+            self.take(self.state.name, self.state.source)
+
+    def fit(self) -> None:
+        """Fit the chosen law."""
+        state, folder = self.state, self.folder
+        if (data := state.data) is None:
+            ui.notify("give measured points first")
+            return
+        law = law_types()[state.law]
+
+        def compute(_: Callable[[str, float], None]) -> tuple[Fit, Muscle | None]:
+            found = identify(law, data)
+            return found, keep_muscle(found, data, folder)
+
+        def done(found: tuple[Fit, Muscle | None], heard: list[str]) -> None:
+            (state.fit, state.muscle), state.notes, state.error = found, heard, None
+
+        state.jobs.start(compute, done, self.fail)
+
+    def rank(self) -> None:
+        """Fit all laws, and rank them."""
+        state = self.state
+        if (data := state.data) is None:
+            ui.notify("give measured points first")
+            return
+
+        def done(found: Ranking, heard: list[str]) -> None:
+            state.ranking, state.error = found, None
+
+        state.jobs.start(lambda progress: rank(data, progress=progress), done, self.fail)
+
+    def fail(self, error: McKibbenError) -> None:
+        """Keep an error, to be shown."""
+        self.state.error = error
+
+    def show(self) -> None:
+        """All that is known."""
+        state = self.state
+        if state.error is not None:
+            with panel(state.name):
+                show_error(state.error)
+        if state.data is None:
+            if state.error is None and not state.jobs.busy:
+                with panel("No points yet"):
+                    ui.label(
+                        "A table with columns of pressure, force, and contraction or length, one row a point. Units "
+                        "are read from the headers: pressure_bar, Force [N], length / mm."
+                    ).classes("quiet")
+            return
+        self.show_data(state.data)
+        if state.fit is not None:
+            self.show_fit(state.fit, state.data)
+        if state.ranking is not None:
+            self.show_ranking(state.ranking)
+
+    def show_data(self, data: IsobaricDataset) -> None:
+        """What was recognised."""
+        attrs = data.table.attrs
+        with panel(self.state.name):
+            ui.label(f"{len(data)} points, {len(data) - len(data.taut)} slack").classes("number")
+            rows = [
+                (name, unit, f"{low:.4g}", f"{high:.4g}")
+                for name, unit in _SHOWN.items()
+                for low, high in [np.array([f(data.table[name].to_numpy()) for f in (np.min, np.max)]) / factor(unit)]
+            ]
+            recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
+            table(("column", "unit", "from", "to"), rows, left=2)
+            lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
+            if ignored := attrs.get("ignored_columns"):
+                lines.append(f"not read: {ignored}")
+            if (length := attrs.get("initial_length")) is not None:
+                lines.append(f"initial length {length * 1e3:g} mm")
+            for text in [*lines, *attrs.get("preprocessing", "").splitlines()]:
+                ui.label(printable(text, 500)).classes("quiet")
+            show_warnings(self.state.notes)
+
+    def show_fit(self, fit: Fit, data: IsobaricDataset) -> None:
+        """Estimates, curves and residuals."""
+        means = data.plateau_means()
+        with panel(f"{type(fit.law).__name__}: {fit.law.equation}"):
+            with ui.element("div").classes("pair"):
+                forces = chart("contraction [%]", "force [N]", height=320)
+                residuals = chart("contraction [%]", "residual [N]", height=320)
+            levels = means.pressures
+            chosen = levels[
+                np.unique(np.linspace(0, len(levels) - 1, min(len(levels), _MOST_CURVES)).round().astype(int))
+            ]
+            eps = np.linspace(fit.law.domain.contraction_min, fit.law.domain.contraction_max, 80)
+            curves, left = [], []
+            for i, level in enumerate(chosen):
+                color, name = PALETTE[i % len(PALETTE)], f"{level / bar:.3g} bar"
+                here = means.levels == level
+                x, y = means.contraction[here], means.force[here]
+                curves.append(dots(name, x / percent, y, color))
+                curves.append(
+                    line(name, eps / percent, np.asarray(fit.law.force(eps, level)).clip(min=0), color, width=1.5)
+                )
+                taut = y > 0
+                left.append(dots(name, x[taut] / percent, (y - np.asarray(fit.law.force(x, level)))[taut], color))
+            draw(forces, curves)
+            draw(residuals, left)
+            intervals = fit.intervals()
+            rows = []
+            for p in type(fit.law).parameters():
+                scale, (low, high) = factor(p.shown), intervals[p.name]
+                shown = f"{low / scale:.4g} to {high / scale:.4g}" if np.isfinite(low + high) else "at its bound"
+                rows.append((p.name, p.meaning, f"{fit.estimates[p.name] / scale:.5g}", shown, p.shown))
+            table(("parameter", "meaning", "estimate", "95 % interval", "unit"), rows, left=2)
+            unseen = fit.leave_one_pressure_out
+            held_out = f"; {unseen.rmse:.3g} N at pressures left out" if unseen else ""
+            ui.label(
+                f"residuals: RMSE {fit.rmse:.3g} N, at most {fit.max_error:.3g} N{held_out}; "
+                f"{fit.points_used} points used"
+            ).classes("quiet number")
+            show_warnings(fit.warnings)
+            with ui.row().classes("items-center").style("gap: 8px"):
+                ui.button("Download muscle", on_click=self.download).props("unelevated no-caps").mark("download")
+                if self.state.muscle is not None:
+                    ui.button("Design a joint with it", on_click=self.design).props("flat no-caps")
+                else:
+                    ui.label("give the initial length for a muscle of scenarios").classes("quiet")
+
+    def show_ranking(self, found: Ranking) -> None:
+        """Laws, the best first."""
+        blocks = found.blocks
+        rows = [
+            (
+                entry.law,
+                entry.parameters,
+                f"{entry.fit.rmse:.3g}" if entry.fit else "-",
+                *(f"{cv[name].rmse:.3g}" if name in (cv := entry.cross_validation) else "-" for name in blocks),
+                printable("; ".join(entry.flags) or entry.refused, 300),
+            )
+            for entry in found.entries
+        ]
+        with panel(f"Laws, ranked by {found.criterion}"):
+            made = table(("law", "parameters", "RMSE N", *(f"unseen {name} N" for name in blocks), "remarks"), rows)
+            made.columns[-1]["align"] = "left"
+
+    def download(self) -> None:
+        """Hand out fit.yaml and, where the length is known, muscle.yaml."""
+        kept = io.BytesIO()
+        with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED) as folder:
+            for name in ("muscle.yaml", "fit.yaml") if self.state.muscle is not None else ("fit.yaml",):
+                folder.writestr(name, (self.folder / name).read_bytes())
+        ui.download.content(kept.getvalue(), "muscle.zip")
+
+    def design(self) -> None:
+        """Take the muscle to the page of the joint."""
+        from mckibben.web.joint import YOURS, JointDesign
+
+        session().state(JointDesign).muscle = YOURS
+        ui.navigate.to("/")

@@ -1,0 +1,289 @@
+"""Frame of the pages, and the parts that they share: errors, tables, sliders, charts.
+
+Text goes through labels and tables, which show it as it is: nothing of a file becomes HTML.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+from numpy.typing import ArrayLike
+
+from mckibben.errors import FileError, McKibbenError, printable
+
+BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+"""The palette of `report.style`, which imports matplotlib."""
+PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+GREY = "#5f6b76"
+
+LATER = 0.05
+"""Seconds after which what a slider does not change first is sent: the browser draws the curves meanwhile."""
+
+PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/rig": "Rig"}
+_STYLE = """
+body { background: #f6f7f9; color: #1b2126; }
+.q-header { background: #ffffff; color: #1b2126; border-bottom: 1px solid #dfe3e8; }
+.panel { background: #ffffff; border: 1px solid #dfe3e8; border-radius: 8px; padding: 16px; }
+.nicegui-content { padding: 16px; max-width: 1280px; margin: 0 auto; }
+.columns { display: grid; grid-template-columns: 320px minmax(0, 1fr); gap: 16px; width: 100%; align-items: start; }
+.pair { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 16px; width: 100%; }
+.pair.narrow-first { grid-template-columns: 260px minmax(0, 1fr); }
+.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 12px; width: 100%; }
+.fields { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4px 14px; width: 100%; }
+.q-uploader { max-height: none; }
+.q-uploader__list { min-height: 0; padding: 0 8px; }
+.fact { font-size: 17px; font-variant-numeric: tabular-nums; }
+.tab { text-decoration: none; color: #5f6b76; padding: 4px 2px; border-bottom: 2px solid transparent; }
+.tab.here { color: #0072B2; border-bottom-color: #0072B2; }
+.heading { font-weight: 600; font-size: 15px; }
+.quiet { color: #5f6b76; font-size: 13px; line-height: 1.45; }
+.number { font-variant-numeric: tabular-nums; }
+.number input { text-align: right; padding: 0 !important; }
+.q-table th { font-weight: 600; }
+.q-table td, .q-table th { white-space: normal !important; padding: 4px 10px; }
+.mono textarea { font: 12.5px/1.5 ui-monospace, monospace; }
+@media (max-width: 820px) {
+  .columns, .pair, .pair.narrow-first { grid-template-columns: minmax(0, 1fr); gap: 10px; }
+  .columns > *, .columns .pair { display: contents; }
+  .stays { order: -1; position: sticky; top: 58px; z-index: 3; box-shadow: 0 2px 6px #0001; }
+  .nicegui-content { padding: 10px; }
+  .panel { padding: 12px; }
+}
+"""
+
+
+@contextmanager
+def frame(here: str) -> Iterator[None]:
+    """Header with links to the pages, and the columns of the page `here`."""
+    ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative="#b3261e", positive=GREEN)
+    ui.add_css(_STYLE)
+    ui.page_title(f"{PAGES[here]} - mckibben")
+    with ui.header().classes("items-center q-px-md q-py-sm").style("gap: 20px"):
+        ui.label("mckibben").style("font-weight: 700; font-size: 16px")
+        for path, title in PAGES.items():
+            ui.link(title, path).classes("tab" + (" here" if path == here else ""))
+    with ui.element("main").classes("columns"):
+        yield
+
+
+@contextmanager
+def panel(title: str = "", *, stays: bool = False) -> Iterator[None]:
+    """A white box with a heading; on a narrow screen one that `stays` remains in sight."""
+    with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px"):
+        if title:
+            ui.label(title).classes("heading")
+        yield
+
+
+@contextmanager
+def side() -> Iterator[None]:
+    """A column of panels."""
+    with ui.column().classes("w-full").style("gap: 16px"):
+        yield
+
+
+def show_error(error: McKibbenError) -> None:
+    """What is wrong: each problem of a file with its line, and what to do about it."""
+    if not isinstance(error, FileError):
+        _message(error.message, error.remedy)
+        return
+    count = len(error.problems)
+    _message(f"{count} problem{'s' if count != 1 else ''}", "")
+    rows = [
+        (
+            "" if one.line is None else one.line,
+            printable(one.field, 80),
+            printable(one.message, 400),
+            printable(one.remedy, 400),
+        )
+        for one in error.problems[:100]
+    ]
+    table(("line", "column", "problem", "remedy"), rows, left=4)
+    if count > len(rows):
+        ui.label(f"and {count - len(rows)} more").classes("quiet")
+
+
+def _message(message: str, remedy: str) -> None:
+    with ui.column().style("gap: 2px; border-left: 3px solid #b3261e; padding-left: 10px").mark("error"):
+        for line in printable(message, 4000).splitlines():
+            ui.label(line)
+        if remedy:
+            ui.label(printable(remedy, 1000)).classes("quiet")
+
+
+def show_warnings(texts: Iterable[str]) -> None:
+    """Warnings, one a line."""
+    for text in texts:
+        with ui.row().classes("no-wrap items-start").style("gap: 8px"):
+            ui.icon("warning_amber", color=ORANGE).style("font-size: 18px")
+            ui.label(printable(text, 1000)).classes("quiet")
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:
+    """A table; the first `left` columns are text."""
+    columns: list[dict[str, Any]] = [
+        {"name": str(i), "label": name, "field": str(i), "align": "left" if i < left else "right"}
+        for i, name in enumerate(header)
+    ]
+    cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]
+    made = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
+    return made.classes("w-full number").props("rows-per-page-options=[0]")
+
+
+class _Slider(ui.slider):
+    """A slider whose value the server does not send back."""
+
+    LOOPBACK = False
+
+
+class NumberSlider:
+    """A number with a slider and a field, in a unit that is shown."""
+
+    def __init__(
+        self,
+        label: str,
+        unit: str,
+        limits: tuple[float, float],
+        step: float,
+        value: float,
+        changed: Callable[[float], Any],
+    ) -> None:
+        low, high = limits
+        self._changed = changed
+        with ui.column().classes("w-full").style("gap: 0"):
+            with ui.row().classes("w-full items-center justify-between no-wrap"):
+                ui.label(label).classes("quiet")
+                self.field = (
+                    ui.number(value=value, min=low, max=high, step=step, on_change=self._field)
+                    .props(f'dense borderless suffix="{unit}" aria-label="{label}" debounce=300')
+                    .classes("number")
+                    .style("width: 120px; height: 28px; margin-top: -10px")
+                )
+            self.slider = _Slider(min=low, max=high, step=step, value=value, on_change=self._slide)
+            self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label.replace(" ", "-"))
+
+    async def _slide(self) -> None:
+        value = self.slider.value
+        if value is not None and value != self.field.value:
+            await self._changed(value)
+            await asyncio.sleep(LATER)
+            self.field.value = self.slider.value
+
+    async def _field(self) -> None:
+        value = self.field.value
+        if value is None or not math.isfinite(value) or value == self.slider.value:
+            return
+        low, high = self.slider._props["min"], self.slider._props["max"]
+        self.slider.value = min(max(value, low), high)
+        await self._changed(self.slider.value)
+
+
+def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | None]]:
+    """Pairs for a chart; at most so many, and gaps where a value is not finite."""
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    step = max(1, -(-len(x) // most))
+    kept = zip(x[::step].tolist(), y[::step].tolist(), strict=True)
+    return [[round(a, 5), float(f"{b:.5g}") if math.isfinite(b) else None] for a, b in kept]
+
+
+def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = False, width: float = 2) -> dict[str, Any]:
+    """A curve of a chart."""
+    look = {"color": color, "width": width, "type": [6, 4] if dash else "solid"}
+    return {
+        "type": "line",
+        "name": name,
+        "data": points(x, y),
+        "showSymbol": False,
+        "lineStyle": look,
+        "itemStyle": {"color": color},
+    }
+
+
+def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -> list[dict[str, Any]]:
+    """The area between two curves, from two series on top of each other."""
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    shared: dict[str, Any] = {
+        "type": "line",
+        "stack": name,
+        "stackStrategy": "all",
+        "showSymbol": False,
+        "silent": True,
+        "lineStyle": {"opacity": 0},
+        "tooltip": {"show": False},
+        "emphasis": {"disabled": True},
+    }
+    return [
+        {**shared, "name": f"{name} from", "data": points(x, low)},
+        {
+            **shared,
+            "name": name,
+            "data": points(x, high - low),
+            "itemStyle": {"color": color},
+            "areaStyle": {"color": color, "opacity": 0.22},
+        },
+    ]
+
+
+def dots(name: str, x: ArrayLike, y: ArrayLike, color: str) -> dict[str, Any]:
+    """Points of a chart."""
+    return {"type": "scatter", "name": name, "data": points(x, y), "symbolSize": 6, "itemStyle": {"color": color}}
+
+
+def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui.echart:
+    """An empty chart with labels of its axes; `axes` has more options of `xAxis` and `yAxis`."""
+    text = {"color": GREY, "fontSize": 12}
+    common = {
+        "type": "value",
+        "nameLocation": "middle",
+        "nameTextStyle": text,
+        "axisLabel": text,
+        "splitLine": {"lineStyle": {"color": "#edf0f3"}},
+        "axisLine": {"show": True, "onZero": False, "lineStyle": {"color": "#b8c1ca"}},
+        "scale": True,
+    }
+    options = {
+        "animation": False,
+        "textStyle": {"fontFamily": "inherit"},
+        "grid": {"left": 58, "right": 16, "top": 36, "bottom": 44},
+        "legend": {
+            "top": 0,
+            "type": "scroll",
+            "icon": "roundRect",
+            "itemWidth": 16,
+            "itemHeight": 4,
+            "textStyle": text,
+            "data": [],
+        },
+        "tooltip": {
+            "trigger": "axis",
+            "axisPointer": {"type": "line"},
+            ":valueFormatter": "v => v == null ? '-' : (+v).toPrecision(4)",
+        },
+        "xAxis": {**common, "name": x, "nameGap": 28, **axes.get("xAxis", {})},
+        "yAxis": {**common, "name": y, "nameGap": 42, **axes.get("yAxis", {})},
+        "series": [],
+    }
+    return ui.echart(options).classes("w-full").style(f"height: {height}px")
+
+
+def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[str] | None = None) -> None:
+    """Replace the curves of a chart; the legend has all but the lower ends of bands.
+
+    Where there are as many as before, only these are sent, straight to the chart: the page is not rendered anew.
+    """
+    series = list(series)
+    names = [one["name"] for one in series if not one["name"].endswith(" from")] if legend is None else list(legend)
+    names = list(dict.fromkeys(names))
+    if len(on.options["series"]) == len(series) and series:
+        changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
+        on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})
+    else:
+        on.options["series"] = series
+        on.options["legend"]["data"] = names

@@ -1,0 +1,190 @@
+"""Page of the rig: a test on the simulated rig, with live plots and a button that vents."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from nicegui import ui
+
+from mckibben.config.document import LONGEST_TEXT
+from mckibben.config.model import parse_model
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import McKibbenError, ParameterError, RigError
+from mckibben.rig.session import Progress
+from mckibben.study.rig.document import RigTest
+from mckibben.study.rig.running import CheckedTest, check, data_name, run_test
+from mckibben.units import bar, percent
+from mckibben.web.identify import IdentificationState
+from mckibben.web.layout import BLUE, GREEN, VERMILLION, chart, dots, draw, frame, line, panel, show_error, side
+from mckibben.web.session import Jobs, session
+
+_MOST_SAMPLES = 5_000_000
+_START = """\
+name: isobaric test
+muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n, mounted_at: 0 %}
+rig: {simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
+limits: {pressure: 6.5 bar, force: 630 N, stretch: 8 mm, shorten: 50 mm, frozen: 2 s, deviation: 40 N}
+recording: {cycle: 250 ms, between: 10 Hz, slack_force: 6 N}
+protocol:
+  isobaric:
+    pressures: [1 bar, 2 bar, 3 bar, 4 bar, 5 bar, 6 bar]
+    contraction_min: 0 %
+    contraction_max: 24 %
+    step: 4 mm
+    speed: 1 mm/s
+    dwell: 3 s
+    acquisition: 1 s
+    samples: 1000
+    repeats: 1
+"""
+_PACES = {20: "20 times as fast", 100: "100 times as fast", 0: "as fast as it is computed"}
+
+
+@dataclass
+class RigState:
+    """State of the page; `rows` are time [s], pressure [bar], force [N] and contraction [%] of each cycle."""
+
+    text: str = _START
+    pace: int = 100
+    rows: list[tuple[float, float, float, float]] = field(default_factory=list)
+    points: int = 0
+    total: int = 1
+    data: IsobaricDataset | None = None
+    source: Path | None = None
+    error: McKibbenError | None = None
+    vent: threading.Event = field(default_factory=threading.Event)
+    jobs: Jobs = field(default_factory=Jobs)
+
+
+def checked(text: str, folder: Path) -> CheckedTest:
+    """A test on the simulated rig, checked by a dry run."""
+    test, document = parse_model(RigTest, text, source="protocol", folder=folder, confined=True)
+    if test.rig.simulated is None:
+        raise ParameterError("this page runs the simulated rig only", remedy="use `mckibben rig run` for a card")
+    found = check(test, document)
+    if found.dry_run.samples > _MOST_SAMPLES:
+        raise ParameterError(
+            f"the test has {found.dry_run.samples} samples, more than {_MOST_SAMPLES}",
+            value=found.dry_run.samples,
+            remedy="take fewer points, or use `mckibben rig run`",
+        )
+    return found
+
+
+def measure(state: RigState, text: str, folder: Path) -> IsobaricDataset:
+    """Run a test; the rows of the state grow with it, and its event `vent` stops it."""
+    test = checked(text, folder.parent)
+    shutil.rmtree(folder, ignore_errors=True)
+    state.rows, state.points, state.total = [], 0, max(1, test.dry_run.plateaus)
+    began = time.monotonic()
+
+    def report(progress: Progress) -> None:
+        if state.vent.is_set():
+            raise RigError("vented by hand")
+        latest = progress.latest
+        row = latest.time, latest.pressure / bar, latest.force, progress.contraction / percent
+        state.rows.append(row)
+        state.points = progress.points
+        if state.pace:
+            time.sleep(max(0.0, min(1.0, began + progress.time / state.pace - time.monotonic())))
+
+    data = run_test(test, folder, report=report)
+    state.source = folder / data_name(test.test)
+    return data
+
+
+def page() -> None:
+    """The page."""
+    kept = session()
+    with frame("/rig"):
+        _Page(kept.state(RigState), kept.folder)
+
+
+class _Page:
+    """Protocol and plots of one visit."""
+
+    def __init__(self, state: RigState, folder: Path) -> None:
+        self.state, self.folder = state, folder
+        self.shown, self.drawn = -1, -1
+        with side(), panel("Test on the simulated rig"):
+            ui.textarea(value=state.text).props(
+                f"outlined maxlength={LONGEST_TEXT} spellcheck=false input-style='height: 330px'"
+            ).classes("w-full mono").mark("protocol").bind_value(state, "text")
+            ui.select(_PACES, label="time of the rig").props("dense").classes("w-full").bind_value(state, "pace")
+            with ui.row().style("gap: 8px"):
+                ui.button("Start", on_click=self.start).props("unelevated no-caps").mark("start")
+                ui.button("Vent", color="negative", on_click=self.vent).props("unelevated no-caps").mark("vent")
+            self.bar = ui.linear_progress(0, show_value=False).props("instant-feedback")
+            self.status = ui.label().classes("quiet number")
+        with side():
+            self.results = ui.column().classes("w-full")
+            with panel("Force over contraction", stays=True):
+                self.loop = chart("contraction [%]", "force [N]", height=300)
+            with panel("Pressure"):
+                self.pressure = chart("time [s]", "pressure [bar]", height=190)
+            with panel("Force"):
+                self.force = chart("time [s]", "force [N]", height=190)
+        ui.timer(0.2, self.refresh)
+
+    def refresh(self) -> None:
+        """Show what has been measured since."""
+        state = self.state
+        rows = state.rows
+        self.bar.value = state.points / state.total if rows else 0.0
+        self.status.text = f"{state.points} of {state.total} points" if rows else ""
+        if len(rows) != self.drawn:
+            self.drawn = len(rows)
+            times, pressure, force, contraction = np.array(rows or [(np.nan,) * 4]).T
+            draw(self.pressure, [line("pressure", times, pressure, GREEN, width=1.5)])
+            draw(self.force, [line("force", times, force, BLUE, width=1.5)])
+            now = dots("now", contraction[-1:], force[-1:], VERMILLION) | {"symbolSize": 11}
+            draw(self.loop, [line("measured", contraction, force, BLUE, width=1), now])
+        if self.shown != state.jobs.version:
+            self.shown = state.jobs.version
+            self.results.clear()
+            with self.results:
+                if state.error is not None:
+                    with panel():
+                        show_error(state.error)
+                elif state.data is not None:
+                    with panel(f"{len(state.data)} points measured"):
+                        ui.button("Identify the muscle", on_click=self.identify).props("unelevated no-caps")
+
+    def start(self) -> None:
+        """Run the test; at most one at a time."""
+        state, folder = self.state, self.folder / "test"
+        if state.jobs.busy:
+            ui.notify("a test is running: vent first")
+            return
+        state.vent.clear()
+        state.error = state.data = None
+        text = state.text
+
+        def compute(_: Callable[[str, float], None]) -> IsobaricDataset:
+            return measure(state, text, folder)
+
+        def done(found: IsobaricDataset, _: list[str]) -> None:
+            state.data = found
+
+        def fail(error: McKibbenError) -> None:
+            state.error = error
+
+        state.jobs.start(compute, done, fail)
+
+    def vent(self) -> None:
+        """Stop the test after the running cycle, and let the air out."""
+        self.state.vent.set()
+
+    def identify(self) -> None:
+        """Take the points to the page of the muscle."""
+        found = session().state(IdentificationState)
+        found.name, found.data, found.source = "test on the simulated rig", self.state.data, self.state.source
+        found.fit = found.ranking = found.error = None
+        found.jobs.version += 1
+        ui.navigate.to("/identify")

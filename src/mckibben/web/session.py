@@ -1,0 +1,172 @@
+"""What the server keeps of a browser, computations in threads, and long jobs with progress."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import tempfile
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+from nicegui import app, background_tasks
+
+from mckibben.errors import McKibbenError, McKibbenWarning, printable
+
+T = TypeVar("T")
+
+_MOST_SESSIONS = 32
+
+
+class Session:
+    """State of the pages of one browser, in memory, and a folder for its files."""
+
+    def __init__(self) -> None:
+        self._states: dict[type, Any] = {}
+        self._folder = tempfile.TemporaryDirectory(prefix="mckibben-web-")
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the session's files; removed at the end of the server."""
+        return Path(self._folder.name)
+
+    def state(self, kind: type[T]) -> T:
+        """The state of a kind, made at the first call."""
+        return self._states.setdefault(kind, kind())
+
+
+_sessions: OrderedDict[str, Session] = OrderedDict()
+
+
+def session() -> Session:
+    """The session of the browser that asks; the one unused for longest gives way to a new one."""
+    name = app.storage.browser["id"]
+    found = _sessions.pop(name, None) or Session()
+    _sessions[name] = found
+    if len(_sessions) > _MOST_SESSIONS:
+        _sessions.popitem(last=False)
+    return found
+
+
+class _CancelledError(Exception):
+    """A job was cancelled."""
+
+
+_heard: contextvars.ContextVar[list[str] | None] = contextvars.ContextVar("heard", default=None)
+_show_otherwise = warnings.showwarning
+
+
+def collect_warnings() -> None:
+    """Send warnings of ours to the computation that issues them: `warnings.catch_warnings` is for one thread only."""
+    warnings.simplefilter("always", McKibbenWarning)
+
+    def heard(message: Warning | str, category: type[Warning], *where: Any, **others: Any) -> None:
+        kept = _heard.get()
+        if kept is None or not issubclass(category, McKibbenWarning):
+            _show_otherwise(message, category, *where, **others)
+        elif str(message) not in kept:
+            kept.append(str(message))
+
+    warnings.showwarning = heard
+
+
+async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, list[str]]:
+    """Result of a function in a thread, and the warnings that it issued; any exception becomes a `McKibbenError`."""
+    kept: list[str] = []
+
+    def run() -> T:
+        _heard.set(kept)  # of this context, which is the thread's own
+        try:
+            return function(*arguments)
+        except (McKibbenError, _CancelledError):
+            raise
+        except Exception as error:
+            reason = printable(f"{type(error).__name__}: {error}", 1000)
+            raise McKibbenError(reason, remedy="this is a fault of mckibben: please report it") from error
+
+    return await asyncio.to_thread(run), kept
+
+
+class Latest:
+    """A computation of what changes fast: always of the newest arguments, and those that came between are left out."""
+
+    def __init__(self, compute: Callable[..., T], show: Callable[[T], None], fail: Callable[[Exception], None]) -> None:
+        self._compute, self._show, self._fail = compute, show, fail
+        self._waiting: tuple[Any, ...] | None = None
+        self._busy = False
+
+    async def __call__(self, *arguments: Any) -> None:
+        """Compute and show; returns at once while an earlier computation goes on, which takes these arguments next."""
+        self._waiting = arguments
+        if self._busy:
+            return
+        self._busy = True
+        try:
+            while self._waiting is not None:
+                newest, self._waiting = self._waiting, None
+                try:
+                    found, _ = await in_thread(self._compute, *newest)
+                except McKibbenError as error:
+                    self._fail(error)
+                else:
+                    self._show(found)
+        finally:
+            self._busy = False
+
+
+class Jobs:
+    """At most one job of a page: it goes on when the page is closed, and a reloaded page sees where it is.
+
+    `version` grows whenever there is something new to show.
+    """
+
+    def __init__(self) -> None:
+        self.version = 0
+        self.step, self.part = "", 0.0
+        self._number = self._running = 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs."""
+        return self._running == self._number != 0
+
+    def cancel(self) -> None:
+        """Stop at the next progress; a computation that reports none goes on, and its result is not taken."""
+        self._number += 1
+        self.version += 1
+
+    def start(
+        self,
+        compute: Callable[[Callable[[str, float], None]], T],
+        done: Callable[[T, list[str]], None],
+        fail: Callable[[McKibbenError], None],
+    ) -> None:
+        """Compute in a thread, in place of a job that runs; then `done` with the warnings, or `fail`."""
+        self._number += 1
+        number = self._running = self._number
+        self.step, self.part = "", 0.0
+        self.version += 1
+
+        def progress(step: str, part: float) -> None:
+            if number != self._number:
+                raise _CancelledError
+            self.step, self.part = step, part
+
+        async def run() -> None:
+            with suppress(_CancelledError):
+                try:
+                    found, heard = await in_thread(compute, progress)
+                except McKibbenError as error:
+                    if number == self._number:
+                        fail(error)
+                else:
+                    if number == self._number:
+                        done(found, heard)
+            if number == self._number:
+                self._running = 0
+                self.version += 1
+
+        background_tasks.create(run(), name="mckibben job")

@@ -1,0 +1,312 @@
+"""The pages without a browser: what a user does, and what is shown."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import re
+import time
+import zipfile
+from contextlib import asynccontextmanager
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui")
+from nicegui import ui
+from nicegui.elements.upload_files import SmallFileUpload
+from nicegui.testing import user_simulation
+
+from mckibben import Scenario, catalog, identify, read_dataset
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
+from mckibben.joint import KneeGeometry
+from mckibben.muscle import ExponentialLaw
+from mckibben.units import bar, deg, mm
+from mckibben.web import app, joint, rig, run, session
+from tests.dataset.conftest import FILES
+from tests.dataset.test_hostile import damaged
+
+RIG = (Path(__file__).parents[2] / "examples" / "rig.csv").read_text(encoding="utf-8")
+
+
+@asynccontextmanager
+async def visitor():
+    """A user of a new server."""
+    session._sessions.clear()
+    async with user_simulation(root=lambda: None) as user:
+        app.pages()
+        yield user
+
+
+def the(user, kind, marker=None):
+    return next(iter((user.find(kind=kind, marker=marker) if marker else user.find(kind=kind)).elements))
+
+
+def there(user, marker):
+    return bool(user._gather_elements(None, None, marker, None))
+
+
+async def until(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "not in time"
+        await asyncio.sleep(0.02)
+
+
+def state(kind):
+    (kept,) = session._sessions.values()
+    return kept.state(kind)
+
+
+def charts(user):
+    return sorted(user.find(ui.echart).elements, key=lambda one: one.id)
+
+
+def curve(chart, name):
+    return np.array([y if y is not None else np.nan for _, y in series(chart, name)["data"]])
+
+
+def series(chart, name):
+    return next(one for one in chart.options["series"] if one["name"] == name)
+
+
+def test_the_joint_page_draws_what_the_joint_attains():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/")
+            chart = charts(user)[0]
+            await until(lambda: chart.options["series"])
+            return curve(chart, "lowest"), curve(chart, "highest")
+
+    low, high = asyncio.run(visit())
+    muscle = catalog.joint("knee-table-2").muscle1
+    knee = KneeGeometry(joint_length=370 * mm, joint_radius=30 * mm, connector_length=208 * mm)
+    angles = np.linspace(-40, 40, 81) * deg
+    expected = type(catalog.joint("knee-table-2"))(knee, muscle, muscle).attainable_stiffness(
+        angles, 0.0, pressure_limits=(0.0, 6 * bar)
+    )
+    np.testing.assert_allclose(low, expected[0], rtol=1e-4)
+    np.testing.assert_allclose(high, expected[1], rtol=1e-4)
+
+
+def test_a_slider_changes_the_joint_and_a_reload_keeps_it():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/")
+            await until(lambda: charts(user)[0].options["series"])
+            slider = the(user, ui.slider, "radius-of-the-anchors")
+            slider.set_value(45)
+            await until(lambda: any("44." in one.text or "45." in one.text for one in user.find(ui.label).elements))
+            await user.open("/")
+            return the(user, ui.slider, "radius-of-the-anchors").value, state(joint.JointDesign).joint_radius
+
+    assert asyncio.run(visit()) == (45, 45)
+
+
+def test_a_joint_that_cannot_be_is_an_error_with_a_remedy():
+    design = joint.JointDesign(joint_length=150.0)
+    with pytest.raises(McKibbenError) as found:
+        joint.compute(design, catalog.joint("knee-table-2").muscle1)
+    assert found.value.unit == "m"
+
+
+def test_the_drawing_has_the_lengths_of_the_geometry():
+    design = joint.JointDesign(angle=20.0)
+    found = joint.compute(design, catalog.joint("knee-table-2").muscle1)
+    lines = re.findall(
+        r'x1="(\S+)" y1="(\S+)" x2="(\S+)" y2="(\S+)" stroke="(#0072B2|#D55E00)"', joint.drawing(design, found)
+    )
+    drawn = [np.hypot(float(x2) - float(x1), float(y2) - float(y1)) for x1, y1, x2, y2, _ in lines]
+    np.testing.assert_allclose(drawn, np.array(found.joint.geometry.path_lengths(20 * deg)) / mm, atol=0.02)
+
+
+async def paste(user, text):
+    the(user, ui.textarea, "paste").set_value(text)
+    user.find("Read", kind=ui.button).click()
+
+
+def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            await paste(user, RIG)
+            await user.should_see("204 points, 31 slack", retries=60)
+            user.find(marker="fit").click()
+            await user.should_see("ExponentialLaw: F =", retries=100)
+            user.find(marker="download").click()
+            answer = await user.download.next()
+            kept = state(joint.IdentificationState)
+            await user.open("/identify")  # a reload
+            await user.should_see("ExponentialLaw: F =", retries=30)
+            await user.open("/")
+            assert joint.YOURS in the(user, ui.select, "muscle").options
+            return answer.content, kept.muscle
+
+    content, muscle = asyncio.run(visit())
+    zipfile.ZipFile(BytesIO(content)).extractall(tmp_path)
+    (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
+    expected = identify(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
+    text = run._START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
+    found = Scenario.parse(text, folder=tmp_path).joint.muscle.build()
+    assert found.law == muscle.law == expected.law
+
+
+def test_problems_are_listed_by_line_and_shown_as_text():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            await paste(user, "pressure_bar,contraction_percent,force_N\n1,0,10\n1,<img src=x onerror=alert(1)>,5\n")
+            await until(lambda: state(joint.IdentificationState).error is not None)
+            await user.should_see("1 problem", retries=30)
+            table = the(user, ui.table)
+            assert not user.find(ui.label).elements & {
+                one for one in user.find(ui.label).elements if "Traceback" in one.text
+            }
+            return table.rows
+
+    (row,) = asyncio.run(visit())
+    assert row["0"] == 3
+    assert "<img" in row["2"]  # a cell of a table is text
+
+
+def test_a_ranking_can_be_cancelled():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            await paste(user, RIG)
+            await user.should_see("204 points", retries=60)
+            kept = state(joint.IdentificationState)
+            user.find(marker="rank").click()
+            await until(lambda: kept.jobs.part > 0)
+            user.find(marker="cancel").click()
+            await until(lambda: not kept.jobs.busy)
+            before = kept.jobs.part
+            await asyncio.sleep(0.5)
+            return before, kept.jobs.part, kept.ranking
+
+    before, after, ranking = asyncio.run(visit())
+    assert 0 < before == after < 1
+    assert ranking is None
+
+
+def test_a_parameter_changes_the_run_and_runs_are_overlaid():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/run")
+            bench = state(run.Workbench)
+            await until(lambda: bench.current is not None, 60)
+            first = bench.current
+            user.find(marker="keep").click()
+            await until(lambda: there(user, "controller.position.ki"))
+            the(user, ui.number, "controller.position.ki").set_value(90)
+            await until(lambda: bench.current is not first, 60)
+            await until(lambda: "run 1" in [one["name"] for one in charts(user)[0].options["series"]])
+            return first, bench
+
+    first, bench = asyncio.run(visit())
+    assert "ki: 90 bar/(rad*s)" in bench.current.text
+    assert bench.current.metrics["angle_rmse_deg"] < first.metrics["angle_rmse_deg"]
+    assert [one.text for one in bench.kept] == [first.text]
+    assert Scenario.parse(bench.text).dumps() == bench.text
+
+
+def test_other_controllers_and_references_are_scenarios():
+    for section in run.CONTROLLERS.values():
+        Scenario.parse(run.with_section(run._START, section, ("controller",))).control()
+    for form in run._SIGNALS.values():
+        found = Scenario.parse(run.with_section(run._START, form.format(**run._ANGLES), ("reference", "angle")))
+        assert np.isfinite(float(found.reference().angle(1.0)))
+
+
+def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
+    design = joint.JointDesign(joint_length=400.0, joint_radius=40.0)
+    muscle = catalog.joint("knee-table-2").muscle1
+    found = run.with_joint(run._START, joint.scenario_lines(design, muscle), tmp_path)
+    assert found.plant().joint.geometry == joint.joint_of(design, muscle).geometry
+    low, high = found.plant().joint.attainable_stiffness(0.0, -found.load.build().gravity_torque(0.0))
+    assert low < found.start.stiffness < high
+
+
+def test_a_scenario_names_no_files_of_other_folders(tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
+    text = run.with_section(run._START, "{samples: {file: ../other/angle.csv}}", ("reference", "angle"))
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(ScenarioError) as found:
+        run.parse(text, tmp_path / "mine")
+    assert found.value.problems[0].field == "reference.angle.samples.file"
+    (tmp_path / "mine" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
+    run.parse(text.replace("../other/", ""), tmp_path / "mine")
+
+
+def test_a_run_that_nobody_can_wait_for_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match="steps"):
+        run.parse(run._START.replace("duration: 6 s", "duration: 6000 s"), tmp_path)
+
+
+def test_hundreds_of_damaged_files_leave_a_page_that_lives():
+    """Each gives points or an error that is shown; afterwards a good file is read."""
+
+    async def visit():
+        chance, seen = random.Random(3), {"points": 0, "problems": 0}
+        async with visitor() as user:
+            await user.open("/identify")
+            kept, upload = state(joint.IdentificationState), the(user, ui.upload)
+            names = [name for name in FILES if not name.endswith((".h5", "73.mat"))]  # these cost a process each
+            for number in range(240):
+                name = names[number % len(names)]
+                version = kept.jobs.version
+                await upload.handle_uploads([SmallFileUpload(name, "", damaged(FILES[name], chance))])
+                await until(lambda v=version: kept.jobs.version >= v + 2 and not kept.jobs.busy)
+                assert (kept.data is None) != (kept.error is None)
+                assert kept.error is None or "fault of mckibben" not in kept.error.remedy
+                seen["points" if kept.error is None else "problems"] += 1
+            await paste(user, RIG)
+            await user.should_see("204 points, 31 slack", retries=100)
+        return seen
+
+    seen = asyncio.run(visit())
+    assert seen["points"] > 10 and seen["problems"] > 10
+
+
+def test_damaged_scenarios_are_scenarios_or_errors(tmp_path):
+    chance = random.Random(5)
+    for _ in range(200):
+        text = damaged(run._START.encode(), chance).decode("utf-8", errors="replace")
+        try:
+            run.parse(text, tmp_path)
+        except McKibbenError as error:
+            assert str(error)
+
+
+def test_a_test_on_the_simulated_rig_is_vented_or_gives_points():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/rig")
+            bench = state(rig.RigState)
+            bench.pace = 20
+            user.find(marker="start").click()
+            await until(lambda: len(bench.rows) > 8)
+            user.find(marker="vent").click()
+            await until(lambda: bench.error is not None)
+            stopped, rows = bench.error, len(bench.rows)
+            bench.pace = 0
+            bench.text = rig._START.replace("[1 bar, 2 bar, 3 bar, 4 bar, 5 bar, 6 bar]", "[2 bar, 3 bar]")
+            user.find(marker="start").click()
+            await until(lambda: bench.data is not None)
+            return stopped, rows, bench
+
+    stopped, rows, bench = asyncio.run(visit())
+    assert isinstance(stopped, StoppedError) and "vented" in stopped.message
+    assert bench.error is None and len(bench.rows) > rows
+    assert sorted({round(p / bar) for p in bench.data.pressure}) == [2, 3]
+
+
+def test_the_page_moves_no_hardware(tmp_path):
+    (tmp_path / "card.json").write_text("{}", encoding="utf-8")
+    card = "{nidaqmx: {device: Dev1, calibration: card.json}}"
+    text = rig._START.replace("{simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}", card)
+    with pytest.raises(ParameterError, match="simulated"):
+        rig.checked(text, tmp_path)
