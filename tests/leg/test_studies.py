@@ -23,6 +23,11 @@ def test_text_reads_back(scenario: LegScenario) -> None:
     assert LegScenario.parse(scenario.dumps()) == scenario
 
 
+def test_the_file_of_the_docs_is_a_leg() -> None:
+    text = Path("docs/leg.md").read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    assert LegScenario.parse(text).plant().leg.muscle_names[-1] == "rectus"
+
+
 def test_changes_of_the_catalog_name_the_joint() -> None:
     read = LegScenario.parse(HEAD + "  trunk: {mass: 2 kg}\n  joints: {knee: {damping: 0.1 N*m*s/rad}}\n")
     leg = read.leg.build()
