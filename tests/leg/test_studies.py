@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mckibben.cli import app
-from mckibben.errors import RangeError, ScenarioError
-from mckibben.leg import LegScenario, LegStart, jumping, study_landing
+from mckibben.errors import FileError, RangeError, ScenarioError
+from mckibben.leg import LegScenario, LegStart, jumping, landing, study_landing
 from mckibben.leg.landing import valve_with
 from mckibben.leg.uncertainty import drawn_plant
 from tests.leg.conftest import FILE
@@ -101,6 +101,34 @@ def test_landing_study(scenario: LegScenario) -> None:
     assert len(rows) == 3 and len(study.records()["landings"]) == 3
 
 
+def test_a_study_that_was_broken_off_goes_on(
+    scenario: LegScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(landing, "ROWS", 8)
+    whole, journal = study_landing(scenario), tmp_path / "landing.journal"
+    run, runs = landing.simulate_legs, []
+
+    def counted(*args: object, **settings: object) -> object:
+        runs.append(1)
+        if len(runs) == 3:
+            raise KeyboardInterrupt
+        return run(*args, **settings)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(landing, "simulate_legs", counted)
+    with pytest.raises(KeyboardInterrupt):
+        study_landing(scenario, journal=journal)
+    with pytest.raises(FileError):  # it exists
+        study_landing(scenario, journal=journal)
+    again = study_landing(scenario, journal=journal, resume=True)
+    assert len(runs) == 3 + 4  # of six blocks two were kept
+    assert again.table.equals(whole.table)
+    assert scenario.landing is not None
+    other = scenario.model_copy(update={"step": 0.2e-3})
+    with pytest.raises(FileError) as caught:
+        study_landing(other, journal=journal, resume=True)
+    assert caught.value.problems
+
+
 def test_time_constant_of_the_valve(scenario: LegScenario) -> None:
     plant = scenario.plant()
     muscle = plant.leg.muscles[0]
@@ -169,6 +197,9 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     page = (out / "landing.html").read_text()
     assert "<table" in page and "http" not in page.replace("http://www.w3.org", "")
     assert LegScenario.read(out / "leg.yaml") == scenario
+    resumed = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out), "--json", "--resume"])
+    assert resumed.exit_code == 0
+    assert json.loads(resumed.stdout) == {**numbers, "engine": "of the journal"}
     again = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out)])
     assert again.exit_code != 0  # results are not replaced without --force
 

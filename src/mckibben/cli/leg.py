@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from mckibben.cli.options import Force, Json, Out, echo, job_progress, keeping, notify, results_folder, table
+from mckibben.cli.options import (
+    Force,
+    Json,
+    Out,
+    echo,
+    job_progress,
+    keeping,
+    long_job,
+    notify,
+    required_folder,
+    results_folder,
+    table,
+)
 from mckibben.storage.files import to_json, write_json
 
 if TYPE_CHECKING:
@@ -26,15 +38,27 @@ LegFile = Annotated[Path, Argument(metavar="LEG.yaml", help="Leg; see examples/l
 
 
 @leg.command()
-def land(file: LegFile, json: Json = False, out: Out = None, force: Force = False, animate: Animate = None) -> None:
-    """Simulate drop landings over stiffness, drop height and valve, with intervals."""
-    results_folder(out, ("results.json", "landing.nc", "leg.yaml", "landing.html"), force)
+def land(
+    file: LegFile,
+    json: Json = False,
+    out: Out = None,
+    force: Force = False,
+    animate: Animate = None,
+    resume: Annotated[bool, Option("--resume", help="Continue the study in DIR.")] = False,
+) -> None:
+    """Simulate drop landings over stiffness, drop height and valve, with intervals; can be resumed."""
+    if resume:
+        required_folder(out, "study to be continued")
+    journal = out / "landing.journal" if out else None
+    results_folder(out, ("results.json", "landing.nc", "leg.yaml", "landing.html", "landing.journal"), force or resume)
     from mckibben.leg.landing import study_landing
 
     read = _read(file)
     _check_animation(animate, force)
-    with job_progress(quiet=json) as report:
-        study = study_landing(read, source=str(file), progress=report)
+    if journal and not resume:
+        journal.unlink(missing_ok=True)  # of the study that --force replaces
+    with long_job(quiet=json, kept="finished landings are kept; continue with --resume" if out else "") as report:
+        study = study_landing(read, source=str(file), journal=journal, resume=resume, progress=report)
     numbers = study.records()
     if out:
         from mckibben.report.leg import write_landing

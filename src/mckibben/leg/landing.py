@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, SimulationError
+import mckibben
+from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LEG_UNITS, LegMetrics
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
 from mckibben.leg.simulate import LegStart, check_step, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
-from mckibben.notebook import Progress
+from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
+from mckibben.storage.journal import Journal, JournalReader, header_differences, pack, read_header
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
@@ -29,6 +33,9 @@ Floats = NDArray[np.float64]
 ISOBARIC, CLOSED = "constant pressures", "closed valves"
 BEST_WITHIN = 0.02
 """The softest stiffness whose force on the trunk is within this part of the least one is the best."""
+ROWS = 4096
+"""Landings of a block, which a journal keeps."""
+_BLOCK, _FORMAT = b"B", "mckibben landings"
 _SHUT = 1e-6  # of the conductance
 EDGES = (5.0, 95.0)
 """Percentiles of the draws that are an interval."""
@@ -194,17 +201,32 @@ class LandingStudy:
 
 
 def study_landing(
-    scenario: LegScenario, *, source: str = "", engine: str = "auto", progress: Progress | None = None
+    scenario: LegScenario,
+    *,
+    source: str = "",
+    engine: str = "auto",
+    journal: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
 ) -> LandingStudy:
     """Simulate the landings of a scenario.
 
     The leg touches the ground at the speed of the drop, in the posture `touchdown`; the commands are constant, those of
     the nominal leg for a stiffness and no torque, as in free fall.
 
+    Parameters
+    ----------
+    scenario, source, engine
+        File of the leg, its name for errors, and the engine, as for `simulate_legs`.
+    journal, resume
+        File that keeps finished blocks of landings, and whether to continue one.
+
     Raises
     ------
     ScenarioError
         If there is no section `landing`, or a joint cannot have the stiffness; with the attainable range.
+    FileError
+        If the journal exists, or, to be continued, is of another leg or version.
     """
     landing = scenario.landing
     source = source or scenario.name
@@ -240,32 +262,41 @@ def study_landing(
     drops, draws = np.array(landing.drop), scenario.uncertainty.draws + 1
     drop, level, draw = (x.ravel() for x in np.indices((drops.size, stiffness.size, draws)))
     drawn = drawn_plant(scenario)
-    plant = take(drawn, draw)
-    commands = tuple(pressures[level].T)
-    start = LegStart(angles, commands, 0.0, -np.sqrt(2 * nominal.gravity * drops[drop]))
-    controller = PressureSchedule(tuple((one,) for one in commands))
-    tables = []
-    for place, (name, valve) in enumerate(valves.items()):
-
-        def report(what: str, part: float, name: str = name, place: int = place) -> None:
-            if progress:
-                progress(f"{name}: {what}", (place + part) / len(valves))
-
-        own: Any = eqx.tree_at(lambda x: x.valve, plant, valve)
-        found = simulate_legs(
-            own,
-            controller,
-            start,
-            duration=scenario.whole_steps(landing.duration),
-            control_period=scenario.step,
-            engine=engine,
-            progress=report,
-        )
-        if found["diverged"].any():
-            raise ScenarioError(source, [Problem("landings diverge", field="step", remedy="give a shorter `step`")])
-        tables.append(found)
+    blocks = [slice(begin, begin + ROWS) for begin in range(0, draw.size, ROWS)]
+    total, engines = len(valves) * len(blocks), set()
+    tables: list[dict[str, Floats]] = []
+    with _Blocks(journal, scenario, resume) as kept:
+        for place, (name, valve) in enumerate(valves.items()):
+            plant: Any = eqx.tree_at(lambda x: x.valve, drawn, valve)
+            parts = []
+            for block, rows in enumerate(blocks):
+                number = place * len(blocks) + block
+                if (columns := kept.found(number)) is None:
+                    commands = tuple(pressures[level[rows]].T)
+                    speeds = -np.sqrt(2 * nominal.gravity * drops[drop[rows]])
+                    found = simulate_legs(
+                        take(plant, draw[rows]),
+                        PressureSchedule(tuple((one,) for one in commands)),
+                        LegStart(angles, commands, 0.0, speeds),
+                        duration=scenario.whole_steps(landing.duration),
+                        control_period=scenario.step,
+                        engine=engine,
+                        progress=lambda what, part, n=name, k=number: (progress or silent)(
+                            f"{n}: {what}", (k + part) / total
+                        ),
+                    )
+                    if found["diverged"].any():
+                        remedy = "give a shorter `step`"
+                        raise ScenarioError(source, [Problem("landings diverge", field="step", remedy=remedy)])
+                    engines.add(found.attrs["engine"])
+                    of_joint = found.isel(joint=index)
+                    columns = {metric: of_joint[metric].to_numpy() for metric in LegMetrics._fields}
+                    kept.keep(number, columns)
+                parts.append(columns)
+            tables.append({metric: np.concatenate([one[metric] for one in parts]) for metric in LegMetrics._fields})
     shape = (len(valves), drops.size, stiffness.size, draws)
-    table = _table(tables, index, shape, list(valves), drops, stiffness)
+    table = _table(tables, shape, list(valves), drops, stiffness)
+    table.attrs["engine"] = ", ".join(sorted(engines)) or "of the journal"
     masses = {"weight": drawn.leg.total_mass, "trunk_weight": drawn.leg.trunk.mass}
     for name, mass in masses.items():
         table[name] = ("draw", np.broadcast_to(np.asarray(mass), (draws,)) * nominal.gravity, {"units": "N"})
@@ -315,19 +346,53 @@ def _scaled(valve: AirValve, factor: float) -> AirValve:
     return dataclasses.replace(valve, conductance=valve.conductance * factor, exhaust_conductance=exhaust)
 
 
+class _Blocks:
+    """Finished blocks of landings, kept in a journal if there is one."""
+
+    def __init__(self, path: Path | None, scenario: LegScenario, resume: bool) -> None:
+        self._kept: dict[int, bytes] = {}
+        self._journal: Journal | None = None
+        header = {"format": _FORMAT, "version": 1, "mckibben": mckibben.__version__, "leg": scenario.dumps()}
+        if path is None:
+            return
+        if not resume:
+            self._journal = Journal.create(path, header)
+            return
+        remedy = "continue with the same leg, or begin anew with --force"
+        if problems := header_differences(read_header(path, _FORMAT, 1), header, "the study", remedy=remedy):
+            raise FileError(str(path), problems)
+        reader = JournalReader(path)
+        self._kept = {record.number: record.payload for record in reader if record.kind == _BLOCK}
+        self._journal = Journal.resume(reader)
+
+    def __enter__(self) -> _Blocks:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._journal is not None:
+            self._journal.close()
+
+    def found(self, number: int) -> dict[str, Floats] | None:
+        """A kept block; None if it is to be computed."""
+        content = self._kept.get(number)
+        return None if content is None else dict(np.load(io.BytesIO(content)))
+
+    def keep(self, number: int, columns: dict[str, Floats]) -> None:
+        """Append a block."""
+        if self._journal is not None:
+            content = io.BytesIO()
+            np.savez(content, **columns)  # type: ignore[arg-type]  # names of ours, none of savez's own
+            self._journal.append(pack(_BLOCK, number, content.getvalue()))
+
+
 def _table(
-    tables: list[xr.Dataset], joint: int, shape: tuple[int, ...], valves: list[str], drops: Floats, stiffness: Floats
+    tables: list[dict[str, Floats]], shape: tuple[int, ...], valves: list[str], drops: Floats, stiffness: Floats
 ) -> xr.Dataset:
     import xarray as xr
 
     dims = ("valve", "drop", "stiffness", "draw")
-    own = [table.isel(joint=joint) for table in tables]
     columns = {
-        name: (
-            dims,
-            np.stack([table[name].to_numpy() for table in own]).reshape(shape),
-            {"units": LEG_UNITS[name]},
-        )
+        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), {"units": LEG_UNITS[name]})
         for name in LegMetrics._fields
     }
     coords = {
@@ -335,5 +400,4 @@ def _table(
         "drop": ("drop", drops, {"units": "m"}),
         "stiffness": ("stiffness", stiffness, {"units": "N*m/rad"}),
     }
-    engines = sorted({table.attrs["engine"] for table in tables})
-    return xr.Dataset(columns, coords=coords, attrs={"engine": ", ".join(engines)})
+    return xr.Dataset(columns, coords=coords)
