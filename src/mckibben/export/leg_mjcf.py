@@ -18,7 +18,16 @@ import numpy as np
 import mckibben
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
-from mckibben.export.mjcf import Transmission, cannot, check_tendon, check_valve, path_transmission, transmissions
+from mckibben.export.mjcf import (
+    Transmission,
+    cannot,
+    check_tendon,
+    check_valve,
+    command_range,
+    numbers_text,
+    path_transmission,
+    transmissions,
+)
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, write_exported
@@ -180,10 +189,6 @@ def export_leg(
 
 def _name(name: str) -> str:
     return quoteattr(name)
-
-
-def _text(numbers: Sequence[Any]) -> str:
-    return " ".join(repr(float(one)) for one in numbers)
 
 
 def _bodies(plant: LegPlant) -> list[_Frame]:
@@ -356,15 +361,6 @@ def _functions(
     return module, found
 
 
-def _command_range(plant: LegPlant, muscle: Muscle) -> tuple[float, float]:
-    """Lowest and highest command of a muscle: gauge pressures [Pa], or openings."""
-    if getattr(plant.valve, "direct", False):
-        return -1.0, 1.0
-    rated, supply = muscle.specimen.domain, getattr(plant.valve, "supply", None)
-    highest = rated.pressure_max if supply is None else min(float(rated.pressure_max), float(supply))
-    return float(rated.pressure_min), float(highest)
-
-
 _TRUNK = {
     "fixed": "",
     "vertical": '<joint name="z" type="slide" axis="0 0 1"/>',
@@ -397,17 +393,17 @@ def _mjcf(
     leg, contact, friction = plant.leg, found["ground"], found["friction"]
     actuators, controls, acts = [], [], []
     for number, (one, made) in enumerate(zip(driven, functions, strict=False), 1):  # a scene has no functions
-        low, high = _command_range(plant, one.limits)
-        limited = f'ctrllimited="true" ctrlrange="{_text((low, high))}"' if low < high else 'ctrllimited="false"'
+        low, high = command_range(plant.valve, one.limits)
+        limited = f'ctrllimited="true" ctrlrange="{numbers_text((low, high))}"' if low < high else 'ctrllimited="false"'
         actuators.append(
             f'<plugin name={_name(one.name)} {one.target} plugin="mckibben.{name}" '
             f'{made.summary.dynamics(plant.valve)} {limited}><config key="muscle" value="{number}"/></plugin>'
         )
         controls.append(0.0 if getattr(plant.valve, "direct", False) else made.pressure)
         acts += list(made.activations)
-    posture, velocity = (_text(coordinates(plant, of)) for of in (start.posture, start.velocity))
-    act = f' act="{_text(acts)}"' if acts else ""
-    control = f'ctrl="{_text(controls)}"' if controls else ""
+    posture, velocity = (numbers_text(coordinates(plant, of)) for of in (start.posture, start.velocity))
+    act = f' act="{numbers_text(acts)}"' if acts else ""
+    control = f'ctrl="{numbers_text(controls)}"' if controls else ""
     fixed = leg.trunk.freedom == "fixed"
     body = f'<body name="trunk" pos="0 0 {float(start.posture.z) if fixed else 0.0!r}">{_TRUNK[leg.trunk.freedom]}'
     top = max(_height(bodies[0]), 0.1)

@@ -36,7 +36,7 @@ _GRAVITY = 9.81  # m/s^2
 
 
 class Transmission(NamedTuple):
-    """How a muscle is moved: sites and tendon of MJCF, and path [m] beyond the length of the tendon.
+    """Transmission of a muscle: sites and tendon of MJCF, and path [m] beyond the length of the tendon.
 
     The tendon is between two points [m], or has a coefficient [m/rad] of the angle.
     Without a tendon the muscle turns the joint itself: its length is the angle, its force a torque.
@@ -51,7 +51,7 @@ class Transmission(NamedTuple):
 
 
 def transmissions(geometry: Geometry) -> tuple[Transmission, Transmission]:
-    """How MuJoCo moves both muscles of a geometry."""
+    """Transmissions of both muscles of a geometry."""
     if isinstance(geometry, KneeGeometry):
         height, radius = float(geometry.joint_length), float(geometry.joint_radius)
         first, second = (
@@ -68,7 +68,7 @@ def transmissions(geometry: Geometry) -> tuple[Transmission, Transmission]:
 
 
 def path_transmission(number: int, path: Any, side: int) -> Transmission:
-    """How MuJoCo moves a muscle with a path."""
+    """Transmission of a muscle with a path."""
     if isinstance(path, TwoBonePath):
         ends = (path.proximal_x, path.proximal_y), (path.distal_x, path.distal_y)
         return _two_sites(number, *ends, path.connector_length)
@@ -194,25 +194,23 @@ def known_mass(load: Load) -> float | None:
     return float(load.mass) if hasattr(load, "mass") else None
 
 
-def command_ranges(plant: JointPlant) -> list[tuple[float, float]]:
-    """Lowest and highest command of each muscle: gauge pressures [Pa], or openings."""
-    if getattr(plant.valve, "direct", False):
-        return [(-1.0, 1.0)] * 2
-    joint = plant.supplied_joint
-    domains = joint.muscle1.specimen.domain, joint.muscle2.specimen.domain
-    return [(float(one.pressure_min), float(one.pressure_max)) for one in domains]
+def command_range(valve: ValveModel, muscle: Muscle) -> tuple[float, float]:
+    """Lowest and highest command of a muscle: gauge pressures [Pa], or openings."""
+    low, high = valve.command_range(muscle.specimen.domain)
+    return float(np.asarray(low)), float(np.asarray(high))
 
 
 def _keyframe(plant: JointPlant, start: PlantState, acts: list[Any]) -> str:
     numbers = [float(one) for each in acts for one in each]
-    act = f' act="{_text(numbers)}"' if numbers else ""
+    act = f' act="{numbers_text(numbers)}"' if numbers else ""
     direct = getattr(plant.valve, "direct", False)
     control = [0.0, 0.0] if direct else [float(one) for one in start.pressures]
     position, velocity = float(start.angle), float(start.velocity)
-    return f'<key name="start" qpos="{position!r}" qvel="{velocity!r}"{act} ctrl="{_text(control)}"/>'
+    return f'<key name="start" qpos="{position!r}" qvel="{velocity!r}"{act} ctrl="{numbers_text(control)}"/>'
 
 
-def _text(numbers: Any) -> str:
+def numbers_text(numbers: Any) -> str:
+    """Numbers of an attribute of MJCF."""
     return " ".join(repr(float(one)) for one in numbers)
 
 
@@ -230,11 +228,12 @@ def _mjcf(
     mass, distance, rest, _ = point
     inertial = f'pos="0 {-distance!r} 0" mass="{mass!r}" diaginertia="{rest!r} {rest!r} {rest!r}"'
     actuators = []
-    for number, (one, muscle, limits) in enumerate(zip(moved, muscles, command_ranges(plant), strict=True), 1):
+    ranges = [command_range(plant.valve, one) for one in (plant.joint.muscle1, plant.joint.muscle2)]
+    for number, (one, muscle, limits) in enumerate(zip(moved, muscles, ranges, strict=True), 1):
         target = f'tendon="muscle{number}"' if one.tendon else 'joint="joint"'
         limited = 'ctrllimited="false"'  # a return spring has no pressure
         if limits[0] < limits[1]:
-            limited = f'ctrllimited="true" ctrlrange="{_text(limits)}"'
+            limited = f'ctrllimited="true" ctrlrange="{numbers_text(limits)}"'
         actuators.append(
             f'<plugin name="muscle{number}" {target} plugin="mckibben.{name}" {muscle.dynamics(plant.valve)} {limited}>'
             f'<config key="muscle" value="{number}"/></plugin>'

@@ -193,17 +193,8 @@ class LegPlant(eqx.Module, Displayed):
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] within rated pressures and supply; `RangeError` unless one for each muscle."""
         _check_count("commands", len(commands), self.leg.muscle_names)
-        supply = getattr(self.valve, "supply", None)
-        clipped = []
-        for muscle, command in zip(self.leg.muscles, commands, strict=True):
-            rated = muscle.specimen.domain
-            if isinstance(self.valve, AirValve):
-                command = self.valve.clip_command(command, rated)
-            highest = rated.pressure_max if supply is None else jnp.minimum(rated.pressure_max, supply)
-            if not getattr(self.valve, "direct", False):
-                command = jnp.clip(jnp.asarray(command), rated.pressure_min, highest)
-            clipped.append(jnp.asarray(command))
-        return tuple(clipped)
+        rated = (muscle.specimen.domain for muscle in self.leg.muscles)
+        return tuple(map(self.valve.clip_command, commands, rated))
 
     def forces(self, state: LegState) -> LegForces:
         """Return the forces in a state."""
@@ -227,8 +218,12 @@ class LegPlant(eqx.Module, Displayed):
             beyond = compliant_force(angle - joint.upper, rate, stiffness, damping)
             stops.append(compliant_force(joint.lower - angle, -rate, stiffness, damping) - beyond)
         total = tuple(one + stop for one, stop in zip(torques, stops, strict=True))
-        ground = self.ground.force(contact(leg, frames(leg, state.posture, state.velocity)))
+        ground = self.ground_force(state)
         return LegForces(tuple(tensions), tuple(contractions), tuple(path_rates), total, tuple(stops), ground)
+
+    def ground_force(self, state: LegState) -> tuple[Array, Array]:
+        """Return the force [N] of the ground on the foot, forward and up."""
+        return self.ground.force(contact(self.leg, frames(self.leg, state.posture, state.velocity)))
 
     def _rate(self, state: LegState) -> _Integrated:
         """Time derivative of the motion at the pressures of a state."""

@@ -138,10 +138,6 @@ class AirValve(ValveModel):
         """Return the state before an integration step [s]; for valves that switch."""
         return state
 
-    def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
-        """Return a command within the rated pressures [Pa] of a muscle."""
-        return jnp.clip(jnp.asarray(command), rated.pressure_min, rated.pressure_max)
-
     def init_air(self, pressures: tuple[Scalar, ...]) -> AirState:
         """Return the state of the valves at rest, and of the reservoir at the pressure of the supply."""
         filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressures[0]), self.supply)
@@ -289,8 +285,8 @@ class FlowValve(AirValve):
             wanted = _compensated(self._loop(command, pressure), self.dead_zone, self.compensation)
         return (wanted - state) * (1 / self.spool_lag)
 
-    def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
-        return jnp.clip(jnp.asarray(command), -1.0, 1.0) if self.direct else super().clip_command(command, rated)
+    def command_range(self, rated: Domain) -> tuple[ArrayLike, ArrayLike]:
+        return (-1.0, 1.0) if self.direct else super().command_range(rated)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
         command = super().command_for(pressure, rate, volume)

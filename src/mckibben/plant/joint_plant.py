@@ -148,14 +148,8 @@ class JointPlant(eqx.Module, Displayed):
 
         Openings of valves with `direct` commands are clipped to -1..1.
         """
-        joint = self.supplied_joint
-        rated1, rated2 = joint.muscle1.specimen.domain, joint.muscle2.specimen.domain
-        if isinstance(self.valve, AirValve):
-            return self.valve.clip_command(commands[0], rated1), self.valve.clip_command(commands[1], rated2)
-        return (
-            jnp.clip(jnp.asarray(commands[0]), rated1.pressure_min, rated1.pressure_max),
-            jnp.clip(jnp.asarray(commands[1]), rated2.pressure_min, rated2.pressure_max),
-        )
+        rated1, rated2 = self.joint.muscle1.specimen.domain, self.joint.muscle2.specimen.domain
+        return self.valve.clip_command(commands[0], rated1), self.valve.clip_command(commands[1], rated2)
 
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the total stiffness [N*m/rad], of muscles and gravity."""

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.muscle import Domain
 from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import PositiveTime, PressureRate, PressureScale
@@ -15,6 +16,16 @@ from mckibben.units import PositiveTime, PressureRate, PressureScale
 
 class ValveModel(eqx.Module, Displayed):
     """Base of `Valve`, whose pressures are known in closed form, and `AirValve`, whose pressures are integrated."""
+
+    def command_range(self, rated: Domain) -> tuple[ArrayLike, ArrayLike]:
+        """Return the lowest and the highest command [Pa] of a muscle: its rated pressures, and the supply if known."""
+        supply = getattr(self, "supply", None)
+        highest = rated.pressure_max if supply is None else jnp.minimum(jnp.asarray(rated.pressure_max), supply)
+        return rated.pressure_min, highest
+
+    def clip_command(self, command: ArrayLike, rated: Domain) -> Float[Array, "..."]:
+        """Return a command within its range for a muscle."""
+        return jnp.clip(jnp.asarray(command), *self.command_range(rated))
 
 
 class Valve(ValveModel):
