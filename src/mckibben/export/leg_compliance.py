@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from mckibben.leg import Leg, LegPlant, LegState
-from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, frames
+from mckibben.leg.dynamics import Posture, Velocity, foot_mobility, frames, joint_mobility
 
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
 """Speeds [m/s], [rad/s] at which the restitution is that of the plant."""
 _IMPEDANCE = 1e-3
 FRICTION_RATIO = 1000.0
-"""Of normal and tangential R (impratio): without it, friction raises the normal force in MuJoCo's cone."""
+"""Ratio of normal to tangential R (impratio); at 1, friction would raise the normal force in MuJoCo's cone."""
 
 
 class Compliance(NamedTuple):
@@ -48,7 +48,7 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
         x=jnp.zeros(()), z=jnp.zeros(()), pitch=jnp.zeros(()), angles=leg.held([0.0] * len(leg.joints))
     )
     foot = _at_centre_of_last(leg)
-    body = sum(_mobility(foot, zero, force=force) for force in ((1.0, 0.0), (0.0, 1.0)))
+    body = float(jnp.trace(foot_mobility(foot, zero)))
     found = {}
     side = leg.side_swing
     if side is not None and side.locked is None:
@@ -56,16 +56,16 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
         body += depth**2 / inertia
         found[side.name] = _stop(side, 1 / inertia)
     body /= 3  # MuJoCo's mean over x, y and z
-    mass = 1 / _mobility(leg, start.posture, force=(0.0, 1.0))
+    mass = 1 / float(foot_mobility(leg, start.posture)[1, 1])
     stiffness = float(ground.stiffness)
     damper = _damper(stiffness, float(ground.damping), mass, TOUCH_SPEED)
     found["ground"] = _scaled(stiffness, damper, body)
     weight = float(leg.total_mass * plant.gravity)
     slope = float(ground.friction * weight / ground.slip_speed) or 1.0
     found["friction"] = _scaled(0.0, slope / FRICTION_RATIO, body)
-    for index, joint in enumerate(leg.joints):
+    for joint, mobility in zip(leg.joints, jnp.diag(joint_mobility(leg, zero)).tolist(), strict=True):
         if joint.locked is None:
-            found[joint.name] = _stop(joint, _mobility(leg, zero, joint=index))
+            found[joint.name] = _stop(joint, mobility)
     return found
 
 
@@ -89,19 +89,6 @@ def _at_centre_of_last(leg: Leg) -> Leg:
     """The leg with its foot at the centre of mass of the last link."""
     last = dataclasses.replace(leg.links[-1], length=max(float(leg.links[-1].centre), 1e-12))
     return dataclasses.replace(leg, links=(*leg.links[:-1], last), foot_radius=0.0)
-
-
-def _mobility(leg: Leg, posture: Posture, *, force: tuple[float, float] = (0.0, 0.0), joint: int = -1) -> float:
-    """Acceleration of the foot along a unit force on it, or of a joint, by a unit torque on it."""
-    zero = jnp.zeros(())
-    rest = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
-    torques = [float(index == joint) for index in range(len(leg.joints))]
-    at = jnp.asarray(force[0]), jnp.asarray(force[1])
-    moved = acceleration(leg, posture, rest, torques, at, 0.0)
-    if joint >= 0:
-        return float(moved.angles[joint])
-    point = contact(leg, frames(leg, posture, moved))  # at rest, accelerations are to forces as velocities
-    return float(point.vx * force[0] + point.vz * force[1])
 
 
 def _sideways(leg: Leg, posture: Posture) -> tuple[float, float]:

@@ -13,7 +13,6 @@ from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 import mckibben
 from mckibben.codegen.source_module import SourceModule
@@ -32,7 +31,7 @@ from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, write_exported
 from mckibben.joint import RigidTendon, Tendon
-from mckibben.leg import BiarticularMuscle, LegJoint, LegPlant, LegScenario, LegState
+from mckibben.leg import LegJoint, LegPlant, LegScenario, LegState
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
 from mckibben.plant.air_valve import AirState
@@ -129,8 +128,7 @@ def leg_model(
     for joint in joints:
         check_tendon(joint.muscles)
     if start is None:
-        angles = [float(np.clip(0.0, float(joint.lower), float(joint.upper))) for joint in leg.joints]
-        start = plant.init_state(angles, [0.0] * len(leg.muscles))
+        start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
     found = compliance(plant, start)
     bodies = _bodies(plant)
     driven, left_out = _muscles(plant, joints, bodies)
@@ -180,8 +178,7 @@ def export_leg(
         angles = scenario.jump.squat
     if scenario.landing is not None:
         angles = scenario.landing.touchdown
-    posture = [angles.get(joint.name, float(np.clip(0.0, joint.lower, joint.upper))) for joint in plant.leg.joints]
-    start = plant.init_state(posture, [0.0] * len(plant.leg.muscles))
+    start = plant.init_state(plant.leg.posture_angles(angles), [0.0] * len(plant.leg.muscles))
     made = leg_files(plant, name, scenario.name, timestep=scenario.step, start=start)
     write_exported(made, out, overwrite=overwrite)
     return made
@@ -267,7 +264,7 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
     biarticular = []
     for index, one in enumerate(leg.biarticular):
         both = [leg.joints[leg.index(name)] for name in (one.joint1, one.joint2)]
-        moved = [path_transmission(0, *each) for each in _sides(one)]
+        moved = [path_transmission(0, *each) for each in zip((one.path1, one.path2), one.sides, strict=True)]
         offset, parts = sum(float(each.offset) for each in moved), ()
         if all(each.points for each in moved):
             parts = tuple(
@@ -300,11 +297,6 @@ def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
     sites = ("".join(f"<site site={_name(site)}/>" for site in part) for part in parts)
     joined = '<pulley divisor="1"/>'.join(sites)
     return f'<spatial name={_name(name)} class="muscle">{joined}</spatial>'
-
-
-def _sides(one: BiarticularMuscle) -> list[tuple[Any, int]]:
-    actions = (one.path1, one.action1), (one.path2, one.action2)
-    return [(path, 1 if action == "lengthens" else -1) for path, action in actions]
 
 
 def _pair_of(plant: LegPlant, index: int) -> Any:

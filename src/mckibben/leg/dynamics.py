@@ -192,15 +192,23 @@ def foot_mobility(leg: Leg, posture: Posture) -> Float[Array, "2 2"]:
     zero = jnp.zeros(())
     still = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
 
-    def foot(at: Posture) -> Array:
-        point = contact(leg, frames(leg, at, still))
-        return jnp.stack([point.x, point.z])
-
     def moved(force: Array) -> Array:
         rates = acceleration(leg, posture, still, (0.0,) * len(leg.joints), (force[0], force[1]), 0.0)
-        return jax.jvp(foot, (posture,), (Posture(*rates),))[1]
+        point = contact(leg, frames(leg, posture, rates))  # at rest, accelerations are to forces as velocities
+        return jnp.stack([point.vx, point.vz])
 
     return jax.jacfwd(moved)(jnp.zeros(2))
+
+
+def joint_mobility(leg: Leg, posture: Posture) -> Float[Array, "joints joints"]:
+    """Return the accelerations of the joints by torques on them [1/(kg*m^2)]; 0 of locked joints."""
+    zero = jnp.zeros(())
+    still = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
+
+    def moved(torques: Array) -> Array:
+        return jnp.stack(acceleration(leg, posture, still, tuple(torques), (zero, zero), 0.0).angles)
+
+    return jax.jacfwd(moved)(jnp.zeros(len(leg.joints)))
 
 
 def _rigid(frame: Frame, body: tuple[Any, Any, Any], gravity: ArrayLike) -> _Articulated:

@@ -284,7 +284,7 @@ def study_jump(
         raise ScenarioError(source, [Problem("lacks the section `jump`", remedy="see examples/leg/lei-leg.yaml")])
     plant = scenario.plant()
     leg = plant.leg
-    angles = scenario.posture(jump.squat)
+    angles = leg.posture_angles(jump.squat)
     try:
         pressures = leg.pressures_for(angles, standing_torques(plant, angles).tolist(), [None] * len(angles))
         start = LegStart(angles, pressures)

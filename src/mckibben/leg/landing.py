@@ -70,7 +70,7 @@ class LandingStudy:
     @property
     def angles(self) -> tuple[float, ...]:
         """Angles [rad] of the joints at the touch."""
-        return self.scenario.posture(self._landing.touchdown)
+        return self.scenario.leg.build().posture_angles(self._landing.touchdown)
 
     def body_weights(self, name: str = "peak_force") -> Floats:
         """A force in weights of the leg, shape (valve, drop, stiffness, draw)."""
@@ -235,7 +235,7 @@ def study_landing(
     nominal = scenario.plant()
     leg = nominal.leg
     index = leg.index(landing.joint)
-    angles = scenario.posture(landing.touchdown)
+    angles = leg.posture_angles(landing.touchdown)
     pair = leg.joints[index].muscles
     low, high = (float(one) for one in pair.attainable_stiffness(angles[index], 0.0))
     given = landing.stiffness

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Annotated, Literal, NamedTuple, get_args
 
@@ -36,7 +36,7 @@ Freedom = Literal["fixed", "vertical", "planar", "free"]
 """Motion of the trunk: none, up and down (a slider), in the plane without pitch (a boom), or all of it."""
 
 Action = Literal["lengthens", "shortens"]
-"""What a muscle does as the angle of a joint increases."""
+"""Change of a muscle's path as the angle of a joint increases."""
 
 
 class Trunk(eqx.Module, Displayed):
@@ -203,12 +203,17 @@ class BiarticularMuscle(eqx.Module, Displayed):
                 )
         self.muscle.check_pressure_limit()
 
+    @property
+    def sides(self) -> tuple[int, int]:
+        """Side of the path over each joint: 1 where it lengthens as the angle increases, else -1."""
+        return 1 if self.action1 == "lengthens" else -1, 1 if self.action2 == "lengthens" else -1
+
     def parts(self, angle1: ArrayLike, angle2: ArrayLike) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Return the length [m] of the path over each joint, and its derivative [m/rad]."""
-        sides = [1 if action == "lengthens" else -1 for action in (self.action1, self.action2)]
+        side1, side2 = self.sides
         return (
-            value_and_derivative(lambda x: self.path1.length(x, sides[0]), angle1),
-            value_and_derivative(lambda x: self.path2.length(x, sides[1]), angle2),
+            value_and_derivative(lambda x: self.path1.length(x, side1), angle1),
+            value_and_derivative(lambda x: self.path2.length(x, side2), angle2),
         )
 
 
@@ -282,6 +287,13 @@ class Leg(eqx.Module, Displayed):
 
     def __repr__(self) -> str:
         return f"Leg({', '.join(joint.name for joint in self.joints)}; {len(self.muscles)} muscles)"
+
+    def posture_angles(self, named: Mapping[str, float]) -> tuple[float, ...]:
+        """Return the angles [rad] of all joints: by name, else where a joint is locked, or as near 0 as it can be."""
+        return tuple(
+            float(named.get(one.name, np.clip(0.0, one.lower, one.upper) if one.locked is None else one.locked))
+            for one in self.joints
+        )
 
     @property
     def total_mass(self) -> Float[Array, ""]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import operator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ IMPACT = 10e-3
 
 
 class LegSample(NamedTuple):
-    """What is observed at the start of a control period; tuples are over joints or muscles."""
+    """Sample of a run at the start of a control period; tuples are over joints or muscles."""
 
     x: Scalar
     z: Scalar
@@ -69,15 +70,8 @@ def observe(plant: LegPlant, state: LegState) -> LegSample:
         kinetic=moving.kinetic,
         muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
         air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
-        outside=~_all(inside),
+        outside=~functools.reduce(operator.and_, inside),
     )
-
-
-def _all(flags: Sequence[Array]) -> Array:
-    found = flags[0]
-    for one in flags[1:]:
-        found = found & one
-    return found
 
 
 class LegMetrics(NamedTuple):

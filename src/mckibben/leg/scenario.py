@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -312,13 +311,6 @@ class LegScenario(RunSpec):
     def parse(cls, text: str, *, source: str = "leg", folder: str | os.PathLike[str] = ".") -> LegScenario:
         """Read YAML text; errors as for `read`."""
         return parse_model(cls, text, source=source, folder=folder)[0]
-
-    def posture(self, angles: Mapping[str, float]) -> tuple[float, ...]:
-        """Angles [rad] of all joints: as given by name, else where a joint is locked, or as near 0 as it can be."""
-        return tuple(
-            angles.get(one.name, min(max(0.0, one.lower), one.upper) if one.locked is None else one.locked)
-            for one in self.leg.joints
-        )
 
     def whole_steps(self, duration: float) -> float:
         """The duration [s] as a multiple of the step."""

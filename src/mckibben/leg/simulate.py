@@ -24,7 +24,7 @@ from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, lanes_of, map_chunks, pad_chunk, recheck, with_leaves
 from mckibben.numerics.compiled import compiled, compiled_as_given, compiled_batch, numeric
 from mckibben.plant import AirValve
-from mckibben.simulation.batch import CHUNK
+from mckibben.simulation.batch import check_count, chunk_size
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.problem import sampling_times
 from mckibben.simulation.resolution import STABILITY_LIMIT
@@ -47,19 +47,24 @@ class LegStart(NamedTuple):
     upward_speed: ArrayLike = 0.0
 
 
+def _begin(plant: LegPlant, controller: LegController, start: LegStart) -> tuple[LegState, Any]:
+    """States of leg and controller at the start."""
+    state = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
+    return state, controller.init(_measure(plant, state, 0.0))
+
+
 def _period(
     plant: LegPlant, controller: LegController, state: tuple[LegState, Any], time: Array, period: Any, substeps: int
-) -> tuple[tuple[LegState, Any], tuple[Array, ...], LegMeasurement]:
-    """A control period: the next states, the commands, and the measurement."""
+) -> tuple[tuple[LegState, Any], tuple[Array, ...]]:
+    """A control period: the next states, and the commands."""
     at, held = state
-    measured = _measure(plant, at, time)
-    held, wanted = controller.step(held, measured, period)
+    held, wanted = controller.step(held, _measure(plant, at, time), period)
     commands = plant.clip_commands(wanted)
-    return (plant.advance(at, commands, period, substeps), held), commands, measured
+    return (plant.advance(at, commands, period, substeps), held), commands
 
 
 def _measure(plant: LegPlant, state: LegState, time: ArrayLike) -> LegMeasurement:
-    return LegMeasurement(jnp.asarray(time), state.posture.angles, state.pressures, plant.forces(state).ground[1])
+    return LegMeasurement(jnp.asarray(time), state.posture.angles, state.pressures, plant.ground_force(state)[1])
 
 
 def leg_episode(
@@ -69,11 +74,10 @@ def leg_episode(
 
     def advance(state: tuple[LegState, Any], time: Array) -> tuple[Any, dict[str, Any]]:
         sample = observe(plant, state[0])
-        following, commands, _ = _period(plant, controller, state, time, period, substeps)
+        following, commands = _period(plant, controller, state, time, period, substeps)
         return following, {"sample": sample, "command": commands, "telemetry": controller.telemetry(following[1])}
 
-    begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
-    return lax.scan(advance, (begun, controller.init(_measure(plant, begun, 0.0))), times)[1]
+    return lax.scan(advance, _begin(plant, controller, start), times)[1]
 
 
 def leg_metrics(
@@ -83,13 +87,11 @@ def leg_metrics(
 
     def advance(carry: tuple[Any, MetricSums], time: Array) -> tuple[Any, None]:
         state, sums = carry
-        state, _, _ = _period(plant, controller, state, time, period, substeps)
+        state, _ = _period(plant, controller, state, time, period, substeps)
         return (state, sums.after(observe(plant, state[0]), period, plant)), None
 
-    begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
-    first = observe(plant, begun)
-    state = begun, controller.init(_measure(plant, begun, 0.0))
-    sums = MetricSums.of(first)
+    state = _begin(plant, controller, start)
+    sums = MetricSums.of(observe(plant, state[0]))
     return lax.scan(advance, (state, sums), times)[0][1].finished()
 
 
@@ -126,7 +128,7 @@ def simulate_leg(
     RangeError
         If the start is not possible; see `LegPlant.init_state`.
     """
-    plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)  # raises
+    _begin(plant, controller, start)  # raises
     times = sampling_times(duration, control_period, substeps)
     check_step(plant, start, control_period, substeps)
     parts = numeric((plant, controller, start, times, np.asarray(control_period)))
@@ -165,7 +167,7 @@ def simulate_legs(
     duration: float,
     control_period: float = 0.5e-3,
     substeps: int = 1,
-    chunk: int = CHUNK,
+    chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
     progress: Progress | None = None,
@@ -199,7 +201,7 @@ def simulate_legs(
     times = sampling_times(duration, control_period, substeps)
     check_step(trees["plant"], trees["start"], control_period, substeps)
     lanes, shared = eqx.partition(numeric(trees), varying)
-    size = min(chunk, max(16, -(-count // (workers or cores()) // 16) * 16 or 16))
+    size = chunk_size(chunk, count, cores() if workers is None else check_count("workers", workers))
     given = shared, times, np.asarray(control_period), substeps
 
     def compute(piece: slice) -> tuple[LegMetrics, str]:

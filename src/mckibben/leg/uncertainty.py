@@ -15,7 +15,7 @@ from mckibben.identification.fit import Fit
 from mckibben.identification.storage import read_fit
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
-from mckibben.muscle import Muscle, SpringLaw, scaled_law
+from mckibben.muscle import ForceLaw, Muscle, SpringLaw, scaled_law
 from mckibben.study.scenario.muscle import MuscleSpec
 
 
@@ -32,15 +32,17 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
         return found
 
     leg = plant.leg
-    fits: dict[Path, dict[str, NDArray[np.float64]]] = {}  # one draw of a fit for all muscles that have it
+    fits: dict[Path, ForceLaw] = {}  # one draw of a fit for all muscles that have it
 
     def drawn(own: MuscleSpec | None, muscle: Muscle) -> Muscle:
         """A muscle with arrays in its law; springs do not scatter."""
         if own is None or isinstance(muscle.law, SpringLaw):
             return muscle
         if isinstance(own.law, Path):
-            values = fits.setdefault(own.law, _fit_draws(read_fit(own.law), rng, count))
-            muscle = own.build(dataclasses.replace(read_fit(own.law).law, **values))
+            if own.law not in fits:
+                fit = read_fit(own.law)
+                fits[own.law] = dataclasses.replace(fit.law, **_fit_draws(fit, rng, count))
+            muscle = own.build(fits[own.law])
         return eqx.tree_at(lambda x: x.law, muscle, scaled_law(muscle.law, factors(spec.strength)))
 
     trunk = _with_mass(leg.trunk, factors(spec.mass))

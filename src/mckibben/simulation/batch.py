@@ -175,7 +175,7 @@ def simulate_many(
         raise ParameterError(
             "all runs are the same", remedy="give an array in place of a number, or use `simulate` for one run"
         )
-    size = _chunk_size(chunk, count, cores() if workers is None else _check_count("workers", workers))
+    size = chunk_size(chunk, count, cores() if workers is None else check_count("workers", workers))
     period = jnp.asarray(control_period, float)
 
     def compute(piece: slice) -> tuple[dict[str, NDArray], str]:
@@ -355,16 +355,17 @@ def _stride(every: float | None, control_period: float, periods: int) -> int:
     return stride
 
 
-def _check_count(what: str, count: int) -> int:
+def check_count(what: str, count: int) -> int:
+    """A number of something; `SimulationError` unless it is an integer from 1 up."""
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise SimulationError(f"{count} {what}", value=count, remedy="give an integer from 1 up")
     return count
 
 
-def _chunk_size(chunk: int | None, count: int, workers: int) -> int:
+def chunk_size(chunk: int | None, count: int, workers: int) -> int:
     """Runs per chunk: a few hundred, fewer where that leaves cores idle."""
     if chunk is None:
         chunk = CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR
-    _check_count("runs per chunk", chunk)
+    check_count("runs per chunk", chunk)
     even = -(-count // workers)
     return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))
