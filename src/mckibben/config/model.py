@@ -47,6 +47,32 @@ def fail_validation(message: str, remedy: str = "", *, parent: bool = False, val
     raise _ValidationError(message, remedy=remedy, parent=parent, value=value)
 
 
+def with_changes(content: Any, section: Mapping[str, Any]) -> Any:
+    """Content to which a section's ``from`` refers, with the section's other keys."""
+    return _merged(_with_tuples(content), {key: one for key, one in section.items() if key != "from"})
+
+
+def _with_tuples(content: Any) -> Any:
+    """Tuples in place of lists, as documents are read."""
+    if isinstance(content, dict):
+        return {key: _with_tuples(one) for key, one in content.items()}
+    return tuple(map(_with_tuples, content)) if isinstance(content, list | tuple) else content
+
+
+def _merged(content: Any, changes: Any) -> Any:
+    """Changes key by key, of a list of parts by their names; a name is short for ``{from: name}``."""
+    if not isinstance(changes, dict) or content is None:
+        return changes
+    if isinstance(content, tuple):
+        known = [part.get("name") if isinstance(part, dict) else None for part in content]
+        for name in changes:
+            if name not in known:
+                fail_validation(f"there is no part {quoted(name)}", suggest(name, list(filter(None, known))))
+        return tuple(_merged(part, changes.get(name, {})) for name, part in zip(known, content, strict=True))
+    content = {"from": content} if isinstance(content, str) else content
+    return {**content, **{key: _merged(content.get(key), change) for key, change in changes.items()}}
+
+
 def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
     """The text of a configuration file; ScenarioError, with `what` and `example`, if it cannot be read."""
     source, longest = os.fspath(path), 4 * LONGEST_TEXT

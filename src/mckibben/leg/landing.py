@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,7 @@ from mckibben.leg.simulate import LegStart, check_step, simulate_leg, simulate_l
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
-from mckibben.storage.journal import Journal, JournalReader, header_differences, pack, read_header
+from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_arrays, read_header, unpack_arrays
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
@@ -363,6 +362,7 @@ class _Blocks:
             raise FileError(str(path), problems)
         reader = JournalReader(path)
         self._kept = {record.number: record.payload for record in reader if record.kind == _BLOCK}
+        reader.warn_of_damage("blocks")
         self._journal = Journal.resume(reader)
 
     def __enter__(self) -> _Blocks:
@@ -375,14 +375,12 @@ class _Blocks:
     def found(self, number: int) -> dict[str, Floats] | None:
         """A kept block; None if it is to be computed."""
         content = self._kept.get(number)
-        return None if content is None else dict(np.load(io.BytesIO(content)))
+        return None if content is None else unpack_arrays(content)
 
     def keep(self, number: int, columns: dict[str, Floats]) -> None:
         """Append a block."""
         if self._journal is not None:
-            content = io.BytesIO()
-            np.savez(content, **columns)  # type: ignore[arg-type]  # names of ours, none of savez's own
-            self._journal.append(pack(_BLOCK, number, content.getvalue()))
+            self._journal.append(pack_arrays(_BLOCK, number, columns))
 
 
 def _table(

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text, with_changes
 from mckibben.config.schema import model_of
 from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
@@ -95,7 +95,7 @@ class LegSpec(model_of(Leg, without=("trunk", "links", "joints", "biarticular", 
         from mckibben import catalog
 
         entry = catalog.leg_section(CatalogName("legs").read(section["from"]))
-        return _tuples(_changed(entry, {key: one for key, one in section.items() if key != "from"}))
+        return with_changes(entry, section)
 
     @field_validator("joints", mode="after")
     @classmethod
@@ -126,26 +126,6 @@ class LegSpec(model_of(Leg, without=("trunk", "links", "joints", "biarticular", 
             side_swing=None if self.side_swing is None else self.side_swing.build(),
             **explicit_fields(self, "trunk", "joints", "biarticular", "side_swing"),
         )
-
-
-def _changed(entry: Any, changes: Any) -> Any:
-    """An entry with changes, key by key; in a list of named parts, part by part."""
-    if isinstance(entry, dict) and isinstance(changes, dict):
-        return {**entry, **{key: _changed(entry.get(key), one) for key, one in changes.items()}}
-    if isinstance(entry, list) and isinstance(changes, dict):
-        known = [part["name"] for part in entry]
-        for name in changes:
-            if name not in known:
-                fail_validation(f"there is no joint {quoted(name)}", suggest(name, known))
-        return tuple(_changed(part, changes.get(part["name"], {})) for part in entry)
-    return changes if entry is None or not isinstance(entry, dict | list) or changes else entry
-
-
-def _tuples(value: Any) -> Any:
-    """Lists of the catalog as tuples, as documents are read."""
-    if isinstance(value, dict):
-        return {key: _tuples(one) for key, one in value.items()}
-    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
 
 
 Angles = dict[str, Angle]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import struct
 import threading
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from itertools import zip_longest
@@ -14,7 +16,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self
 
-from mckibben.errors import FileError, Problem
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import FileError, McKibbenWarning, Problem
 from mckibben.storage.files import atomic_write, is_same_file
 
 HEADER = b"H"
@@ -45,6 +50,19 @@ def pack_json(kind: bytes, number: int, content: Mapping[str, Any]) -> bytes:
     return pack(kind, number, json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
 
 
+def pack_arrays(kind: bytes, number: int, arrays: Mapping[str, NDArray]) -> bytes:
+    """Bytes of a record that holds arrays by name."""
+    content = io.BytesIO()
+    np.savez(content, **arrays)  # type: ignore[arg-type]  # names of ours, none of savez's own
+    return pack(kind, number, content.getvalue())
+
+
+def unpack_arrays(payload: bytes) -> dict[str, NDArray]:
+    """Arrays of a record."""
+    with np.load(io.BytesIO(payload), allow_pickle=False) as file:
+        return dict(file.items())
+
+
 class JournalReader:
     """Iterates over the intact records of a journal, header included; an incomplete end is no damage."""
 
@@ -70,6 +88,12 @@ class JournalReader:
                     self.damaged += skipped - _is_cut(file, position)
                     return
                 position = found
+
+    def warn_of_damage(self, what: str) -> None:
+        """Warn, once all is read, if records are damaged."""
+        if self.damaged:
+            message = f"{self.path}: {self.damaged} damaged {what} are computed again"
+            warnings.warn(message, McKibbenWarning, stacklevel=5)
 
     def header(self) -> dict[str, Any] | None:
         """Content of the first intact record, if that is a header."""

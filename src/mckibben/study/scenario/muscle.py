@@ -24,7 +24,7 @@ from pydantic_core import core_schema
 
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Title, read_path, write_path
-from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text, with_changes
 from mckibben.config.schema import ComponentModel, model_of
 from mckibben.errors import FileError, quoted, suggest
 from mckibben.muscle import (
@@ -160,22 +160,7 @@ def expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
     written = (content if whole else content.specimen).model_dump(
         mode="json", by_alias=True, context={"folder": outer.get("folder", Path())}
     )
-    return _merged(_with_tuples(written), {key: one for key, one in section.items() if key != "from"})
-
-
-def _with_tuples(written: Any) -> Any:
-    """A written section with tuples in place of lists, as documents are read."""
-    if isinstance(written, dict):
-        return {key: _with_tuples(one) for key, one in written.items()}
-    return tuple(map(_with_tuples, written)) if isinstance(written, list) else written
-
-
-def _merged(content: Any, changes: Any) -> Any:
-    """Content of a file with changes, key by key; a name is short for ``{from: name}``."""
-    if not isinstance(changes, dict) or content is None:
-        return changes
-    content = {"from": content} if isinstance(content, str) else content
-    return {**content, **{key: _merged(content.get(key), change) for key, change in changes.items()}}
+    return with_changes(written, section)
 
 
 class DomainSpec(model_of(Domain, optional=True)):

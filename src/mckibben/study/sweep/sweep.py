@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -15,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
+from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
-from mckibben.storage.journal import Journal, JournalReader, pack, read_header
+from mckibben.storage.journal import Journal, JournalReader, pack, pack_arrays, read_header, unpack_arrays
 from mckibben.study.parameters import Known
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
@@ -64,9 +62,7 @@ class SweepStore:
         reader = JournalReader(self.folder / JOURNAL)
         self.kept = {record.number for record in reader if record.kind == _BLOCK}
         self._journal = Journal.resume(reader)
-        if reader.damaged:
-            message = f"{reader.path}: {reader.damaged} damaged blocks are computed again"
-            warnings.warn(message, McKibbenWarning, stacklevel=4)
+        reader.warn_of_damage("blocks")
 
     @property
     def missing(self) -> list[int]:
@@ -81,10 +77,8 @@ class SweepStore:
 
     def keep(self, block: int, columns: Columns) -> None:
         """Append the results of a block; thread-safe."""
-        content = io.BytesIO()
-        np.savez(content, **columns)  # type: ignore[arg-type]  # names of ours, none of savez's own
         assert self._journal is not None
-        self._journal.append(pack(_BLOCK, block, content.getvalue()))
+        self._journal.append(pack_arrays(_BLOCK, block, columns))
         self.kept.add(block)
 
     def columns(self) -> Columns:
@@ -92,8 +86,7 @@ class SweepStore:
         parts: dict[int, Columns] = {}
         for record in JournalReader(self.folder / JOURNAL):
             if record.kind == _BLOCK:
-                with np.load(io.BytesIO(record.payload), allow_pickle=False) as file:
-                    parts[record.number] = dict(file.items())
+                parts[record.number] = unpack_arrays(record.payload)
         if len(parts) < self.plan.blocks:
             problem = Problem("blocks are damaged", remedy="compute them again with --resume (resume=True)")
             raise FileError(str(self.folder / JOURNAL), [problem])

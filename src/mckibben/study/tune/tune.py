@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
+from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
@@ -95,9 +94,7 @@ class TuningHistory:
             raise FileError(str(path), found)
         reader = JournalReader(path)
         trials = _trials(reader)
-        if reader.damaged:
-            message = f"{path}: {reader.damaged} damaged trials are computed again"
-            warnings.warn(message, McKibbenWarning, stacklevel=5)
+        reader.warn_of_damage("trials")
         with Journal.resume(reader) as journal:
             yield cls(trials, journal)
 
