@@ -26,7 +26,16 @@ def knee(*corrections):
     return dataclasses.replace(joint, geometry=dataclasses.replace(joint.geometry, connector_length=0.208), **muscles)
 
 
-def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0):
+def creep_of(lengths, period, stiffness, time_constant=2.0):
+    """Force of a Maxwell arm along a path, by the closed form for a constant rate over each period."""
+    force, decay = np.zeros(lengths.size), np.exp(-period / time_constant)
+    gain = stiffness * time_constant / period * (1 - decay)
+    for k, moved in enumerate(np.diff(lengths)):
+        force[k + 1] = decay * force[k] + gain * moved
+    return force
+
+
+def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0, creep=0.0):
     """Sweeps: one pressure is given, the other one is what the equation of motion asks for."""
     time = np.arange(0.0, seconds, 1 / rate)
     slow, fast = 2 * np.pi * 3 / seconds, 2 * np.pi
@@ -37,6 +46,9 @@ def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0):
     needed = np.asarray(load.required_torque(angle, velocity, acceleration))
     needed = needed + mass * DISTANCE**2 * acceleration
     needed = needed - mass * DISTANCE * GRAVITY * np.sin(load.hanging_angle - angle)
+    paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
+    creeping = np.stack([creep_of(np.asarray(path), 1 / rate, creep) for path in paths], axis=1)
+    needed = needed - np.asarray(arm2) * creeping[:, 1] + np.asarray(arm1) * creeping[:, 0]
     torque = joint.affine_map(angle).torque
     second = (needed - torque.offset - torque.slope1 * first) / torque.slope2
     pressures = np.stack([first, np.asarray(second)], axis=1)
@@ -44,7 +56,7 @@ def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0):
     tensions = np.stack([muscle.tension(contraction, pressure) for muscle, contraction, pressure in pairs], axis=1)
     assert tensions.min() > 10.0
     noisy = pressures + NOISE * rng.standard_normal(pressures.shape)
-    return JointRecording(time, angle, noisy, None, mass, DISTANCE), pressures, tensions
+    return JointRecording(time, angle, noisy, None, mass, DISTANCE), pressures, tensions + creeping
 
 
 LOAD = catalog.load("knee-table-2")
@@ -82,7 +94,9 @@ def test_a_weight_tells_the_stiffness_and_the_mass(with_weight, recorded):
     mass = with_weight.quantities["load.mass"]
     assert abs(mass.value - 0.4) < 2 * mass.deviation < mass.prior * 2
     assert with_weight.residual < 0.02  # N*m, that of the noise
-    assert with_weight.quantities["friction"].value < 1.0  # N; there is none
+    friction = with_weight.quantities["friction"]
+    assert 0 < friction.value < 1.0  # N; there is none
+    assert friction.deviation > 0.02  # at the least value, too
 
 
 def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
@@ -98,13 +112,20 @@ def test_under_one_load_the_stiffness_stays_uncertain(recorded, with_weight):
     assert not alone.quantities["added_mass"].determined
 
 
-def test_load_cells_take_the_place_of_the_weight(recorded):
-    rng = np.random.default_rng(7)
-    one, _, tensions = recorded[0]
-    cells = dataclasses.replace(one, tensions=tensions + 0.5 * rng.standard_normal(tensions.shape))
-    found = calibrate_joint(knee(), LOAD, [cells])
-    error, _, before, _ = stiffness_errors(found, recorded)
+def test_load_cells_take_the_place_of_the_weight_and_tell_creep():
+    rng, creep = np.random.default_rng(7), 1200.0
+    made = recording(TRUE, TRUE_LOAD, 0.0, rng, seconds=30.0, creep=creep)
+    tensions = made[2] + 0.5 * rng.standard_normal(made[2].shape)
+    cells = dataclasses.replace(made[0], tensions=tensions)
+    found, blind = (calibrate_joint(knee(), LOAD, [cells], JointPrior(creep=share)) for share in (0.05, 1e-6))
+    error, deviation, before, _ = stiffness_errors(found, [made])
     assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(before**2))
+    assert np.mean(np.abs(error) < 1.96 * deviation) > 0.8
+    assert np.mean(stiffness_errors(blind, [made])[0] ** 2) > 100 * np.mean(error**2)
+    for name in ("muscle1.creep", "muscle2.creep"):
+        one = found.quantities[name]
+        assert one.determined
+        assert one.value == pytest.approx(creep, abs=2 * one.deviation)
 
 
 @pytest.mark.parametrize(

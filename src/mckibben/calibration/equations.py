@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mckibben.errors import IdentificationError
-from mckibben.joint import AntagonisticJoint, Load, RigidTendon, ScaledArms
-from mckibben.muscle import ForceCorrection, MaxwellCreep, MaxwellSlip, corrected_law
+from mckibben.joint import AntagonisticJoint, Load, ScaledArms
+from mckibben.muscle import ForceCorrection, MaxwellSlip, corrected_law
 from mckibben.numerics.compiled import compiled
 from mckibben.units import deg, mm
 
@@ -30,7 +30,9 @@ OF_MUSCLE = 2 * COEFFICIENTS + 2  # parameters: those, friction and presliding
 _BEYOND = 1.2  # half width of the corrections over that of the contractions measured
 _SLIDING = 6.0  # presliding lengths of travel after which the friction's state at the start is forgotten
 _BAND, _PRESLIDING = 0.02, 2e-3  # friction where the model has none, over highest force and initial length
-_CREEP_TIME, _CREEP_ARMS = 1.0, 2  # s: time constants of 1 and 10 s
+LEAST_FRICTION = 0.01  # half width over that of the model
+CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
+_SHARED = 6  # parameters: the load's mass, the weight, zero, arms, and both load cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ class JointPrior:
     friction, presliding
         Of the half width of the friction band, relative, and of the logarithm of the presliding length.
     creep
-        Of the stiffness of creep over the slope of the law. It is not estimated, but widens the intervals.
+        Of the stiffness of creep over the slope of the law: together of three Maxwell arms of 1, 3 and 10 s.
     mass
         Of the load's mass (`Load.adapted_mass`), relative.
     added_mass, load_cell
@@ -232,8 +234,18 @@ def muscle_parameters(problem: CalibrationProblem) -> int:
 
 
 def parameters(problem: CalibrationProblem) -> int:
-    """Number of parameters: those of the muscles, the load's mass, the weight, zero, arms, and both load cells."""
-    return muscle_parameters(problem) + 6
+    """Number of parameters: those of the muscles, the shared ones, and the stiffnesses of creep."""
+    return creep_begin(problem) + CREEP_TIMES.size * problem.joint.springs.count(False)
+
+
+def creep_begin(problem: CalibrationProblem) -> int:
+    """Place of the first stiffness of creep among the parameters; recordings of commands have none."""
+    return muscle_parameters(problem) + _SHARED
+
+
+def friction_places(problem: CalibrationProblem) -> slice:
+    """Places of the friction's half widths among the parameters."""
+    return slice(2 * COEFFICIENTS, muscle_parameters(problem), OF_MUSCLE)
 
 
 def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
@@ -255,11 +267,11 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
         friction: Any = muscle.friction
         friction = dataclasses.replace(
             friction,
-            half_width=friction.half_width * jnp.maximum(1 + prior["friction"] * values[2 * n], 0.01),
+            half_width=friction.half_width * jnp.maximum(1 + prior["friction"] * values[2 * n], LEAST_FRICTION),
             presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
         )
         muscles.append(dataclasses.replace(muscle, law=corrected_law(muscle.law, correction), friction=friction))
-    mass, added, zero, arms, cell1, cell2 = z[muscle_parameters(problem) :]
+    mass, added, zero, arms, cell1, cell2 = z[muscle_parameters(problem) : creep_begin(problem)]
     if load.adapted_mass:
         more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)
         load = dataclasses.replace(load, **{load.adapted_mass: more})
@@ -273,27 +285,32 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
     )
 
 
-def _with_creep(problem: CalibrationProblem, joint: AntagonisticJoint, z: Any) -> AntagonisticJoint:
-    """The joint with creep, in standard deviations, of the muscles whose model has none."""
-    if not isinstance(joint.tendon, RigidTendon):
-        return joint
-    muscles = {
-        f"muscle{i + 1}": dataclasses.replace(
-            muscle, creep=MaxwellCreep(problem.creep[i] * z[i], _CREEP_TIME, arms=_CREEP_ARMS)
-        )
-        for i, muscle in enumerate((joint.muscle1, joint.muscle2))
-        if not (joint.springs[i] or muscle.has_creep)
-    }
-    return dataclasses.replace(joint, **muscles)
+def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
+    """Stiffness [N/m] of each Maxwell arm of both muscles, shape (2, arms); 0 of springs."""
+    count = CREEP_TIMES.size
+    own = iter(z[creep_begin(problem) :].reshape(-1, count))
+    pairs = zip(problem.joint.springs, problem.creep, strict=True)
+    rows = [jnp.zeros(count) if spring else next(own) * deviation / np.sqrt(count) for spring, deviation in pairs]
+    return jnp.stack(rows)
+
+
+def _creep(problem: CalibrationProblem, joint: AntagonisticJoint, z: Array, angle: Array) -> Array:
+    """Creep of both muscles [N], shape (samples, 2): Maxwell arms along their paths, relaxed at the start."""
+    stiffness = creep_stiffness(problem, z)
+    decay: Any = np.exp(-1 / (RATE * CREEP_TIMES))
+    moved = jnp.diff(jnp.stack(joint.geometry.path_lengths(angle), axis=1), axis=0)
+
+    def step(forces: Array, moved: Array) -> tuple[Array, Array]:
+        forces = decay * forces + np.sqrt(decay) * stiffness * moved[:, None]
+        return forces, forces.sum(axis=1)
+
+    start = jnp.zeros_like(stiffness)
+    return jnp.concatenate([start[None, :, 0], lax.scan(step, start, moved)[1]])
 
 
 def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Array:
-    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3).
-
-    The last two parameters are the stiffnesses of creep.
-    """
-    joint, load, added, zero, cells = corrected(problem, z[:-2])
-    joint = _with_creep(problem, joint, z[-2:])
+    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3)."""
+    joint, load, added, zero, cells = corrected(problem, z)
     angle = samples.angle - zero
 
     def step(states: Any, row: Any) -> tuple[Any, Any]:
@@ -310,10 +327,12 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
 
     start = joint.init_state(angle[0], (samples.pressures[0][0], samples.pressures[1][0]))
     torque, tensions = lax.scan(step, start, (angle, samples.velocity, samples.pressures))[1]
+    creep, (arm1, arm2) = _creep(problem, joint, z, angle).T, joint.geometry.moment_arms(angle)
+    torque = torque + arm2 * creep[1] - arm1 * creep[0]
     loaded = load.with_weight(added * samples.added_mass, samples.distance)
     errors = [loaded.required_torque(angle, samples.velocity, samples.acceleration) - torque]
-    pairs = zip(samples.tensions, cells, tensions, strict=True) if samples.tensions else ()
-    return jnp.stack([*errors, *(measured - gain * tension for measured, gain, tension in pairs)], axis=1)
+    rows = zip(samples.tensions, cells, tensions, creep, strict=True) if samples.tensions else ()
+    return jnp.stack([*errors, *(measured - gain * (law + more) for measured, gain, law, more in rows)], axis=1)
 
 
 @compiled

@@ -314,7 +314,7 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
 
 
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s"}
-SHOWN |= {unit: unit for unit in ("1", "N", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
+SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
 """Units of quantities in reports, by those of SI."""
 
 
