@@ -42,7 +42,7 @@ _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
 _LEAST_VARIANCE = 1e-8
 _INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
-STARTS = (0.0, -1.0, 1.0)
+STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
 DETERMINED = 0.5
 """Posterior over prior standard deviation below which a quantity counts as determined by the recordings."""
