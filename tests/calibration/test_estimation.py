@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.calibration import JointPrior, JointRecording, calibrate_joint
+from mckibben.calibration import JointCalibration, JointPrior, JointRecording, calibrate_joint
+from mckibben.calibration.equations import halves_of, parameters, problem_of
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
-from mckibben.muscle import ForceCorrection, corrected_law
+from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
 from mckibben.units import deg
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -142,6 +145,31 @@ def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
     assert caught.value.remedy
     if field is not None:
         assert caught.value.value == field
+
+
+def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded):
+    rng, law = np.random.default_rng(3), knee().muscle1.law
+    contraction, pressure = (one.ravel() for one in np.meshgrid(np.linspace(0.0, 0.2, 9), np.linspace(1e5, 6e5, 6)))
+    force = law.force(contraction, pressure) + 8 * rng.standard_normal(contraction.size)
+    fit = identify(
+        ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.maximum(force, 0.0))
+    )
+    joint = dataclasses.replace(knee(), muscle1=dataclasses.replace(knee().muscle1, law=fit.law))
+    prior = JointPrior(strength=0.002, offset=0.002, zero=1e-6, arm_scale=1e-6, fits=(fit, None))
+    problem = problem_of(joint, LOAD, [halves_of(recorded[0][0])], prior)
+    count = parameters(problem)
+    before = JointCalibration(joint, LOAD, {}, 0.0, problem, np.zeros(count), np.eye(count))
+    angle, pair = np.array([-0.05, 0.0, 0.08]), (np.full(3, 4.7e5), np.full(3, 4.9e5))
+
+    def stiffness(values):
+        drawn = dataclasses.replace(fit.law, **dict(zip(fit.estimates, values, strict=True)))
+        return dataclasses.replace(joint, muscle1=dataclasses.replace(joint.muscle1, law=drawn)).evaluate(angle, pair)[
+            1
+        ]
+
+    draws = rng.multivariate_normal(list(fit.estimates.values()), fit.robust_covariance, 200)
+    expected = np.std([stiffness(values) for values in draws], axis=0)
+    assert before.prior_stiffness(angle, pair)[1] == pytest.approx(expected, rel=0.2)
 
 
 def test_nothing_to_calibrate_from():

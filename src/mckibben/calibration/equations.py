@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mckibben.errors import IdentificationError
+from mckibben.identification.fit import Fit
+from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
-from mckibben.muscle import ForceCorrection, MaxwellSlip, corrected_law
+from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.numerics.compiled import compiled
 from mckibben.units import deg, mm
 
@@ -86,6 +88,9 @@ class JointPrior:
         delay about 20 ms, and of the load's damping. There `mass` is that of the logarithms of inertia and gravity.
     joint_friction, joint_presliding
         For recordings of commands: of the logarithms of torque and presliding angle of the joint's own friction.
+    fits
+        Fits that the laws of muscles 1 and 2 are from, if they are: their covariance is that of the laws before, beside
+        `strength` and `offset`, which then are the scatter between the muscles tested and those of the joint.
     """
 
     strength: float = 0.1
@@ -104,6 +109,7 @@ class JointPrior:
     damping: float = 1.0
     joint_friction: float = 1.0
     joint_presliding: float = 0.7
+    fits: tuple[Fit | None, Fit | None] = (None, None)
 
 
 class JointSamples(NamedTuple):
@@ -132,6 +138,7 @@ class CalibrationProblem(NamedTuple):
     half_width: tuple[float, ...]
     pressure: tuple[float, ...]  # mean of those measured [Pa]
     creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
+    laws: tuple[Any, ...]  # Cholesky factor of the covariance of its correction, in standard deviations of the prior
     prior: dict[str, float]
 
 
@@ -216,16 +223,34 @@ def problem_of(
         force = float(muscle.tension(middle, most))
         creep = prior.creep * abs(float(muscle.slope(middle, most))) / float(muscle.specimen.initial_length)
         mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
-        scales.append((force, most, middle, _BEYOND * (high - low) / 2, mean, creep))
+        half_width = _BEYOND * (high - low) / 2
+        factor = _law_factor(prior, prior.fits[len(scales)], muscle, force, middle, half_width)
+        scales.append((force, most, middle, half_width, mean, creep, factor))
         if not (spring or muscle.has_friction):
             band = MaxwellSlip(_BAND * force, _PRESLIDING * float(muscle.specimen.initial_length))
             muscle = dataclasses.replace(muscle, friction=band)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    force, highest, centre, half_width, pressure, creep = zip(*scales, strict=True)
-    return CalibrationProblem(
-        joint, load, force, highest, centre, half_width, pressure, creep, dataclasses.asdict(prior)
-    )
+    deviations = {each.name: getattr(prior, each.name) for each in dataclasses.fields(prior) if each.name != "fits"}
+    force, highest, centre, half_width, pressure, creep, laws = zip(*scales, strict=True)
+    return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
+
+
+def _law_factor(
+    prior: JointPrior, fit: Fit | None, muscle: Muscle, force: float, centre: float, half_width: float
+) -> Floats:
+    """Cholesky factor of the covariance of a correction: that of the prior, and of a fit projected on it."""
+    covariance: Any = np.eye(2 * COEFFICIENTS)
+    if fit is not None:
+        v, p = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0, 1, 7)))
+        powers = np.array([(v / 2) ** i for i in range(COEFFICIENTS)]) * force
+        corrections = np.vstack([prior.offset * powers, prior.strength * p * powers]).T
+        most = float(muscle.domain.pressure_max)
+        strength = float(muscle.law.force(centre, most) / fit.law.force(centre, most))
+        gradients = strength * force_gradients(fit.law, list(fit.estimates), centre + half_width * v, most * p)
+        projected = np.linalg.pinv(corrections) @ gradients
+        covariance = covariance + projected @ fit.robust_covariance @ projected.T
+    return np.linalg.cholesky(covariance)
 
 
 def muscle_parameters(problem: CalibrationProblem) -> int:
@@ -258,6 +283,7 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
             muscles.append(muscle)
             continue
         values, force = next(own), problem.force[i]
+        values = jnp.concatenate([problem.laws[i] @ values[: 2 * n], values[2 * n :]])
         correction = ForceCorrection(
             tuple(values[:n] * shrink * (prior["offset"] * force)),
             tuple(values[n : 2 * n] * shrink * (prior["strength"] * force / problem.highest[i])),
