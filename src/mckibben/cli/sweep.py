@@ -127,7 +127,7 @@ def _list(path: Path, json: bool) -> None:
     table(read.name, ("parameter", "value", "range", "unit"), rows)
 
 
-_LARGEST = 10.0  # factor on gains
+_LARGEST, _GROWTH = 10.0, 1.5  # factor on gains, and on the error
 _METHODS = ("gradient", "evolution", "cma")
 
 
@@ -244,7 +244,7 @@ def _show_tuned(
             table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
         for name, factor in margins.items():
             least = f"{factor:.2g} times" if factor < _LARGEST else f"{_LARGEST:g} times and more"
-            echo(f"{name}: in all conditions the tuned gains may rise together, to {least}, until the error triples")
+            echo(f"{name}: in all conditions the tuned gains may rise to {least} before the error does by half")
         if tuned.at_bound:
             echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
     echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
@@ -260,7 +260,8 @@ def _margins(tuned: TuningResult, drawn: Table) -> dict[str, float]:
     for scenario in tuned.scenarios if gains else ():
         room = [float(each.upper) / tuned.values[each.name] for each in find_parameters(scenario, gains)]
         largest = min(_LARGEST, *room)
-        found[scenario.name] = min(stability_margin(scenario, gains, largest=largest, conditions=drawn), largest)
+        margin = stability_margin(scenario, gains, largest=largest, growth=_GROWTH, conditions=drawn)
+        found[scenario.name] = min(margin, largest)
     return found
 
 
