@@ -5,7 +5,8 @@
 Plants and runs are those of examples/comparison/knee.yaml: a quarter of the muscles of another make, each +-10 %, mass
 +-50 %, friction of 0 to 15 N. The plants differ from the controller's model in more: the weight is 1 % off (as its
 intervals assume), the encoder's zero 0.3 deg and the moment arms 2 %, all with random signs; friction is 20 % larger in
-one direction than in the other, and the muscles creep. The weight is clipped on for half of the duration.
+one direction than in the other, and the muscles creep: a Maxwell arm each of 150 to 600 N/m and 1 to 10 s, all drawn.
+The weight is clipped on for half of the duration.
 Then the runs of the suite's evaluation are computed with PID, and with the decoupling controller with the model before
 and after; errors are those of the plant's true stiffness. "Covered": part of the time along the sweeps that the 95 %
 intervals hold the true stiffness, mean over plants, and the part of plants where they hold it for at least half of the
@@ -31,7 +32,7 @@ from mckibben.units import deg
 SUITE, SEED, EVERY = "examples/comparison/knee.yaml", 20, 2e-3
 ENCODER, NOISE, CELL_NOISE = 0.022 * deg, 4e3, 0.5  # rad, Pa, N
 ARMS, ZERO, WEIGHT, CELLS, ASYMMETRY = 0.02, 0.3 * deg, 0.01, 0.01, 0.2
-CREEP = MaxwellCreep(stiffness=300.0, time_constant=3.0)
+CREEP, CREEP_TIME = (150.0, 600.0), (1.0, 10.0)  # N/m, s
 KEPT = ("angle", "pressure1", "pressure2", "force1", "force2", "stiffness")
 
 
@@ -42,7 +43,8 @@ def truth(runs, rng):
     for muscle in (joint.muscle1, joint.muscle2):
         shift = np.zeros((1, count)) + ASYMMETRY / 2 * np.asarray(muscle.friction.half_width)
         law = corrected_law(muscle.law, ForceCorrection(tuple(shift), (np.zeros(count),), 0.1, 0.1))
-        muscles.append(dataclasses.replace(muscle, law=law, creep=CREEP))
+        creep = MaxwellCreep(rng.uniform(*CREEP, count), np.exp(rng.uniform(*np.log(CREEP_TIME), count)))
+        muscles.append(dataclasses.replace(muscle, law=law, creep=creep))
     arms = ScaledArms(joint.geometry, 1 + ARMS * rng.choice([-1, 1], count))
     joint = dataclasses.replace(joint, geometry=arms, muscle1=muscles[0], muscle2=muscles[1])
     return dataclasses.replace(runs.plant, joint=joint), ZERO * rng.choice([-1, 1], count)

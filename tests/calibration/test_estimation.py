@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.calibration import JointPrior, JointRecording, calibrate_joint
+from mckibben.calibration import JointCalibration, JointPrior, JointRecording, calibrate_joint
+from mckibben.calibration.equations import halves_of, parameters, problem_of
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
-from mckibben.muscle import ForceCorrection, corrected_law
+from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
 from mckibben.units import deg
 
 pytestmark = pytest.mark.usefixtures("optimized")
@@ -26,7 +29,16 @@ def knee(*corrections):
     return dataclasses.replace(joint, geometry=dataclasses.replace(joint.geometry, connector_length=0.208), **muscles)
 
 
-def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0):
+def creep_of(lengths, period, stiffness, time_constant=2.0):
+    """Force of a Maxwell arm along a path, by the closed form for a constant rate over each period."""
+    force, decay = np.zeros(lengths.size), np.exp(-period / time_constant)
+    gain = stiffness * time_constant / period * (1 - decay)
+    for k, moved in enumerate(np.diff(lengths)):
+        force[k + 1] = decay * force[k] + gain * moved
+    return force
+
+
+def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0, creep=0.0):
     """Sweeps: one pressure is given, the other one is what the equation of motion asks for."""
     time = np.arange(0.0, seconds, 1 / rate)
     slow, fast = 2 * np.pi * 3 / seconds, 2 * np.pi
@@ -37,6 +49,9 @@ def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0):
     needed = np.asarray(load.required_torque(angle, velocity, acceleration))
     needed = needed + mass * DISTANCE**2 * acceleration
     needed = needed - mass * DISTANCE * GRAVITY * np.sin(load.hanging_angle - angle)
+    paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
+    creeping = np.stack([creep_of(np.asarray(path), 1 / rate, creep) for path in paths], axis=1)
+    needed = needed - np.asarray(arm2) * creeping[:, 1] + np.asarray(arm1) * creeping[:, 0]
     torque = joint.affine_map(angle).torque
     second = (needed - torque.offset - torque.slope1 * first) / torque.slope2
     pressures = np.stack([first, np.asarray(second)], axis=1)
@@ -44,7 +59,7 @@ def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0):
     tensions = np.stack([muscle.tension(contraction, pressure) for muscle, contraction, pressure in pairs], axis=1)
     assert tensions.min() > 10.0
     noisy = pressures + NOISE * rng.standard_normal(pressures.shape)
-    return JointRecording(time, angle, noisy, None, mass, DISTANCE), pressures, tensions
+    return JointRecording(time, angle, noisy, None, mass, DISTANCE), pressures, tensions + creeping
 
 
 LOAD = catalog.load("knee-table-2")
@@ -82,7 +97,9 @@ def test_a_weight_tells_the_stiffness_and_the_mass(with_weight, recorded):
     mass = with_weight.quantities["load.mass"]
     assert abs(mass.value - 0.4) < 2 * mass.deviation < mass.prior * 2
     assert with_weight.residual < 0.02  # N*m, that of the noise
-    assert with_weight.quantities["friction"].value < 1.0  # N; there is none
+    friction = with_weight.quantities["friction"]
+    assert 0 < friction.value < 1.0  # N; there is none
+    assert friction.deviation > 0.02  # at the least value, too
 
 
 def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
@@ -98,13 +115,20 @@ def test_under_one_load_the_stiffness_stays_uncertain(recorded, with_weight):
     assert not alone.quantities["added_mass"].determined
 
 
-def test_load_cells_take_the_place_of_the_weight(recorded):
-    rng = np.random.default_rng(7)
-    one, _, tensions = recorded[0]
-    cells = dataclasses.replace(one, tensions=tensions + 0.5 * rng.standard_normal(tensions.shape))
-    found = calibrate_joint(knee(), LOAD, [cells])
-    error, _, before, _ = stiffness_errors(found, recorded)
+def test_load_cells_take_the_place_of_the_weight_and_tell_creep():
+    rng, creep = np.random.default_rng(7), 1200.0
+    made = recording(TRUE, TRUE_LOAD, 0.0, rng, seconds=30.0, creep=creep)
+    tensions = made[2] + 0.5 * rng.standard_normal(made[2].shape)
+    cells = dataclasses.replace(made[0], tensions=tensions)
+    found, blind = (calibrate_joint(knee(), LOAD, [cells], JointPrior(creep=share)) for share in (0.05, 1e-6))
+    error, deviation, before, _ = stiffness_errors(found, [made])
     assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(before**2))
+    assert np.mean(np.abs(error) < 1.96 * deviation) > 0.8
+    assert np.mean(stiffness_errors(blind, [made])[0] ** 2) > 100 * np.mean(error**2)
+    for name in ("muscle1.creep", "muscle2.creep"):
+        one = found.quantities[name]
+        assert one.determined
+        assert one.value == pytest.approx(creep, abs=2 * one.deviation)
 
 
 @pytest.mark.parametrize(
@@ -121,6 +145,31 @@ def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
     assert caught.value.remedy
     if field is not None:
         assert caught.value.value == field
+
+
+def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded):
+    rng, law = np.random.default_rng(3), knee().muscle1.law
+    contraction, pressure = (one.ravel() for one in np.meshgrid(np.linspace(0.0, 0.2, 9), np.linspace(1e5, 6e5, 6)))
+    force = law.force(contraction, pressure) + 8 * rng.standard_normal(contraction.size)
+    fit = identify(
+        ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.maximum(force, 0.0))
+    )
+    joint = dataclasses.replace(knee(), muscle1=dataclasses.replace(knee().muscle1, law=fit.law))
+    prior = JointPrior(strength=0.002, offset=0.002, zero=1e-6, arm_scale=1e-6, fits=(fit, None))
+    problem = problem_of(joint, LOAD, [halves_of(recorded[0][0])], prior)
+    count = parameters(problem)
+    before = JointCalibration(joint, LOAD, {}, 0.0, problem, np.zeros(count), np.eye(count))
+    angle, pair = np.array([-0.05, 0.0, 0.08]), (np.full(3, 4.7e5), np.full(3, 4.9e5))
+
+    def stiffness(values):
+        drawn = dataclasses.replace(fit.law, **dict(zip(fit.estimates, values, strict=True)))
+        return dataclasses.replace(joint, muscle1=dataclasses.replace(joint.muscle1, law=drawn)).evaluate(angle, pair)[
+            1
+        ]
+
+    draws = rng.multivariate_normal(list(fit.estimates.values()), fit.robust_covariance, 200)
+    expected = np.std([stiffness(values) for values in draws], axis=0)
+    assert before.prior_stiffness(angle, pair)[1] == pytest.approx(expected, rel=0.2)
 
 
 def test_nothing_to_calibrate_from():

@@ -109,6 +109,19 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     assert json.loads(again.out)["metrics"] == run["tuned"]
 
 
+def test_a_search_over_conditions_has_their_margin(cli, scenario, tmp_path):
+    found = cli(
+        *("tune", "s.yaml", "--parameters", "controller.position.kp=1..4 bar/rad", "--method", "evolution"),
+        *("--conditions", "load.mass2=+-20 %", "--draws", "4", "--percentile", "75", "--population", "8"),
+        *("--iterations", "1", "--out", "kept", "--json"),
+    )
+    assert found.code == 0, found.err
+    numbers = json.loads(found.out)
+    assert len(numbers["conditions"]["load.mass2"]) == 4
+    (margin,) = numbers["margins"].values()
+    assert 1 <= margin <= 10
+
+
 def test_json_alone_on_standard_output(cli, scenario, tmp_path):
     found = cli("tune", "s.yaml", *SMALL, "--method", "cma", "--json")
     assert found.code == 0

@@ -87,6 +87,13 @@ def test_a_gain_margin_below_one_is_none(margin):
         Cost.of({"angle_rmse": 1.0}, gain_margin=margin)
 
 
+@pytest.mark.parametrize(("percentile", "worst"), [(0.0, False), (101.0, False), (float("nan"), False), (50.0, True)])
+def test_percentiles_are_above_0_and_not_beside_the_worst(percentile, worst):
+    with pytest.raises(ParameterError) as caught:
+        Cost.of({"angle_rmse": 1.0}, percentile=percentile, worst=worst)
+    assert caught.value.remedy or (caught.value.lower, caught.value.upper) == (0.0, 100.0)
+
+
 def test_every_metric_has_a_unit_for_its_scale():
     assert all(attributes(name).get("units") for name in Metrics._fields)
 

@@ -70,6 +70,13 @@ def test_the_margin_of_the_lag_is_that_of_the_eigenvalues(scenario):
     assert stability_margin(scenario, ["valve.time_constant"], largest=1.2) == np.inf
 
 
+def test_the_margin_over_conditions_is_the_least(scenario):
+    masses = np.array([0.4, 0.5, 0.7])
+    lag = ["valve.time_constant"]
+    each = [stability_margin(scenario, lag, conditions={"load.mass2": np.full(3, mass)}) for mass in masses]
+    assert stability_margin(scenario, lag, conditions={"load.mass2": masses}) == min(each) < max(each)
+
+
 def test_what_has_no_margin_is_refused(scenario):
     with pytest.raises(ParameterError) as caught:
         stability_margin(scenario, ["valve.time_constant"], growth=1.0)

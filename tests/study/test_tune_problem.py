@@ -102,6 +102,25 @@ def check_differences(task, rows, rtol=1e-5):
     np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol * np.abs(expected).max())
 
 
+@pytest.mark.parametrize(("percentile", "together"), [(None, np.mean), (50.0, np.median), (100.0, np.max)])
+def test_conditions_count_as_scenarios_do(percentile, together):
+    masses = np.array([0.3, 0.6, 0.9])
+    each = [asked(Cost(TERMS), (with_values(LIGHT, {"load.mass2": mass}),)) for mass in masses]
+    single = np.stack([one.costs(np.tile(ROWS, (2, 1)))[:3] for one in each])
+    cost, swept = Cost(TERMS, percentile=percentile), sweep_parameters(LIGHT, RANGES)
+    task = TuningProblem.of((LIGHT,), swept, cost, "all", {"load.mass2": masses})
+    np.testing.assert_allclose(task.costs(ROWS), together(single, axis=0), rtol=1e-9)
+    if percentile == 50.0:
+        check_differences(task, ROWS)
+
+
+def test_a_tuned_parameter_is_no_condition():
+    drawn = {"load.damping": np.array([0.01, 0.02])}
+    with pytest.raises(ParameterError) as caught:
+        TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, RANGES), Cost(TERMS), (), drawn)
+    assert caught.value.value == "load.damping"
+
+
 def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():
     connectors = sweep_parameters(LIGHT, {"joint.connector_length": RANGES["joint.connector_length"]})
     rows, cost = np.array([[0.207], [0.208]]), Cost(TERMS)

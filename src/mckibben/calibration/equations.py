@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mckibben.errors import IdentificationError
-from mckibben.joint import AntagonisticJoint, Load, RigidTendon, ScaledArms
-from mckibben.muscle import ForceCorrection, MaxwellCreep, MaxwellSlip, corrected_law
+from mckibben.identification.fit import Fit
+from mckibben.identification.intervals import force_gradients
+from mckibben.joint import AntagonisticJoint, Load, ScaledArms
+from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.numerics.compiled import compiled
 from mckibben.units import deg, mm
 
@@ -30,7 +32,9 @@ OF_MUSCLE = 2 * COEFFICIENTS + 2  # parameters: those, friction and presliding
 _BEYOND = 1.2  # half width of the corrections over that of the contractions measured
 _SLIDING = 6.0  # presliding lengths of travel after which the friction's state at the start is forgotten
 _BAND, _PRESLIDING = 0.02, 2e-3  # friction where the model has none, over highest force and initial length
-_CREEP_TIME, _CREEP_ARMS = 1.0, 2  # s: time constants of 1 and 10 s
+LEAST_FRICTION = 0.01  # half width over that of the model
+CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
+_SHARED = 6  # parameters: the load's mass, the weight, zero, arms, and both load cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +74,7 @@ class JointPrior:
     friction, presliding
         Of the half width of the friction band, relative, and of the logarithm of the presliding length.
     creep
-        Of the stiffness of creep over the slope of the law. It is not estimated, but widens the intervals.
+        Of the stiffness of creep over the slope of the law: together of three Maxwell arms of 1, 3 and 10 s.
     mass
         Of the load's mass (`Load.adapted_mass`), relative.
     added_mass, load_cell
@@ -84,6 +88,9 @@ class JointPrior:
         delay about 20 ms, and of the load's damping. There `mass` is that of the logarithms of inertia and gravity.
     joint_friction, joint_presliding
         For recordings of commands: of the logarithms of torque and presliding angle of the joint's own friction.
+    fits
+        Fits that the laws of muscles 1 and 2 are from, if they are: their covariance is that of the laws before, beside
+        `strength` and `offset`, which then are the scatter between the muscles tested and those of the joint.
     """
 
     strength: float = 0.1
@@ -102,6 +109,7 @@ class JointPrior:
     damping: float = 1.0
     joint_friction: float = 1.0
     joint_presliding: float = 0.7
+    fits: tuple[Fit | None, Fit | None] = (None, None)
 
 
 class JointSamples(NamedTuple):
@@ -130,6 +138,7 @@ class CalibrationProblem(NamedTuple):
     half_width: tuple[float, ...]
     pressure: tuple[float, ...]  # mean of those measured [Pa]
     creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
+    laws: tuple[Any, ...]  # Cholesky factor of the covariance of its correction, in standard deviations of the prior
     prior: dict[str, float]
 
 
@@ -214,16 +223,34 @@ def problem_of(
         force = float(muscle.tension(middle, most))
         creep = prior.creep * abs(float(muscle.slope(middle, most))) / float(muscle.specimen.initial_length)
         mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
-        scales.append((force, most, middle, _BEYOND * (high - low) / 2, mean, creep))
+        half_width = _BEYOND * (high - low) / 2
+        factor = _law_factor(prior, prior.fits[len(scales)], muscle, force, middle, half_width)
+        scales.append((force, most, middle, half_width, mean, creep, factor))
         if not (spring or muscle.has_friction):
             band = MaxwellSlip(_BAND * force, _PRESLIDING * float(muscle.specimen.initial_length))
             muscle = dataclasses.replace(muscle, friction=band)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    force, highest, centre, half_width, pressure, creep = zip(*scales, strict=True)
-    return CalibrationProblem(
-        joint, load, force, highest, centre, half_width, pressure, creep, dataclasses.asdict(prior)
-    )
+    deviations = {each.name: getattr(prior, each.name) for each in dataclasses.fields(prior) if each.name != "fits"}
+    force, highest, centre, half_width, pressure, creep, laws = zip(*scales, strict=True)
+    return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
+
+
+def _law_factor(
+    prior: JointPrior, fit: Fit | None, muscle: Muscle, force: float, centre: float, half_width: float
+) -> Floats:
+    """Cholesky factor of the covariance of a correction: that of the prior, and of a fit projected on it."""
+    covariance: Any = np.eye(2 * COEFFICIENTS)
+    if fit is not None:
+        v, p = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0, 1, 7)))
+        powers = np.array([(v / 2) ** i for i in range(COEFFICIENTS)]) * force
+        corrections = np.vstack([prior.offset * powers, prior.strength * p * powers]).T
+        most = float(muscle.domain.pressure_max)
+        strength = float(muscle.law.force(centre, most) / fit.law.force(centre, most))
+        gradients = strength * force_gradients(fit.law, list(fit.estimates), centre + half_width * v, most * p)
+        projected = np.linalg.pinv(corrections) @ gradients
+        covariance = covariance + projected @ fit.robust_covariance @ projected.T
+    return np.linalg.cholesky(covariance)
 
 
 def muscle_parameters(problem: CalibrationProblem) -> int:
@@ -232,8 +259,18 @@ def muscle_parameters(problem: CalibrationProblem) -> int:
 
 
 def parameters(problem: CalibrationProblem) -> int:
-    """Number of parameters: those of the muscles, the load's mass, the weight, zero, arms, and both load cells."""
-    return muscle_parameters(problem) + 6
+    """Number of parameters: those of the muscles, the shared ones, and the stiffnesses of creep."""
+    return creep_begin(problem) + CREEP_TIMES.size * problem.joint.springs.count(False)
+
+
+def creep_begin(problem: CalibrationProblem) -> int:
+    """Place of the first stiffness of creep among the parameters; recordings of commands have none."""
+    return muscle_parameters(problem) + _SHARED
+
+
+def friction_places(problem: CalibrationProblem) -> slice:
+    """Places of the friction's half widths among the parameters."""
+    return slice(2 * COEFFICIENTS, muscle_parameters(problem), OF_MUSCLE)
 
 
 def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
@@ -246,6 +283,7 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
             muscles.append(muscle)
             continue
         values, force = next(own), problem.force[i]
+        values = jnp.concatenate([problem.laws[i] @ values[: 2 * n], values[2 * n :]])
         correction = ForceCorrection(
             tuple(values[:n] * shrink * (prior["offset"] * force)),
             tuple(values[n : 2 * n] * shrink * (prior["strength"] * force / problem.highest[i])),
@@ -255,11 +293,11 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
         friction: Any = muscle.friction
         friction = dataclasses.replace(
             friction,
-            half_width=friction.half_width * jnp.maximum(1 + prior["friction"] * values[2 * n], 0.01),
+            half_width=friction.half_width * jnp.maximum(1 + prior["friction"] * values[2 * n], LEAST_FRICTION),
             presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
         )
         muscles.append(dataclasses.replace(muscle, law=corrected_law(muscle.law, correction), friction=friction))
-    mass, added, zero, arms, cell1, cell2 = z[muscle_parameters(problem) :]
+    mass, added, zero, arms, cell1, cell2 = z[muscle_parameters(problem) : creep_begin(problem)]
     if load.adapted_mass:
         more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)
         load = dataclasses.replace(load, **{load.adapted_mass: more})
@@ -273,27 +311,32 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
     )
 
 
-def _with_creep(problem: CalibrationProblem, joint: AntagonisticJoint, z: Any) -> AntagonisticJoint:
-    """The joint with creep, in standard deviations, of the muscles whose model has none."""
-    if not isinstance(joint.tendon, RigidTendon):
-        return joint
-    muscles = {
-        f"muscle{i + 1}": dataclasses.replace(
-            muscle, creep=MaxwellCreep(problem.creep[i] * z[i], _CREEP_TIME, arms=_CREEP_ARMS)
-        )
-        for i, muscle in enumerate((joint.muscle1, joint.muscle2))
-        if not (joint.springs[i] or muscle.has_creep)
-    }
-    return dataclasses.replace(joint, **muscles)
+def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
+    """Stiffness [N/m] of each Maxwell arm of both muscles, shape (2, arms); 0 of springs."""
+    count = CREEP_TIMES.size
+    own = iter(z[creep_begin(problem) :].reshape(-1, count))
+    pairs = zip(problem.joint.springs, problem.creep, strict=True)
+    rows = [jnp.zeros(count) if spring else next(own) * deviation / np.sqrt(count) for spring, deviation in pairs]
+    return jnp.stack(rows)
+
+
+def _creep(problem: CalibrationProblem, joint: AntagonisticJoint, z: Array, angle: Array) -> Array:
+    """Creep of both muscles [N], shape (samples, 2): Maxwell arms along their paths, relaxed at the start."""
+    stiffness = creep_stiffness(problem, z)
+    decay: Any = np.exp(-1 / (RATE * CREEP_TIMES))
+    moved = jnp.diff(jnp.stack(joint.geometry.path_lengths(angle), axis=1), axis=0)
+
+    def step(forces: Array, moved: Array) -> tuple[Array, Array]:
+        forces = decay * forces + np.sqrt(decay) * stiffness * moved[:, None]
+        return forces, forces.sum(axis=1)
+
+    start = jnp.zeros_like(stiffness)
+    return jnp.concatenate([start[None, :, 0], lax.scan(step, start, moved)[1]])
 
 
 def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Array:
-    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3).
-
-    The last two parameters are the stiffnesses of creep.
-    """
-    joint, load, added, zero, cells = corrected(problem, z[:-2])
-    joint = _with_creep(problem, joint, z[-2:])
+    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3)."""
+    joint, load, added, zero, cells = corrected(problem, z)
     angle = samples.angle - zero
 
     def step(states: Any, row: Any) -> tuple[Any, Any]:
@@ -310,10 +353,12 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
 
     start = joint.init_state(angle[0], (samples.pressures[0][0], samples.pressures[1][0]))
     torque, tensions = lax.scan(step, start, (angle, samples.velocity, samples.pressures))[1]
+    creep, (arm1, arm2) = _creep(problem, joint, z, angle).T, joint.geometry.moment_arms(angle)
+    torque = torque + arm2 * creep[1] - arm1 * creep[0]
     loaded = load.with_weight(added * samples.added_mass, samples.distance)
     errors = [loaded.required_torque(angle, samples.velocity, samples.acceleration) - torque]
-    pairs = zip(samples.tensions, cells, tensions, strict=True) if samples.tensions else ()
-    return jnp.stack([*errors, *(measured - gain * tension for measured, gain, tension in pairs)], axis=1)
+    rows = zip(samples.tensions, cells, tensions, creep, strict=True) if samples.tensions else ()
+    return jnp.stack([*errors, *(measured - gain * (law + more) for measured, gain, law, more in rows)], axis=1)
 
 
 @compiled

@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mckibben.calibration.equations import (
     COEFFICIENTS,
+    LEAST_FRICTION,
     OF_MUSCLE,
     RATE,
     CalibrationProblem,
@@ -22,6 +23,9 @@ from mckibben.calibration.equations import (
     JointPrior,
     JointRecording,
     corrected,
+    creep_begin,
+    creep_stiffness,
+    friction_places,
     halves_of,
     linearised,
     muscle_parameters,
@@ -37,7 +41,8 @@ from mckibben.numerics.compiled import compiled
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
 _LEAST_VARIANCE = 1e-8
-STARTS = (0.0, -1.0, 1.0)
+_INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
+STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
 DETERMINED = 0.5
 """Posterior over prior standard deviation below which a quantity counts as determined by the recordings."""
@@ -68,9 +73,9 @@ class JointCalibration:
         The model with the estimates.
     quantities
         Estimates by name: ``muscle1.force`` (over the model's, at the middle contraction and the mean
-        pressure), ``muscle1.friction``, ``muscle1.presliding``, ``friction`` (sum of both half widths), ``load.mass``,
-        ``added_mass`` (over what it was stated to be), ``zero`` (reading of the encoder at the angle 0),
-        ``arm_scale``.
+        pressure), ``muscle1.friction``, ``muscle1.presliding``, ``muscle1.creep`` (stiffness of its Maxwell arms
+        together), ``friction`` (sum of both half widths), ``load.mass``, ``added_mass`` (over what it was stated to
+        be), ``zero`` (reading of the encoder at the angle 0), ``arm_scale``.
     residual
         Root mean square of the error of the equation of motion [N*m], low-pass filtered.
     """
@@ -112,7 +117,8 @@ def calibrate_joint(
         (I + m_w l_w^2)\,\ddot\theta + c\dot\theta = \tau(\theta - \theta_0, p_1, p_2) + (G + m_w l_w g)
         \sin(\theta_h - \theta + \theta_0)
 
-    Each muscle's law gets a `ForceCorrection`. Parameters have Gaussian priors. Under a single load the forces are
+    Each muscle's law gets a `ForceCorrection` and creep, Maxwell arms of 1, 3 and 10 s whose stiffnesses are estimated:
+    the slope of a law is that of slower motion. Parameters have Gaussian priors. Under a single load the forces are
     known up to a factor; a known weight, or load cells, give the factor.
 
     Noise of the pressures is in the regressors as well, which biases least squares. So the estimates are those of
@@ -152,7 +158,7 @@ def calibrate_joint(
 
 def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Floats) -> dict[str, JointEstimate]:
     """Estimates by name, from estimates and covariance of the parameters."""
-    names, units = _quantity_names(problem)
+    names, units = _quantity_names(problem, creep=estimate.size > creep_begin(problem))
     value, slope = _quantities(problem, jnp.asarray(estimate))
     before = np.asarray(_quantities(problem, jnp.zeros(estimate.size))[1])
     deviation, wide = _deviation(np.asarray(slope), covariance), _deviation(before, np.eye(estimate.size))
@@ -183,7 +189,9 @@ def _quantities(problem: CalibrationProblem, z: Array) -> tuple[Array, Array]:
 
     def values(z: Array) -> Array:
         joint, load, added, zero, _ = corrected(problem, z)
+        geometry: Any = joint.geometry
         found, bands = [], []
+        creep = creep_stiffness(problem, z).sum(axis=1) if z.size > creep_begin(problem) else None
         pairs = zip((joint.muscle1, joint.muscle2), (problem.joint.muscle1, problem.joint.muscle2), strict=True)
         for i, (muscle, before) in enumerate(pairs):
             if joint.springs[i]:
@@ -193,18 +201,20 @@ def _quantities(problem: CalibrationProblem, z: Array) -> tuple[Array, Array]:
             bands.append(friction.half_width)
             ratio = muscle.law.force(*point) / before.law.force(*point)
             found += [ratio, friction.half_width, friction.presliding_length]
+            found += [] if creep is None else [creep[i]]
         found += [sum(bands)] + ([getattr(load, load.adapted_mass)] if load.adapted_mass else [])
-        return jnp.stack([*found, added, zero, 1 + problem.prior["arm_scale"] * z[-3]])
+        return jnp.stack([*found, added, zero, geometry.scale])
 
     return values(z), jax.jacfwd(values)(z)
 
 
-def _quantity_names(problem: CalibrationProblem) -> tuple[list[str], list[str]]:
+def _quantity_names(problem: CalibrationProblem, *, creep: bool) -> tuple[list[str], list[str]]:
     """Names and units of the quantities."""
     rows = []
     for i, spring in enumerate(problem.joint.springs, 1):
         if not spring:
             rows += [(f"muscle{i}.force", "1"), (f"muscle{i}.friction", "N"), (f"muscle{i}.presliding", "m")]
+            rows += [(f"muscle{i}.creep", "N/m")] if creep else []
     rows += [("friction", "N"), *([("load.mass", "kg")] if problem.load.adapted_mass else [])]
     rows += [("added_mass", "1"), ("zero", "rad"), ("arm_scale", "1")]
     names, units = zip(*rows, strict=True)
@@ -224,7 +234,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
 
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors, shape (samples, groups), and their Jacobians, of each recording, for both halves."""
-        found = [[linearised(problem, np.append(z, (0.0, 0.0)), one[half]) for one in recordings] for half in (0, 1)]
+        found = [[linearised(problem, z, one[half]) for one in recordings] for half in (0, 1)]
         return [[(filtered(r, n), filtered(j, n)) for (r, j), n in zip(one, starts, strict=True)] for one in found]
 
     def data(z: Floats) -> tuple[float, Floats, Floats]:
@@ -233,7 +243,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         (r0, J0), (r1, J1) = (
             (
                 np.concatenate([(r * scale).ravel() for r, _ in one]),
-                np.concatenate([(j * scale[:, None]).reshape(-1, count + 2) for _, j in one]),
+                np.concatenate([(j * scale[:, None]).reshape(-1, count) for _, j in one]),
             )
             for one in raw(z)
         )
@@ -241,9 +251,9 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         return float(r0 @ r1) / 2, (J0.T @ r1 + J1.T @ r0) / 2, (cross + cross.T) / 2
 
     def terms(z: Floats) -> tuple[float, Floats, Floats]:
-        """The same with the prior, of the estimated parameters."""
+        """The same with the prior."""
         objective, gradient, curvature = data(z)
-        return objective + float(z @ z) / 2, gradient[:count] + z, curvature[:count, :count] + np.eye(count)
+        return objective + float(z @ z) / 2, gradient + z, curvature + np.eye(count)
 
     means: list[Floats] = []
     begun = [minimised(terms, start(problem, strength), _FIRST) for strength in STARTS]
@@ -254,10 +264,10 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         means = [(a + b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)]
         variances = np.array([variance_of([one[:, i] for one in means]) for i in range(groups)])
     torque = np.concatenate([one[:, 0] for one in means])
-    curvature = data(z)[2]
-    covariance: Any = np.linalg.inv(curvature[:count, :count] + np.eye(count))
-    creep = covariance @ curvature[:count, count:]  # change of the estimates by creep of one standard deviation
-    return z, covariance + creep @ creep.T, float(np.sqrt(np.mean(torque**2)))
+    bands = friction_places(problem)  # least ones have no derivative; the covariance is that at its edge
+    z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
+    covariance: Any = np.linalg.inv(terms(z)[2])
+    return z, covariance, float(np.sqrt(np.mean(torque**2)))
 
 
 def start(problem: CalibrationProblem, strength: float) -> Floats:

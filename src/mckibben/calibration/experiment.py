@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.config.document import to_text
 from mckibben.errors import ParameterError, StoppedError
+from mckibben.identification.storage import find_fit
 from mckibben.joint import Load, ScaledArms
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
 from mckibben.plant import FirstOrderValve
@@ -221,11 +222,20 @@ def read_joint_recording(
     )
 
 
+def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
+    """The prior with the fits that the laws of the controller's model are from."""
+    model = model_of(scenario)
+    muscles = (model.muscle1 or model.muscle, model.muscle2 or model.muscle)
+    first, second = (find_fit(one.law) if one and isinstance(one.law, Path) else None for one in muscles)
+    return replace(prior, fits=(first, second))
+
+
 def calibrate_scenario(
     scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
 ) -> JointCalibration:
     """The controller's model of a scenario identified from recordings of measured or of commanded pressures."""
     joint, load = build_joint(model_of(scenario)), load_of(scenario).build()
+    prior = with_fits(scenario, prior or JointPrior())
     if not any(one.commanded for one in recordings):
         return calibrate_joint(joint, load, recordings, prior)
     if not all(one.commanded for one in recordings):
@@ -299,6 +309,7 @@ def expected(
     """Standard deviation of the stiffness [N*m/rad] before and after an experiment on the model itself, simulated."""
     model, load = model_of(scenario), load_of(scenario)
     recordings = run_sweeps(scenario.model_copy(update={"joint": model, "load": load}), sweeps, folder)
+    prior = with_fits(scenario, prior or JointPrior())
     return deviations(calibrate_joint(build_joint(model), load.build(), recordings, prior), recordings)
 
 
@@ -314,7 +325,7 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
 
 
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s"}
-SHOWN |= {unit: unit for unit in ("1", "N", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
+SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
 """Units of quantities in reports, by those of SI."""
 
 

@@ -54,7 +54,7 @@ _DELAY = 20 * ms  # median before
 _DAMPING_TIME = 1.0  # s, inertia over damping of a load whose model has none
 _FIRST_VARIANCE = 0.1**2  # rad^2
 _RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps, as else its derivative is zero
-_FIRST, _STAGES, _ITERATIONS = 8, 3, 25
+_STRENGTHS, _FIRST, _STAGES, _ITERATIONS = 3, 8, 3, 25
 _FRICTION = 2 * COEFFICIENTS  # place of the half width among a muscle's parameters
 _SHARED = 3  # parameters beside the muscles' that `corrected` has too: the weight, zero and scale of the arms
 _OWN = {  # units, and fields of the prior; those of the friction where the joint has its own
@@ -395,7 +395,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Float
         z[list(_OWN).index("valve.rate") - own] = _RATE_START
         return minimised(terms, z, _FIRST)
 
-    z = min((begun(strength) for strength in STARTS), key=lambda found: found[1])[0]
+    z = min((begun(strength) for strength in STARTS[:_STRENGTHS]), key=lambda found: found[1])[0]
     if not math.isfinite(terms(z)[0]):
         raise IdentificationError("the simulated joint diverges", remedy="give a model nearer to the joint")
     error = np.zeros(0)

@@ -24,6 +24,7 @@ from mckibben.errors import McKibbenError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, to_json, write_json
 
 if TYPE_CHECKING:
+    from mckibben.study.parameters import Table
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep import SweepResult
     from mckibben.study.tune import TuningResult
@@ -126,6 +127,7 @@ def _list(path: Path, json: bool) -> None:
     table(read.name, ("parameter", "value", "range", "unit"), rows)
 
 
+_LARGEST, _GROWTH = 10.0, 1.5  # factor on gains, and on the error
 _METHODS = ("gradient", "evolution", "cma")
 
 
@@ -148,7 +150,18 @@ def tune(
     margin: Annotated[
         float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains so many times larger.")
     ] = 1.5,
-    worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario, not the mean.")] = False,
+    worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario or condition, not the mean.")] = False,
+    conditions: Annotated[
+        list[str] | None,
+        Option(
+            metavar="'NAME=RANGE'",
+            help="Parameter, such as 'load.mass2=+-50 %', whose draws all are simulated for each point; repeatable.",
+        ),
+    ] = None,
+    draws: Annotated[int, Option(metavar="N", help="Draws of the conditions.")] = 16,
+    percentile: Annotated[
+        float | None, Option(metavar="PERCENT", help="Minimise the cost that so many conditions do not exceed.")
+    ] = None,
     starts: Annotated[int, Option(metavar="N", help="Starting points of the gradient method.")] = 4,
     iterations: Annotated[int, Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
     population: Annotated[int, Option(metavar="N", help="Points per generation.")] = 32,
@@ -163,11 +176,13 @@ def tune(
     from mckibben.study.scenario import Scenario
 
     read = [Scenario.read(path) for path in scenarios]
+    from mckibben.study.parameters import parse_sweeps, sample
     from mckibben.study.tune import Method, parse_cost, parse_ranges
     from mckibben.study.tune import tune as run
 
     ranges = parse_ranges(parameters or [], read[0])
-    asked = parse_cost(cost, gain_margin=margin, worst=worst)
+    asked = parse_cost(cost, gain_margin=margin, worst=worst, percentile=percentile)
+    drawn = sample(parse_sweeps(conditions, read[0]), samples=draws, seed=seed) if conditions else {}
     history = out / "history.journal"
     if not resume and not history.exists():  # an existing search is reported by `run`
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
@@ -184,13 +199,14 @@ def tune(
             history=history,
             resume=resume,
             known="all" if known == ["all"] else known or (),
+            conditions=drawn,
             progress=bar,
         )
-    _show_tuned(tuned, read, scenarios, ranges, out, json)
+    _show_tuned(tuned, read, scenarios, ranges, drawn, out, json)
 
 
 def _show_tuned(
-    tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool
+    tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, drawn: Table, out: Path, json: bool
 ) -> None:
     from mckibben import report
 
@@ -207,6 +223,9 @@ def _show_tuned(
         "values": {name: {"si": tuned.values[name], "shown": text} for name, text in shown_values.items()},
         "runs": runs,
     }
+    margins = _margins(tuned, drawn) if drawn else {}
+    if margins:
+        numbers |= {"conditions": {name: values.tolist() for name, values in drawn.items()}, "margins": margins}
     with keeping(out, "make room, and continue with --resume"):
         kept = _keep_scenarios(tuned, paths, out)
         write_json(out / "results.json", numbers)
@@ -223,9 +242,27 @@ def _show_tuned(
             pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]
             table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
+        for name, factor in margins.items():
+            least = f"{factor:.2g} times" if factor < _LARGEST else f"{_LARGEST:g} times and more"
+            echo(f"{name}: in all conditions the tuned gains may rise to {least} before the error does by half")
         if tuned.at_bound:
             echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
     echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
+
+
+def _margins(tuned: TuningResult, drawn: Table) -> dict[str, float]:
+    """Factor on the tuned gains up to which each scenario is stable in all conditions, at most 10."""
+    from mckibben.study.parameters import find_parameters
+    from mckibben.study.tune import stability_margin
+    from mckibben.study.tune.search import is_gain
+
+    found, gains = {}, [name for name in tuned.values if is_gain(name)]
+    for scenario in tuned.scenarios if gains else ():
+        room = [float(each.upper) / tuned.values[each.name] for each in find_parameters(scenario, gains)]
+        largest = min(_LARGEST, *room)
+        margin = stability_margin(scenario, gains, largest=largest, growth=_GROWTH, conditions=drawn)
+        found[scenario.name] = min(margin, largest)
+    return found
 
 
 def _metrics(scenario: Scenario) -> dict[str, float]:

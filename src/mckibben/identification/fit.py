@@ -135,6 +135,12 @@ class Fit:
         errors = np.array([self.standard_errors[name] for name in self.estimates])
         return self.correlations * np.outer(errors, errors)
 
+    @property
+    def robust_covariance(self) -> Floats:
+        """Covariance with the robust standard errors, if there are any; 0 for parameters at a bound."""
+        errors = np.array([self._errors(None)[0][name] for name in self.estimates])
+        return np.nan_to_num(self.correlations * np.outer(errors, errors))
+
     def intervals(self, level: float = 0.95, *, by: Grouping | None = None) -> dict[str, Interval]:
         """Confidence intervals by parameter, in SI.
 

@@ -95,6 +95,12 @@ def read_fit(path: Path) -> Fit:
     return _read(path, complete=True).fit()
 
 
+def find_fit(path: Path) -> Fit | None:
+    """Read a file as `read_fit`, or return None for one of a law alone, without correlations."""
+    read = _read(path, complete=None)
+    return read.fit() if isinstance(read, _FitFile) else None
+
+
 def law_types() -> dict[str, type[ForceLaw]]:
     """Force laws by name: those of mckibben, and classes of one's own that are imported."""
     own = {law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}
@@ -271,8 +277,8 @@ class _FitFile(_LawFile):
         )
 
 
-def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
-    """The checked content of a file: a `_FitFile`, or a `_LawFile` if it need not be complete."""
+def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
+    """The checked content of a file: a `_FitFile`, or a `_LawFile` if it need not be complete; None: as it is."""
     source = os.fspath(path)
     text = read_text(path, "a fit", "docs/files.md")
     check_seal(Path(path))
@@ -280,6 +286,7 @@ def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
     if not document.readable:
         raise ScenarioError(source, document.problems)
     data = document.data if isinstance(document.data, dict) else {}
+    complete = "correlations" in data if complete is None else complete
     known = law_types()
     law_type = known.get(data["law"]) if isinstance(data.get("law"), str) else None
     if law_type is None and "law" in data:

@@ -70,12 +70,10 @@ def _with_mass(body: Any, factors: NDArray[np.float64]) -> Any:
 
 def _fit_draws(fit: Fit, rng: np.random.Generator, count: int) -> dict[str, NDArray[np.float64]]:
     """Draws of a fit's parameters by name, the first as identified; robust standard errors where the fit has them."""
-    robust = fit.robust.standard_errors if fit.robust else fit.standard_errors
-    errors = np.array([robust[name] for name in fit.estimates])
-    known = np.isfinite(errors) & np.isfinite(np.diag(fit.correlations))
+    covariance = fit.robust_covariance
+    known = np.diag(covariance) > 0
     draws = np.tile(np.array(list(fit.estimates.values())), (count, 1))
-    covariance = (fit.correlations * np.outer(errors, errors))[np.ix_(known, known)]
-    draws[1:, known] += rng.multivariate_normal(np.zeros(known.sum()), covariance, count - 1)
+    draws[1:, known] += rng.multivariate_normal(np.zeros(known.sum()), covariance[np.ix_(known, known)], count - 1)
     return dict(zip(fit.estimates, draws.T, strict=True))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -74,7 +75,9 @@ class Cost:
     gain_margin
         Factor by which the gains may rise; 1 for no margin.
     worst
-        Of several scenarios, count the worst instead of the mean.
+        Of several scenarios or conditions, count the worst instead of the mean.
+    percentile
+        Of several scenarios or conditions, count the cost that this percentage of them does not exceed instead.
 
     Examples
     --------
@@ -87,6 +90,7 @@ class Cost:
     terms: tuple[Term, ...]
     gain_margin: float = 1.0
     worst: bool = False
+    percentile: float | None = None
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -99,11 +103,23 @@ class Cost:
             raise ParameterError(
                 f"the gain margin is {self.gain_margin:g}", value=self.gain_margin, remedy="give 1 (none) or more"
             )
+        if self.percentile is not None:
+            if not 0 < self.percentile <= 100:
+                raise ParameterError("no percentile", value=self.percentile, lower=0.0, upper=100.0)
+            if self.worst:
+                raise ParameterError("the worst is the percentile 100", remedy="give one of the two")
 
     @classmethod
-    def of(cls, scales: Mapping[str, float], *, gain_margin: float = 1.0, worst: bool = False) -> Self:
+    def of(
+        cls,
+        scales: Mapping[str, float],
+        *,
+        gain_margin: float = 1.0,
+        worst: bool = False,
+        percentile: float | None = None,
+    ) -> Self:
         """From metrics and their scales [SI]."""
-        return cls(tuple(Term(name, scale) for name, scale in scales.items()), gain_margin, worst)
+        return cls(tuple(Term(name, scale) for name, scale in scales.items()), gain_margin, worst, percentile)
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -120,7 +136,7 @@ class Cost:
         return " + ".join(_written(term) for term in self.terms)
 
 
-def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Cost:
+def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False, percentile: float | None = None) -> Cost:
     """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
 
     A single metric needs no scale; of several each does, since their units differ.
@@ -160,7 +176,7 @@ def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> C
         except ValueError:
             raise ParameterError(f"{found['weight']!r} is no number", value=part, remedy="write 2*metric") from None
         terms.append(Term(metric, size, weight))
-    return Cost(tuple(terms), gain_margin, worst)
+    return Cost(tuple(terms), gain_margin, worst, percentile)
 
 
 def _written(term: Term) -> str:
@@ -186,12 +202,13 @@ class TuningProblem:
     space: SearchSpace
     cost: Cost
     known: Known = ()  # plant parameters that the controllers' models follow
+    conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs in every row of them
     _leaf_names: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for scenario in self.scenarios:
             try:
-                known_names(scenario, self.known, self.space.names)
+                known_names(scenario, self.known, [*self.space.names, *self.conditions])
             except ParameterError as error:
                 if len(self.scenarios) == 1:
                     raise
@@ -205,14 +222,26 @@ class TuningProblem:
 
     @classmethod
     def of(
-        cls, scenarios: Sequence[Scenario], swept: Sequence[SweptParameter], cost: Cost, known: Known = ()
+        cls,
+        scenarios: Sequence[Scenario],
+        swept: Sequence[SweptParameter],
+        cost: Cost,
+        known: Known = (),
+        conditions: Table | None = None,
     ) -> TuningProblem:
         """Problem with the nominal values of the first scenario."""
         if not scenarios:
             raise ParameterError("nothing to tune", remedy="give a scenario")
+        if both := [each.name for each in swept if each.name in (conditions or {})]:
+            raise ParameterError(f"{both[0]} is tuned and a condition", value=both[0], remedy="give it once")
         parameters = find_parameters(scenarios[0], [each.name for each in swept])
         space = SearchSpace(tuple(replace(each, parameter=p) for each, p in zip(swept, parameters, strict=True)))
-        return cls(tuple(scenarios), space, cost, known)
+        return cls(tuple(scenarios), space, cost, known, conditions or {})
+
+    @property
+    def _draws(self) -> int:
+        """Number of conditions."""
+        return len(next(iter(self.conditions.values()))) if self.conditions else 1
 
     def costs(self, values: Vector) -> Vector:
         """Cost of each row of values [SI], shape (n, parameters)."""
@@ -220,14 +249,15 @@ class TuningProblem:
         share = max(cores() // len(self.scenarios), 1)
         with ThreadPoolExecutor(cores()) as pool:
             measured = pool.map(lambda scenario: self._metrics(scenario, rows, share), self.scenarios)
-            return self._combine(np.stack([self.cost(each) for each in measured]))[0]
+            return self._combine(np.concatenate([self.cost(each).reshape(self._draws, -1) for each in measured]))[0]
 
     def costs_and_gradients(self, values: Vector) -> tuple[Vector, Vector]:
         """Costs of rows of values [SI], shape (n, parameters), and their derivatives by the values."""
         rows = self._with_margin(values)
         found = [self._derivatives(scenario, rows) for scenario in self.scenarios]
-        total, shares = self._combine(np.stack([cost for cost, _ in found]))
-        slopes = shares[..., None] * np.stack([slope for _, slope in found])
+        total, shares = self._combine(np.concatenate([cost.reshape(self._draws, -1) for cost, _ in found]))
+        size = len(self.space)
+        slopes = shares[..., None] * np.concatenate([slope.reshape(self._draws, -1, size) for _, slope in found])
         slopes = np.sum(slopes, axis=0).reshape(-1, *values.shape)
         # The rows with the margin hold the values multiplied by it.
         gradient = slopes[0] + (slopes[1] * self._gain_factors() if len(slopes) > 1 else 0.0)
@@ -249,21 +279,24 @@ class TuningProblem:
         return np.where([is_gain(name) for name in self.space.names], self.cost.gain_margin, 1.0)
 
     def _with_margin(self, values: Vector) -> Vector:
-        if self.cost.gain_margin == 1.0:
-            return values
-        lower, upper = np.array([(each.parameter.lower, each.parameter.upper) for each in self.space.swept]).T
-        return np.concatenate([values, np.clip(values * self._gain_factors(), lower, upper)])
+        """Rows of values, then those with the margin; all of them for each condition."""
+        if self.cost.gain_margin != 1.0:
+            lower, upper = np.array([(each.parameter.lower, each.parameter.upper) for each in self.space.swept]).T
+            values = np.concatenate([values, np.clip(values * self._gain_factors(), lower, upper)])
+        return np.tile(values, (self._draws, 1))
 
     def _combine(self, costs: Vector) -> tuple[Vector, Vector]:
-        """Combine costs, shape (scenarios, rows), to one for each set of values; also the weight of each in it."""
+        """Combine costs, shape (runs, rows), to one for each set of values; also the weight of each in it."""
         count, rows = costs.shape
         sets = rows if self.cost.gain_margin == 1.0 else rows // 2
         costs = np.where(np.isfinite(costs), np.minimum(costs, FAILED_COST), FAILED_COST)
         shares = np.zeros_like(costs)
-        if self.cost.worst:
-            shares[np.argmax(costs, axis=0), np.arange(rows)] = 1.0
-        else:
+        percentile = 100.0 if self.cost.worst else self.cost.percentile
+        if percentile is None:
             shares[:] = 1.0 / count
+        else:
+            rank = math.ceil(percentile / 100 * count) - 1
+            shares[np.argsort(costs, axis=0)[rank], np.arange(rows)] = 1.0
         total = np.where(np.any(costs >= FAILED_COST, axis=0), FAILED_COST, np.sum(shares * costs, axis=0)).reshape(
             -1, sets
         )
@@ -272,7 +305,8 @@ class TuningProblem:
         return total[worse, np.arange(sets)], shares * chosen.reshape(-1)
 
     def _table(self, rows: Vector) -> Table:
-        return {name: rows[:, i] for i, name in enumerate(self.space.names)}
+        tuned = {name: rows[:, i] for i, name in enumerate(self.space.names)}
+        return tuned | {name: np.repeat(each, len(rows) // self._draws) for name, each in self.conditions.items()}
 
     def _valid(self, scenario: Scenario, rows: Vector) -> tuple[NDArray[np.bool_], Vector]:
         """Mask of the valid rows, and the rows with invalid ones replaced by a valid one."""

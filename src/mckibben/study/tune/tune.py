@@ -18,7 +18,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
-from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
+from mckibben.study.parameters import Distribution, Known, SweptParameter, Table, sweep_parameters, with_values
 from mckibben.study.parameters.sampling import check_count
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem
@@ -185,6 +185,7 @@ def tune(
     history: Path | None = None,
     resume: bool = False,
     known: Known = (),
+    conditions: Table | None = None,
     progress: Progress | None = None,
 ) -> TuningResult:
     """Search scenario parameters within ranges for the least cost.
@@ -211,6 +212,9 @@ def tune(
         File in which every trial is stored, and whether to continue the search in it.
     known
         Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
+    conditions
+        Values [SI] of other parameters by name, such as a `sample` of them: every trial is simulated in all rows, and
+        the cost combines them as it does scenarios.
     progress
         Called with the present step and the finished fraction, 0 to 1, first when all arguments have been checked; a
         progress bar in notebooks.
@@ -229,7 +233,7 @@ def tune(
     check_count("seed", seed, 0, _MAX_SEED)
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     swept = sweep_parameters(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
-    problem = TuningProblem.of(several, swept, cost, known)  # type: ignore[arg-type]
+    problem = TuningProblem.of(several, swept, cost, known, conditions)  # type: ignore[arg-type]
     check_method(method, numbers=len(problem.space), population=population)
     if method is Method.GRADIENT:
         problem.check_smooth()
@@ -243,6 +247,8 @@ def tune(
         "cost": cost.text,
         "gain_margin": cost.gain_margin,
         "worst": cost.worst,
+        **({} if cost.percentile is None else {"percentile": cost.percentile}),
+        **({} if not conditions else {"conditions": {name: np.asarray(x).tolist() for name, x in conditions.items()}}),
         "method": method.value,
         "seed": seed,
         **({} if method is Method.GRADIENT else {"population": population}),
