@@ -16,7 +16,6 @@ from mckibben.errors import ParameterError, UnitError
 from mckibben.joint import Geometry, RigidTendon
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
-from mckibben.muscle.spring import SpringLaw
 from mckibben.notebook import html_table
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled, numeric
@@ -440,7 +439,7 @@ def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], start
     if starts < 1:
         raise ParameterError(f"the search has {starts} starts", value=starts, remedy="give 1 or more")
     laws = plant.joint.muscle1.law, plant.joint.muscle2.law
-    if any(isinstance(law, SpringLaw) for law in laws):
+    if any(plant.joint.springs):
         raise ParameterError(
             "with a return spring the angle determines the stiffness: there is no range to attain",
             field="return_spring",
