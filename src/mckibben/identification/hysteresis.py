@@ -310,10 +310,17 @@ def identify_hysteresis(
 
 
 def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
-    """Model whose paths start on the branch of their first point's direction, or on the other: which fits better."""
-    models = [model, dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=-model.paths.side))]
+    """Model that fits best, of paths that start on the branch of their first point's direction, or on the other.
+
+    Where turning points are measured twice, once for each direction, the muscle rested there, or it overshot.
+    """
+    models = [
+        dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, overshot=overshot))
+        for overshot in (False, True)[: 1 + bool(model.paths.turns.any())]
+        for side in (model.paths.side, -model.paths.side)
+    ]
     found = [least_squares(each, start, ("half_width", "log_presliding"), max_nfev=20) for each in models]
-    best = int(found[1].cost < found[0].cost)
+    best = int(np.argmin([one.cost for one in found]))
     return models[best], found[best].values
 
 
