@@ -295,8 +295,15 @@ def identify_hysteresis(
             "differ, or the strokes are too short"
         )
     warnings += [f"{name} is at the bound of its range" for name in found.at_bound]
-    lack = lack_of_fit(model, found, half_gap)
-    warnings += [lack.describe(form)] if lack else []
+    lack, rejected = lack_of_fit(model, found, half_gap), form
+    if lack is None and form in (FrictionForm.PRESSURE, FrictionForm.TENSION):
+        # What depends on the contraction may pass for a growth, beside which a few paths do not show it.
+        rejected = FrictionForm.CONSTANT
+        simpler = least_squares(model, form_start(model, found.values, rejected), (*of_law, *rejected.free))
+        lack = lack_of_fit(model, simpler, half_gap)
+        lack = lack if lack and lack.remedy is None else None
+    instead = "" if rejected is form else f", and {form.value!r} stands for it"
+    warnings += [lack.describe(rejected) + instead] if lack else []
     answer = _result(model, found, taut, form, comparison, lack, tuple(warnings))
     systematic = systematic_residual(model, answer.residuals)
     if systematic <= _MISFIT * half_gap:
