@@ -18,19 +18,19 @@ def force(percent: float, pressure: float) -> float:
     return float(constant + linear * percent + exponential * np.exp(-LAW["decay"] * percent))
 
 
-def main() -> None:
-    """Loading and unloading between 0 and 30 % at six pressures."""
-    rng = np.random.default_rng(2026)
+def text(seed: int, longest: float = 30.0) -> str:
+    """Loading and unloading between 0 and a contraction [%] at six pressures."""
+    rng = np.random.default_rng(seed)
     rows = ["Druck [bar];Kraft [N];Laenge [mm]"]
-    stroke = np.linspace(0, 30, 21)
+    stroke = np.linspace(0, longest, 21)
     for level in range(1, 7):
         for side, pass_ in ((-1, stroke), (1, stroke[::-1])):
             for percent in pass_:
                 pressure = level + rng.normal(0, SCATTER)
                 pull = max(force(percent, pressure) + side * FRICTION, 0.0) + OFFSET + rng.normal(0, NOISE)
                 rows.append(f"{pressure:.3f};{pull:.2f};{LENGTH * (1 - percent / 100):.2f}".replace(".", ","))
-    Path(__file__).with_name("rig.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return "\n".join(rows) + "\n"
 
 
 if __name__ == "__main__":
-    main()
+    Path(__file__).with_name("rig.csv").write_text(text(2026), encoding="utf-8")

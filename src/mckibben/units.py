@@ -40,6 +40,7 @@ s = 1.0
 ms = 1e-3
 Hz = 1.0
 rad = 1.0
+mrad = 1e-3
 deg = math.pi / 180
 percent = 1e-2
 
@@ -68,6 +69,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "mbar": (100.0, _PRESSURE),
     "psi": (6894.757293168361, _PRESSURE),
     "rad": (1.0, _ANGLE),
+    "mrad": (mrad, _ANGLE),
     "deg": (deg, _ANGLE),
     "percent": (percent, _NOTHING),
     "ratio": (1.0, _NOTHING),

@@ -7,9 +7,17 @@ import pytest
 from ruamel.yaml import YAML
 
 from mckibben import catalog
+from mckibben.catalog.entries import valve_section
 from mckibben.errors import NotInCatalogError
 from mckibben.muscle import ExponentialLaw
 from mckibben.units import factor
+
+OPEN = {"FlowValve": {}, "SwitchingValves": {"period": 0.02}, "PressureRegulator": {"time_constant": 0.03}}
+
+
+def load_valve(name):
+    return catalog.valve(name, supply=7e5, **OPEN[valve_section(name)["class"]])
+
 
 LOADERS = {
     "specimens": catalog.specimen,
@@ -18,7 +26,7 @@ LOADERS = {
     "geometries": catalog.geometry,
     "loads": catalog.load,
     "joints": catalog.joint,
-    "valves": lambda name: catalog.valve(name, supply=7e5, period=0.02),
+    "valves": load_valve,
 }
 KINDS = tuple(LOADERS)
 ENTRIES = [(kind, name) for kind in KINDS for name in catalog.names(kind)]
@@ -141,3 +149,14 @@ def test_all_files_of_the_catalog_are_read():
         n for f in files for kind, part in YAML(typ="safe").load(f.read_text()).items() if kind in KINDS for n in part
     ]
     assert sorted(written) == sorted(name for _, name in ENTRIES)
+
+
+def test_a_valve_has_the_numbers_of_its_data_sheet():
+    """The printed C and b give about the printed standard nominal flow, 1400 l/min from 6 to 5 bar."""
+    printed = catalog.valve("festo-mpye-5-1-4", supply=7e5)
+    ratio = (6.01325 / 7.01325 - printed.critical_ratio) / (1 - printed.critical_ratio)
+    flow = printed.conductance * 7.01325e5 * np.sqrt(1 - ratio**2) * 60e3
+    assert flow == pytest.approx(1400, rel=0.1)
+    assert 1 / (2 * np.pi * printed.spool_lag) == pytest.approx(80, rel=0.01)
+    small, large = (catalog.valve(f"festo-mpye-5-{size}", supply=7e5) for size in ("m5", "1-8-hf"))
+    assert large.conductance == pytest.approx(7 * small.conductance)

@@ -215,3 +215,23 @@ def test_a_law_that_fits_badly_is_said_to_spoil_the_friction(drifting):
     bad = identify_hysteresis(ReynoldsLaw, data)
     assert bad.rmse > 20
     assert "ReynoldsLaw leaves residuals of" in bad.warnings[-1] and "may pass for friction" in bad.warnings[-1]
+
+
+@pytest.mark.parametrize("overshot", [True, False])
+def test_a_turning_point_measured_in_both_directions_may_have_been_passed(overshot):
+    """Between its two rows the muscle went farther and came back, or it rested: the forces tell."""
+    stroke, half_width, rows = np.linspace(0, 0.1, 12), 8.0, []
+    for level in (4 * bar, 5 * bar, 6 * bar):
+        out = [(level, eps, "unloading", -half_width) for eps in stroke]
+        back = [(level, eps, "loading", half_width) for eps in stroke[::-1]]
+        rows += [*out, *(back if overshot else [(level, stroke[-1], "loading", -half_width), *back[1:]])]
+    pressure, contraction, direction, friction = (np.array(column) for column in zip(*rows, strict=True))
+    noise = 0.2 * np.random.default_rng(0).standard_normal(len(friction))
+    force = forces(LAW, contraction, pressure) + friction + noise
+    data = IsobaricDataset.of(
+        pressure=pressure, contraction=contraction, force=force, direction=direction, initial_length=0.25
+    )
+    found = identify_hysteresis(ExponentialLaw, data)
+    assert found.friction.half_width == pytest.approx(half_width, abs=0.1)
+    assert found.rmse == pytest.approx(0.2, rel=0.3)
+    assert identify(ExponentialLaw, found.corrected(data)).rmse == pytest.approx(0.2, rel=0.3)

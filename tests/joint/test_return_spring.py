@@ -1,5 +1,7 @@
 """One muscle against a return spring: torque, stiffness, attainable set, all controllers, envelope; a linear axis."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -24,10 +26,11 @@ from mckibben import (
 )
 from mckibben.config.document import to_text
 from mckibben.control import ExtendedStateObserver, PolePlacement, PressureObserver
-from mckibben.errors import RangeError, ReachabilityWarning, ScenarioError
+from mckibben.errors import RangeError, ReachabilityWarning, ScenarioError, UnreachableError
 from mckibben.reachability import envelope
 from mckibben.units import N, bar, deg, mm
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-axis.yaml"
 MUSCLE = catalog.joint("knee-table-2").muscle1
 PATHS = {1: Pulley(30 * mm, 150 * mm), 2: Pulley(25 * mm, 160 * mm)}
 RATE, FREE_LENGTH = 4 * N / mm, 130 * mm
@@ -152,6 +155,17 @@ def test_a_linear_axis_is_a_pulley_of_1_m():
     with pytest.warns(ReachabilityWarning):
         result = simulate(plant, controller, reference, duration=2)
     assert result.metrics["angle_rmse"] < 0.1 * mm
+
+
+def test_the_example_of_a_linear_axis_follows_its_reference():
+    run = Scenario.read(EXAMPLE)
+    plant = run.plant()
+    with pytest.warns(ReachabilityWarning):
+        result = simulate(plant, run.control(), run.reference(), duration=2, initial=run.initial(plant))
+    assert result.metrics["angle_rmse"] < 1 * mm
+    with pytest.raises(UnreachableError) as caught:
+        plant.equilibrium(0.0, stiffness=9e3)
+    assert caught.value.lower == pytest.approx(caught.value.upper) and "leave" in caught.value.remedy
 
 
 def test_what_is_no_joint_is_refused():

@@ -488,7 +488,7 @@ RUNS = {
 
 
 def test_there_is_a_run_for_every_example():
-    assert {path.stem for path in EXAMPLES.glob("*.yaml")} == {*RUNS, "own-joint"}
+    assert {path.stem for path in EXAMPLES.glob("*.yaml")} == {*RUNS, "own-joint", "linear-axis"}
 
 
 @pytest.mark.parametrize("name", RUNS)

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from mckibben.errors import McKibbenError, ParameterError, UnitError
-from mckibben.joint import AntagonisticJoint, SeriesSpring
+from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, Pulley, SeriesSpring, TabulatedPath, TwoBonePath
+from mckibben.muscle import return_spring
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.reachability import DesignTarget, DesignVariable, design, parse_target, parse_variable
-from mckibben.reachability.sizing import CONSTRAINTS, length_of, margins_and_jacobian, with_lengths
+from mckibben.reachability.lengths import design_lengths, length_of, with_lengths
+from mckibben.reachability.sizing import CONSTRAINTS, margins_and_jacobian
 from mckibben.units import deg
 
 VARIABLES = (DesignVariable("connector_length", 0.19, 0.24), DesignVariable("joint_radius", 0.02, 0.05))
@@ -110,6 +112,51 @@ def test_with_lengths_replaces_the_named_ones(plant):
     assert float(changed.joint.contractions(0.0, (0.0, 0.0))[1]) == pytest.approx(1 - 0.21 / 0.25)
 
 
+def with_paths(plant, path1, path2):
+    joint = AntagonisticJoint(PairedPaths(path1, path2), plant.joint.muscle1, plant.joint.muscle2)
+    return JointPlant(joint, plant.load, plant.valve)
+
+
+TABLE = np.linspace(-40, 40, 9) * deg
+OWN = {
+    "pulley and bone": (Pulley(30e-3, 0.16), TwoBonePath(30e-3, 162e-3, 35e-3, 0.0, connector_length=1e-3)),
+    "table and cam": (TabulatedPath(TABLE, arms=0.03 + 0 * TABLE, rest_length=0.16), Cam(25e-3, 0.16)),
+}
+LENGTHS = {
+    "pulley and bone": ("path1.radius", "path2.distal_x", "connector_length"),
+    "table and cam": ("path1.rest_length", "path2.arm", "rest_length"),
+}
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_lengths_of_any_geometry_have_exact_derivatives(plant, name):
+    own, h = with_paths(plant, *OWN[name]), 1e-7
+    *chosen, shared = LENGTHS[name]
+    at = {length: length_of(own, length) for length in chosen}
+    _, jacobian = margins(numeric(own), EASY, at)
+    for length in chosen:
+        ahead, behind = (margins(numeric(own), EASY, at | {length: at[length] + s})[0] for s in (h, -h))
+        assert np.abs(ahead - behind).max() > 0
+        np.testing.assert_allclose(jacobian[length], (ahead - behind) / (2 * h), rtol=1e-4, atol=1e-3)
+    known = design_lengths(own)
+    assert known[shared] == [places[0] for given, places in known.items() if given.endswith(f".{shared}")]
+    geometry = with_lengths(own, {shared: 0.02}).joint.geometry
+    assert all(getattr(getattr(geometry, path), last) == 0.02 for _, path, last in known[shared])
+
+
+def test_pulleys_are_sized_as_the_best_of_a_grid(plant):
+    own = numeric(with_paths(plant, Pulley(25e-3, 0.162), Pulley(25e-3, 0.162)))
+    ranges = {"radius": (0.02, 0.05), "rest_length": (0.15, 0.18)}
+    found = design(own, EASY, [DesignVariable(name, *ends) for name, ends in ranges.items()], starts=2)
+    tried = [
+        float(np.min(margins(own, EASY, dict(zip(ranges, lengths, strict=True)))[0]))
+        for lengths in itertools.product(*(np.linspace(*ends, 16) for ends in ranges.values()))
+    ]
+    assert found.attained and found.margin >= max(tried) - 1e-6
+    sized = found.plant.joint.geometry
+    assert sized.path1.radius == sized.path2.radius == found.lengths["radius"]
+
+
 def test_targets_and_variables_as_text():
     found = parse_target("stiffness 12..18 N*m/rad over -20..20 deg", torque_reserve=1.5)
     assert (found.stiffness, found.torque_reserve) == ((12.0, 18.0), 1.5)
@@ -137,7 +184,7 @@ def test_other_texts_are_no_target(text, kind, said):
     [
         ("connector_length", ParameterError, "not a length with its range"),
         ("connector_length=150 mm", ParameterError, "not a length with its range"),
-        ("mass=1..2 mm", ParameterError, "is not a design variable; known are connector_length"),
+        ("connector_length=100..200 m", ParameterError, "not a range of lengths"),
         ("connector_length=260..150 mm", McKibbenError, "260"),
         ("connector_length=1..2 N", UnitError, "not a unit of the kind"),
         ("connector_length=1..2 parsec", UnitError, "unknown unit"),
@@ -153,6 +200,14 @@ def test_what_cannot_be_designed(plant, as_printed, load):
         design(plant, EASY, [])
     with pytest.raises(ParameterError, match="give each length once"):
         design(plant, EASY, [DesignVariable("muscle_length", 0.1, 0.2), DesignVariable("muscle1_length", 0.1, 0.2)])
+    for variable in (DesignVariable("mass", 0.1, 0.2), DesignVariable("connector_length", -0.1, 0.2)):
+        with pytest.raises(ParameterError) as caught:
+            design(plant, EASY, [variable])
+        assert caught.value.value in ("mass", -0.1) and caught.value.remedy
+    sprung = AntagonisticJoint(as_printed.geometry, return_spring(4e3, 0.13), as_printed.muscle2)
+    with pytest.raises(ParameterError) as caught:
+        design(JointPlant(sprung, load, FirstOrderValve(0.02)), EASY, VARIABLES)
+    assert caught.value.field == "return_spring"
     with pytest.raises(ParameterError, match="has 0 starts"):
         design(plant, EASY, VARIABLES, starts=0)
     spring = SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)

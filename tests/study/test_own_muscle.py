@@ -218,3 +218,13 @@ def test_a_muscle_without_a_volume_runs():
     result = mk.simulate(short.plant(), short.control(), short.reference(), duration=0.05, control_period=1e-3)
     assert not result.outcome.failed
     assert np.isnan(result.metrics["air"]) and result.metrics["force_max"] > 0
+
+
+def test_a_valve_with_air_needs_the_volume_of_the_muscle():
+    air = "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar}"
+    text = re.sub(r"valve: .*", f"valve: {air}", TEXT)
+    unknown = text.replace(MUSCLE, "muscle: {specimen: {name: x, initial_length: 300 mm}, law: fit/fit.yaml}")
+    with pytest.raises(RangeError) as caught:
+        Scenario.parse(unknown, folder=FOLDER).plant()
+    assert caught.value.field == "initial_diameter"
+    Scenario.parse(text, folder=FOLDER).plant()

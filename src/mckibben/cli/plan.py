@@ -233,8 +233,8 @@ def envelope(
         list[str] | None,
         Option(
             metavar="'NAME=RANGE'",
-            help="Design variable with its bounds: 'connector_length=150..260 mm', joint_radius, joint_length, "
-            "muscle_length, muscle1_length, muscle2_length. May be given several times.",
+            help="Design variable with its bounds, a length of the geometry or muscle_length: "
+            "'connector_length=150..260 mm'; 'radius=20..40 mm' or path1.radius of two pulleys. Repeatable.",
         ),
     ] = None,
     torque_reserve: Annotated[
@@ -327,5 +327,5 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         echo(found.describe())
     if out:
         if "design.yaml" not in names:
-            echo("no scenario written: the length of a muscle belongs to its specimen in the catalog", err=True)
+            echo("no scenario written: a length belongs to a specimen or a geometry of the catalog", err=True)
         notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)

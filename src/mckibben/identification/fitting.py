@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
-from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
+from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
@@ -71,8 +72,10 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     points = _within_validity(law_type, taut)
     refit, simpler = None, ""
     if smooth:
-        asked, refit = law_type, lambda kept: fit_smooth(asked, points, kept)[0]
-        solution, simpler = fit_smooth(law_type, points, np.ones(len(points), bool))
+        eq2 = FitProblem.of(ExponentialLaw, points)
+        asked, start = law_type, solve(eq2, grid_search(eq2)).position
+        refit = cast(Refit, lambda kept: fit_smooth(asked, points, kept, start)[0])
+        solution, simpler = fit_smooth(law_type, points, np.ones(len(points), bool), start)
         law_type = solution.problem.law_type
     else:
         problem = FitProblem.of(law_type, points)

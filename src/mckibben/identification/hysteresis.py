@@ -295,8 +295,15 @@ def identify_hysteresis(
             "differ, or the strokes are too short"
         )
     warnings += [f"{name} is at the bound of its range" for name in found.at_bound]
-    lack = lack_of_fit(model, found, half_gap)
-    warnings += [lack.describe(form)] if lack else []
+    lack, rejected = lack_of_fit(model, found, half_gap), form
+    if lack is None and form in (FrictionForm.PRESSURE, FrictionForm.TENSION):
+        # What depends on the contraction may pass for a growth, beside which a few paths do not show it.
+        rejected = FrictionForm.CONSTANT
+        simpler = least_squares(model, form_start(model, found.values, rejected), (*of_law, *rejected.free))
+        lack = lack_of_fit(model, simpler, half_gap)
+        lack = lack if lack and lack.remedy is None else None
+    instead = "" if rejected is form else f", and {form.value!r} stands for it"
+    warnings += [lack.describe(rejected) + instead] if lack else []
     answer = _result(model, found, taut, form, comparison, lack, tuple(warnings))
     systematic = systematic_residual(model, answer.residuals)
     if systematic <= _MISFIT * half_gap:
@@ -310,10 +317,17 @@ def identify_hysteresis(
 
 
 def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
-    """Model whose paths start on the branch of their first point's direction, or on the other: which fits better."""
-    models = [model, dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=-model.paths.side))]
+    """Model that fits best, of paths that start on the branch of their first point's direction, or on the other.
+
+    Where turning points are measured twice, once for each direction, the muscle rested there, or it overshot.
+    """
+    models = [
+        dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, overshot=overshot))
+        for overshot in (False, True)[: 1 + bool(model.paths.turns.any())]
+        for side in (model.paths.side, -model.paths.side)
+    ]
     found = [least_squares(each, start, ("half_width", "log_presliding"), max_nfev=20) for each in models]
-    best = int(found[1].cost < found[0].cost)
+    best = int(np.argmin([one.cost for one in found]))
     return models[best], found[best].values
 
 

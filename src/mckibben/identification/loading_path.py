@@ -22,6 +22,8 @@ _REVERSALS = 0.3  # per move; a stroke has a few moves at least
 _SIGNIFICANT = 3.0  # standard errors
 _SPEEDS = 1.3  # ratio of the upper to the lower quartile that tells viscous from dry friction
 _CLIPPED = 0.25  # of the slack points at exactly the lowest force
+_REPEATED = 0.01  # of a step: a smaller move is none
+_FAR = 1.0  # m: farther than any presliding length
 _SLACK = 2  # slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
@@ -35,6 +37,15 @@ class LoadingPaths:
     side: Floats
     length: Floats = field(repr=False)
     step: float
+    turns: Floats = field(repr=False)
+    """1 or -1 at a row of loading or unloading that repeats the place of a row of the other direction, else 0."""
+    overshot: bool = False
+    """Whether the muscle went beyond these places and came back, which reverses its friction."""
+
+    @property
+    def travel(self) -> Floats:
+        """Displacement [m] as the friction has it, shape (points, paths)."""
+        return self.displacement + _FAR * self.turns[self.place] if self.overshot else self.displacement
 
     @property
     def displacement(self) -> Floats:
@@ -117,7 +128,12 @@ class LoadingPaths:
         place = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths], axis=1)
         side = np.array([-1.0 if loading[path[0]] else 1.0 for path in paths])
         counts = np.array([len(path) for path in paths])
-        return cls(place, counts, side, length, float(np.median(np.abs(moves[moved]))))
+        step = float(np.median(np.abs(moves[moved])))
+        turns = np.zeros(len(length))
+        for path in paths:
+            repeated = np.abs(np.diff(length[path])) < _REPEATED * step
+            turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
+        return cls(place, counts, side, length, step, turns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +334,7 @@ class PathDependentModel:
         share, stiffness = polygon(self.elements)
         stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
         deflections = play_response(
-            self.paths.displacement[..., None],
+            self.paths.travel[..., None],
             limit[self.paths.place],
             stiffness,
             share,

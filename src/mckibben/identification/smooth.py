@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification.fit import domain_of, unphysical
-from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
+from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.identification.regression import contraction_blocks, pressure_blocks
 from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
 from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothAffineLaw, SmoothLaw
@@ -42,16 +42,20 @@ _STARTS = (0.0, 5.0)  # logarithm of the scales
 _BOUNDS = (-4.0, 14.0)  # at the lower one a deviation is negligible beside the noise
 _GAIN = 1.0  # in the logarithm of the restricted likelihood, by scale
 _WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at blocks left out, as a part of that of Eq. 2
+_LEAST = 4  # points for each parameter of Eq. 2
 _ROUNDING = 1e-9  # of the largest force
 
 
-def fit_smooth(law_type: type[ForceLaw], points: IsobaricDataset, kept: Bools) -> tuple[Solution, str]:
-    """Fit the law to the kept points, or a simpler one that they support better, and the reason."""
+def fit_smooth(law_type: type[ForceLaw], points: IsobaricDataset, kept: Bools, start: Floats) -> tuple[Solution, str]:
+    """Fit the law to the kept points, or a simpler one that they support better, and the reason.
+
+    Eq. 2 is searched from a start, as its own refits are, so that they are the same where it is the result.
+    """
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
-    base, used = solve(eq2, grid_search(eq2)), points.select(kept)
+    base, used = solve(eq2, start), points.select(kept)
     residuals, reach = base.residuals, float(np.ptp(used.contraction))
-    if len(used) < len(eq2.names) + 2 or not reach or np.abs(residuals).max() < _ROUNDING * used.force.max():
-        return base, "Eq. 2 is exact"
+    if len(used) < _LEAST * len(eq2.names) or not reach or np.abs(residuals).max() < _ROUNDING * used.force.max():
+        return base, "Eq. 2 is exact, or the points are too few"
     middle = float(used.contraction.max() + used.contraction.min()) / 2
     window = {"centre": middle, "half_width": (1 + _MARGIN) * reach / 2}
     reason = ""

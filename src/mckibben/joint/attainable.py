@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 _SCANNED = 401
 _SCANNED_FRICTION = 33
 _TOLERANCE = 1e-6  # relative, of a stiffness that was found
+_ROUNDING = 1e-12  # relative, of a tension
 _INSIDE = 1e-9  # distance from the ends of a segment, as a fraction: at the very end a muscle is slack
 
 
@@ -117,7 +118,7 @@ def check_finite(**numbers: ArrayLike) -> None:
 
 def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque: float, stiffness: float) -> NoReturn:
     """Raise the reason why a static state does not exist; a stiffness of NaN stands for none in particular."""
-    where = f"at {angle / deg:.4g} deg with a torque of {torque:.4g} N*m"
+    where = f"at {angle / deg:.4g} deg with a torque of {torque + 0.0:.4g} N*m"
     low, high = float(found.lowest), float(found.highest)
     if not low <= high:
         contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
@@ -146,7 +147,9 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
         )
     raise UnreachableError(
         f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",
-        remedy="choose a stiffness inside, or change the lengths of the connectors or muscles",
+        remedy="leave the stiffness out: with a return spring the angle determines it"
+        if any(joint.springs)
+        else "choose a stiffness inside, or change the lengths of the connectors or muscles",
         **attainable,
     )
 
@@ -295,6 +298,9 @@ def cocontraction_segment(
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     first = jnp.maximum(low[0], (low[1] * arm2 - torque) / arm1)
     last = jnp.minimum(high[0], (high[1] * arm2 - torque) / arm1)
+    if any(joint.springs):
+        last = last + _ROUNDING * jnp.abs(last)  # its range is one tension, which may be rounded twice
+        high = high[0] + _ROUNDING * jnp.abs(high[0]), high[1] + _ROUNDING * jnp.abs(high[1])
     feasible = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
     return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
 

@@ -106,6 +106,10 @@ class JointPlant(eqx.Module, Displayed):
             disturbance=(self.disturbance, Disturbance),
             **({} if self.friction is None else {"friction": (self.friction, JointFriction)}),
         )
+        if isinstance(self.valve, AirValve):
+            for muscle in (self.joint.muscle1, self.joint.muscle2):
+                if not muscle.specimen.has_volume:
+                    muscle.specimen.braid(f"a {type(self.valve).__name__} that fills the volume")
 
     def __repr__(self) -> str:
         parts = [self.valve] if self.has_ideal_io else [self.valve, self.sensors, self.disturbance]

@@ -2,8 +2,8 @@
 
 from mckibben.reachability.envelope import HEADERS, Envelope, envelope, save_design, save_reference
 from mckibben.reachability.feasible import FeasibleReference, Preserved, nearest_references
+from mckibben.reachability.lengths import design_lengths
 from mckibben.reachability.sizing import (
-    DESIGN_LENGTHS,
     Design,
     DesignTarget,
     DesignVariable,
@@ -16,7 +16,6 @@ from mckibben.reachability.trackability import StiffnessBands, Trackability, che
 from mckibben.reachability.trajectory import ReferenceTrajectory, reference_trajectory
 
 __all__ = [
-    "DESIGN_LENGTHS",
     "HEADERS",
     "AttainableRange",
     "Design",
@@ -31,6 +30,7 @@ __all__ = [
     "Trackability",
     "check_trackability",
     "design",
+    "design_lengths",
     "envelope",
     "nearest_references",
     "parse_target",

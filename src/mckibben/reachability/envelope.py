@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from mckibben.control import Constant, Multisine, Signal, Sine, Step
-from mckibben.errors import RangeError, UnreachableError
+from mckibben.errors import ParameterError, RangeError, UnreachableError
 from mckibben.notebook import html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
+from mckibben.reachability.lengths import Place, design_lengths
 from mckibben.reachability.sizing import Design
 from mckibben.reachability.static import StaticEnvelope, static_envelope
 from mckibben.reachability.trackability import Trackability, TrackabilityChecker
@@ -24,13 +25,6 @@ from mckibben.units import bar, deg
 
 HEADERS = ("angle", "gravity torque", "torque range", "stiffness range", "p1, p2 at lowest", "p1, p2 at highest")
 """Columns of `Envelope.rows`."""
-
-_ADDRESSES = {
-    "connector_length": "joint.connector_length",
-    "joint_radius": "joint.geometry.joint_radius",
-    "joint_length": "joint.geometry.joint_length",
-}
-"""Design variables that a scenario holds; the length of a muscle belongs to its specimen in the catalog."""
 
 
 @dataclass(frozen=True)
@@ -189,13 +183,26 @@ def save_design(scenario: Scenario, found: Design, path: Path) -> bool:
 
     The initial stiffness is dropped where it is no longer attainable.
     """
-    if not set(found.lengths) <= set(_ADDRESSES):
+    known = design_lengths(found.plant)
+    try:
+        values = {_address(scenario, place): value for name, value in found.lengths.items() for place in known[name]}
+        changed = with_values(scenario, values)
+    except ParameterError:
         return False
-    changed = with_values(scenario, {_ADDRESSES[name]: value for name, value in found.lengths.items()})
     if not _has_initial_state(changed):
         changed = changed.model_copy(update={"start": StartSpec(angle=scenario.start.angle)})
     changed.to_yaml(path)
     return True
+
+
+def _address(scenario: Scenario, place: Place) -> str:
+    """Address of a length in a scenario."""
+    joint = scenario.joint
+    if place == ("geometry", "connector_length"):
+        return "joint.connector_length"
+    if place[0] != "geometry" and joint.muscle is not None:
+        place = ("muscle", *place[1:])
+    return ".".join(("joint", *place))
 
 
 def _has_initial_state(scenario: Scenario) -> bool:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,12 +21,9 @@ from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
+from mckibben.reachability.lengths import check_length, design_lengths, length_of, with_lengths
 from mckibben.reachability.static import AttainableRange, StaticEnvelope, Values, static_envelope
 from mckibben.units import deg, mm, parse_range, percent
-
-_GEOMETRY, _MUSCLES = ("connector_length", "joint_radius", "joint_length"), ("muscle1_length", "muscle2_length")
-DESIGN_LENGTHS = (*_GEOMETRY, "muscle_length", *_MUSCLES)
-"""Design variables by name; `muscle_length` is the initial length of both muscles."""
 
 _LIMITS = [f"{end} contraction of muscle {i}" for end in ("minimum", "maximum") for i in (1, 2)]
 CONSTRAINTS = (*_LIMITS, "attainable torque", "lowest attainable stiffness", "highest attainable stiffness")
@@ -40,6 +36,7 @@ _ACTIVE = 0.05  # constraints within this of the smallest margin, absolute or re
 _ITERATIONS = 100
 _SCREENED = 128  # Halton points, of which the best are started from
 _RESTARTS = 4
+_LONGEST = 10.0  # m: longer ones are taken for millimetres
 _TARGET = re.compile(r"(?:stiffness\s+)?(.+?)\s+over\s+(.+)", re.DOTALL)
 
 
@@ -96,20 +93,14 @@ def parse_target(text: str, *, torque_reserve: float = 0.0) -> DesignTarget:
 
 @dataclass(frozen=True)
 class DesignVariable:
-    """A length to choose, one of `DESIGN_LENGTHS`, and its bounds [m]."""
+    """A length to choose, one of the `design_lengths` of the joint, and its bounds [m]."""
 
     name: str
     lower: float
     upper: float
 
     def __post_init__(self) -> None:
-        if self.name not in DESIGN_LENGTHS:
-            raise ParameterError(
-                f"{self.name!r} is not a design variable",
-                value=self.name,
-                remedy=f"known are {', '.join(DESIGN_LENGTHS)}",
-            )
-        if not 0 <= self.lower < self.upper < 10:
+        if not -_LONGEST < self.lower < self.upper < _LONGEST:
             raise ParameterError(
                 f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is not a range of lengths",
                 value=(self.lower, self.upper),
@@ -134,28 +125,6 @@ def parse_variable(text: str) -> DesignVariable:
         return DesignVariable(name.removeprefix("joint.").removeprefix("geometry."), *parse_range(bounds, "m"))
     except UnitError as error:
         raise UnitError(f"{text!r}: {error}", value=text) from None
-
-
-def length_of(plant: JointPlant, name: str) -> float:
-    """A length of a plant [m]; for `muscle_length` that of muscle 1."""
-    return float(_leaves(plant, name)[0])  # type: ignore[arg-type]
-
-
-def with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPlant:
-    """The plant with other lengths [m], which may be traced; force laws are functions of contraction and stay."""
-    for name, value in lengths.items():
-        plant = eqx.tree_at(lambda p, name=name: _leaves(p, name), plant, [value] * len(_leaves(plant, name)))
-    return plant
-
-
-def _leaves(plant: JointPlant, name: str) -> list[object]:
-    if name in _GEOMETRY:
-        if not hasattr(plant.joint.geometry, name):
-            kind = type(plant.joint.geometry).__name__
-            raise ParameterError(f"a {kind} has no {name}", value=name, remedy="choose muscle_length")
-        return [getattr(plant.joint.geometry, name)]
-    lengths: list[object] = [m.specimen.initial_length for m in (plant.joint.muscle1, plant.joint.muscle2)]
-    return [lengths[_MUSCLES.index(name)]] if name in _MUSCLES else lengths
 
 
 def constraint_margins(
@@ -457,16 +426,25 @@ def _maximize_margin(margins: Callable[[Values], tuple[Values, Values]], start: 
 
 def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], starts: int) -> None:
     names = [variable.name for variable in variables]
-    both = {"muscle_length"} & set(names) and {"muscle1_length", "muscle2_length"} & set(names)
-    if not names or len(set(names)) < len(names) or both:
+    known = design_lengths(plant)
+    places = [place for name in names for place in known.get(name, ())]
+    if not names or len(set(names)) < len(names) or len(set(places)) < len(places):
         raise ParameterError(
             f"a design varies {', '.join(names)}" if names else "a design varies nothing",
             value=names,
-            remedy=f"give each length once, of {', '.join(DESIGN_LENGTHS)}; muscle_length is that of both muscles",
+            remedy="give each length once; a name such as muscle_length or radius is that of both muscles",
         )
+    for variable in variables:
+        check_length(plant, variable.name, variable.lower)
     if starts < 1:
         raise ParameterError(f"the search has {starts} starts", value=starts, remedy="give 1 or more")
     laws = plant.joint.muscle1.law, plant.joint.muscle2.law
+    if any(plant.joint.springs):
+        raise ParameterError(
+            "with a return spring the angle determines the stiffness: there is no range to attain",
+            field="return_spring",
+            remedy="choose spring and lengths by the envelope, or take two muscles",
+        )
     if not isinstance(plant.joint.tendon, RigidTendon) or not all(isinstance(law, PressureAffineLaw) for law in laws):
         raise ParameterError(
             "a design needs rigid tendons and laws affine in pressure",

@@ -1,0 +1,88 @@
+"""Lengths of a joint that a design may choose: those of the fields of its geometry, and of its muscles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import reduce
+from typing import Any, get_args, get_type_hints
+
+import equinox as eqx
+from jaxtyping import ArrayLike
+
+from mckibben.errors import ParameterError
+from mckibben.joint import Geometry
+from mckibben.plant import JointPlant
+from mckibben.units import Quantity
+
+Place = tuple[str, ...]
+"""Names of attributes that lead from the joint to a length."""
+
+_MUSCLE1, _MUSCLE2 = ((name, "specimen", "initial_length") for name in ("muscle1", "muscle2"))
+_MUSCLES = {"muscle_length": [_MUSCLE1, _MUSCLE2], "muscle1_length": [_MUSCLE1], "muscle2_length": [_MUSCLE2]}
+
+
+def design_lengths(plant: JointPlant) -> dict[str, list[Place]]:
+    """Places of each length by its name; lengths of both paths, and of both muscles, have one name together as well.
+
+    Examples
+    --------
+    >>> from mckibben import IdealValve, PairedPaths, Pulley, catalog
+    >>> knee = catalog.joint("knee-table-2")
+    >>> plant = JointPlant(knee, catalog.load("knee-table-2"), IdealValve())
+    >>> list(design_lengths(plant))[:3]
+    ['joint_length', 'joint_radius', 'connector_length']
+    >>> pulleys = eqx.tree_at(lambda p: p.joint.geometry, plant, PairedPaths(Pulley(0.03, 0.16), Pulley(0.03, 0.16)))
+    >>> list(design_lengths(pulleys))[:3]
+    ['path1.radius', 'path1.rest_length', 'path2.radius']
+    """
+    geometry = plant.joint.geometry
+    found: dict[str, list[Place]] = {".".join(place): [("geometry", *place)] for place, _ in _lengths(geometry)}
+    shared: dict[str, list[Place]] = {}
+    for place, quantity in _lengths(geometry):
+        if len(place) > 1 and quantity.lower >= 0:  # coordinates of two muscles differ in sign
+            shared.setdefault(place[-1], []).append(("geometry", *place))
+    return found | shared | _MUSCLES
+
+
+def length_of(plant: JointPlant, name: str) -> float:
+    """A length of a plant [m]; of two places that of the first."""
+    return float(_leaves(plant, name)[0])
+
+
+def with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPlant:
+    """The plant with other lengths [m], which may be traced; force laws are functions of contraction and stay."""
+    for name, value in lengths.items():
+        plant = eqx.tree_at(lambda p, name=name: _leaves(p, name), plant, [value] * len(_leaves(plant, name)))
+    return plant
+
+
+def check_length(plant: JointPlant, name: str, lower: float) -> None:
+    """Refuse a length that the joint has not, and bounds of one that is never negative."""
+    known = design_lengths(plant)
+    if name not in known:
+        kind = type(plant.joint.geometry).__name__
+        raise ParameterError(
+            f"{name!r} is no design variable of a joint with {kind}",
+            value=name,
+            remedy=f"known are {', '.join(known)}",
+        )
+    signed = {".".join(place) for place, quantity in _lengths(plant.joint.geometry) if quantity.lower < 0}
+    if lower < 0 and name not in signed:
+        raise ParameterError(f"{name} is never negative", value=lower, lower=0.0, unit="m", remedy="give 0 or more")
+
+
+def _leaves(plant: JointPlant, name: str) -> list[Any]:
+    return [reduce(getattr, place, plant.joint) for place in design_lengths(plant)[name]]
+
+
+def _lengths(part: Geometry | eqx.Module) -> Iterator[tuple[Place, Quantity]]:
+    """Place and quantity of each length among the fields of a geometry and its parts."""
+    for name, hint in get_type_hints(type(part), include_extras=True).items():
+        value = getattr(part, name, None)
+        if isinstance(value, eqx.Module):
+            yield from (((name, *place), quantity) for place, quantity in _lengths(value))
+            continue
+        marks = (mark for one in (hint, *get_args(hint)) for mark in getattr(one, "__metadata__", ()))
+        quantity = next((mark for mark in marks if isinstance(mark, Quantity) and mark.unit == "m"), None)
+        if quantity is not None and value is not None and not isinstance(value, tuple):
+            yield (name,), quantity
