@@ -30,8 +30,10 @@ import importlib, os, pkgutil, signal, sys
 import casadi, distributed, gymnasium, h5py, jax, matplotlib.figure, mujoco, nicegui.testing, scipy.optimize, xarray
 for name in ("fcntl", "resource", "pwd", "grp", "termios"):
     sys.modules[name] = None
-gone = {os: "fork getuid geteuid O_NOFOLLOW O_DIRECTORY posix_fallocate sched_getaffinity sched_setscheduler sched_param",
-        signal: "SIGHUP SIGQUIT SIGKILL SIGALRM alarm"}
+gone = {
+    os: "fork getuid geteuid O_NOFOLLOW O_DIRECTORY posix_fallocate sched_getaffinity sched_setscheduler sched_param",
+    signal: "SIGHUP SIGQUIT SIGKILL SIGALRM alarm",
+}
 for module, names in gone.items():
     for name in names.split():
         delattr(module, name)
