@@ -195,10 +195,10 @@ def latency(tab: Tab, address: str, slider: str, presses: int) -> list[float]:
 
 def computation() -> float:
     """Median time [ms] of what the server computes for a slider."""
-    from mckibben.web.joint import IdentificationState, JointDesign, compute, muscles
+    from mckibben.web.design import JointDesign, compute, muscles
 
     design, times = JointDesign(), []
-    muscle = muscles(IdentificationState())[design.muscle]
+    muscle = muscles(None)[design.muscle]
     for i in range(60):
         design.torque = 0.1 * i
         start = time.perf_counter()

@@ -252,7 +252,7 @@ class _Page:
             self.show_ranking(state.ranking)
 
     def show_data(self, data: IsobaricDataset) -> None:
-        """What was recognised."""
+        """Columns with their ranges, and remarks of the reader."""
         attrs = data.table.attrs
         with panel(self.state.name):
             ui.label(f"{len(data)} points, {len(data) - len(data.taut)} slack").classes("number")
@@ -345,7 +345,7 @@ class _Page:
 
     def design(self) -> None:
         """Take the muscle to the page of the joint."""
-        from mckibben.web.joint import YOURS, JointDesign
+        from mckibben.web.design import YOURS, JointDesign
 
         session().state(JointDesign).muscle = YOURS
         ui.navigate.to("/")

@@ -90,7 +90,7 @@ def side() -> Iterator[None]:
 
 
 def show_error(error: McKibbenError) -> None:
-    """What is wrong: each problem of a file with its line, and what to do about it."""
+    """Message of an error; of a file each problem with its line and remedy."""
     if not isinstance(error, FileError):
         _message(error.message, error.remedy)
         return

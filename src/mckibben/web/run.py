@@ -98,7 +98,7 @@ _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", 
 
 @dataclass(frozen=True)
 class Kept:
-    """What is drawn of a run."""
+    """Curves, metrics and file of a run."""
 
     name: str
     columns: dict[str, np.ndarray]
@@ -137,7 +137,7 @@ def parse(text: str, folder: Path) -> Scenario:
 
 
 def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
-    """Run a scenario; what is drawn of it, and remarks."""
+    """Run a scenario; its curves, and remarks."""
     result, feasibility = run_scenario(scenario)
     remarks = [] if feasibility.feasible else [feasibility.describe()]
     if result.outcome.name != "COMPLETED":
@@ -267,7 +267,7 @@ class _Page:
             self.apply_text(state.text)
 
     def refresh(self) -> None:
-        """Show what is new."""
+        """Show new results."""
         state = self.state
         self.busy.visible = state.jobs.busy
         if self.formed != state.form:
