@@ -30,7 +30,7 @@ ANGLES = np.linspace(-40, 40, 81) * deg
 POSE = 40.0
 
 
-class Dimension(NamedTuple):
+class JointDimension(NamedTuple):
     """A number of a kind of joint: its label, unit, limits, step and first value."""
 
     label: str
@@ -40,10 +40,10 @@ class Dimension(NamedTuple):
     value: float
 
 
-class Kind(NamedTuple):
+class JointKind(NamedTuple):
     """A kind of joint: its dimensions, and the geometry from these [mm] and the length [m] of the muscles at 0 deg."""
 
-    dimensions: dict[str, Dimension]
+    dimensions: dict[str, JointDimension]
     geometry: Callable[..., Geometry]
 
 
@@ -84,25 +84,25 @@ def _bones(length: float, *, height: float, upper: float, lower: float, depth: f
     return PairedPaths(first, second)
 
 
-_HEIGHT = Dimension("from hip to joint axis", "mm", (150, 700), 1, 370)
-_RADIUS = Dimension("radius of the anchors", "mm", (8, 80), 0.5, 30)
+_HEIGHT = JointDimension("from hip to joint axis", "mm", (150, 700), 1, 370)
+_RADIUS = JointDimension("radius of the anchors", "mm", (8, 80), 0.5, 30)
 KINDS = {
-    "round knee": Kind({"height": _HEIGHT, "radius": _RADIUS}, _knee),
-    "pulleys": Kind({"radius": _RADIUS._replace(label="radius of the pulleys")}, _pulleys),
-    "cams": Kind(
+    "round knee": JointKind({"height": _HEIGHT, "radius": _RADIUS}, _knee),
+    "pulleys": JointKind({"radius": _RADIUS._replace(label="radius of the pulleys")}, _pulleys),
+    "cams": JointKind(
         {
             "arm": _RADIUS._replace(label="moment arms at 0°"),
-            "slope": Dimension("growth of an arm", "mm/rad", (-30, 30), 0.5, 10),
-            "curvature": Dimension("curvature of the arms", "mm/rad²", (-30, 30), 0.5, 0),
+            "slope": JointDimension("growth of an arm", "mm/rad", (-30, 30), 0.5, 10),
+            "curvature": JointDimension("curvature of the arms", "mm/rad²", (-30, 30), 0.5, 0),
         },
         _cams,
     ),
-    "between two bones": Kind(
+    "between two bones": JointKind(
         {
             "height": _HEIGHT,
-            "upper": Dimension("upper anchors, to the side", "mm", (0, 120), 1, 30),
-            "lower": Dimension("lower anchors, to the side", "mm", (8, 120), 1, 35),
-            "depth": Dimension("lower anchors, below the axis", "mm", (-60, 120), 1, 20),
+            "upper": JointDimension("upper anchors, to the side", "mm", (0, 120), 1, 30),
+            "lower": JointDimension("lower anchors, to the side", "mm", (8, 120), 1, 35),
+            "depth": JointDimension("lower anchors, below the axis", "mm", (-60, 120), 1, 20),
         },
         _bones,
     ),
