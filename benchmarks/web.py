@@ -46,7 +46,8 @@ def free_port() -> int:
 def served() -> Iterator[str]:
     """Address of a server in a process of its own."""
     command = [sys.executable, "-m", "mckibben", "web", "--no-browser", "--port", str(free_port())]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}  # NiceGUI looks for it
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=ours) as process:
         try:
             assert process.stdout is not None
             yield process.stdout.readline().split()[0]
@@ -127,10 +128,15 @@ class Tab:
         image.quantize(128).save(path, optimize=True)
 
 
+def chromium() -> str | None:
+    """Program of the browser."""
+    return shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
 @contextmanager
 def browser() -> Iterator[Tab]:
     """A tab of a new Chromium."""
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    program = chromium()
     if program is None:
         sys.exit("no Chromium is installed")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
@@ -138,6 +144,10 @@ def browser() -> Iterator[Tab]:
             "--headless",
             "--no-sandbox",
             "--disable-gpu",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-first-run",
             "--remote-debugging-port=0",
             f"--user-data-dir={profile}",
         ]

@@ -26,7 +26,7 @@ from mckibben.errors import McKibbenError, ParameterError, ScenarioError, Stoppe
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ExponentialLaw
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, rig, run, session
+from mckibben.web import app, design, identify, rig, session, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -124,7 +124,9 @@ def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
     bodies = re.findall(r'points="(\S+),(\S+) (\S+),(\S+)" fill="none" stroke="#(?:0072B2|D55E00)"', found.drawing)
     drawn = [np.hypot(float(x2) - float(x1), float(y2) - float(y1)) for x1, y1, x2, y2 in bodies]
     np.testing.assert_allclose(drawn, np.array(geometry.path_lengths(20 * deg)) / mm, atol=0.02)
-    text = run.with_section(run._START, design.scenario_lines(designed, MUSCLE).partition("\n")[2], ("joint",))
+    text = workbench.with_section(
+        workbench.START, design.scenario_lines(designed, MUSCLE).partition("\n")[2], ("joint",)
+    )
     kept = Scenario.parse(text).plant().joint.geometry
     assert type(kept) is type(geometry)
     np.testing.assert_allclose(jax.tree.leaves(kept), jax.tree.leaves(geometry), rtol=1e-9)
@@ -172,7 +174,7 @@ def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
     zipfile.ZipFile(BytesIO(content)).extractall(tmp_path)
     (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
     expected = mk.identify(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
-    text = run._START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
+    text = workbench.START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
     found = Scenario.parse(text, folder=tmp_path).joint.muscle.build()
     assert found.law == muscle.law == expected.law
 
@@ -219,7 +221,7 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
     async def visit():
         async with visitor() as user:
             await user.open("/run")
-            bench = state(run.Workbench)
+            bench = state(workbench.Workbench)
             await until(lambda: bench.current is not None, 60)
             first = bench.current
             user.find(marker="keep").click()
@@ -237,16 +239,18 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
 
 
 def test_other_controllers_and_references_are_scenarios():
-    for section in run.CONTROLLERS.values():
-        Scenario.parse(run.with_section(run._START, section, ("controller",))).control()
-    for form in run._SIGNALS.values():
-        found = Scenario.parse(run.with_section(run._START, form.format(**run._ANGLES), ("reference", "angle")))
+    for section in workbench.CONTROLLERS.values():
+        Scenario.parse(workbench.with_section(workbench.START, section, ("controller",))).control()
+    for form in workbench.SIGNALS.values():
+        found = Scenario.parse(
+            workbench.with_section(workbench.START, form.format(**workbench.ANGLES), ("reference", "angle"))
+        )
         assert np.isfinite(float(found.reference().angle(1.0)))
 
 
 def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
     designed = design.JointDesign(dimensions={"height": 400.0, "radius": 40.0})
-    found = run.with_joint(run._START, design.scenario_lines(designed, MUSCLE), tmp_path)
+    found = workbench.with_joint(workbench.START, design.scenario_lines(designed, MUSCLE), tmp_path)
     assert found.plant().joint.geometry == design.joint_of(designed, MUSCLE).geometry
     low, high = found.plant().joint.attainable_stiffness(0.0, -found.load.build().gravity_torque(0.0))
     assert low < found.start.stiffness < high
@@ -255,18 +259,18 @@ def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
 def test_a_scenario_names_no_files_of_other_folders(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
-    text = run.with_section(run._START, "{samples: {file: ../other/angle.csv}}", ("reference", "angle"))
+    text = workbench.with_section(workbench.START, "{samples: {file: ../other/angle.csv}}", ("reference", "angle"))
     (tmp_path / "mine").mkdir()
     with pytest.raises(ScenarioError) as found:
-        run.parse(text, tmp_path / "mine")
+        workbench.parse(text, tmp_path / "mine")
     assert found.value.problems[0].field == "reference.angle.samples.file"
     (tmp_path / "mine" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
-    run.parse(text.replace("../other/", ""), tmp_path / "mine")
+    workbench.parse(text.replace("../other/", ""), tmp_path / "mine")
 
 
 def test_a_run_that_nobody_can_wait_for_is_refused(tmp_path):
     with pytest.raises(ParameterError, match="steps"):
-        run.parse(run._START.replace("duration: 6 s", "duration: 6000 s"), tmp_path)
+        workbench.parse(workbench.START.replace("duration: 6 s", "duration: 6000 s"), tmp_path)
 
 
 def test_hundreds_of_damaged_files_leave_a_page_that_lives():
@@ -297,9 +301,9 @@ def test_hundreds_of_damaged_files_leave_a_page_that_lives():
 def test_damaged_scenarios_are_scenarios_or_errors(tmp_path):
     chance = random.Random(5)
     for _ in range(200):
-        text = damaged(run._START.encode(), chance).decode("utf-8", errors="replace")
+        text = damaged(workbench.START.encode(), chance).decode("utf-8", errors="replace")
         try:
-            run.parse(text, tmp_path)
+            workbench.parse(text, tmp_path)
         except McKibbenError as error:
             assert str(error)
 

@@ -243,7 +243,7 @@ class _Page:
 
     def run(self) -> None:
         """Take the joint to the page of runs."""
-        from mckibben.web.run import Workbench
+        from mckibben.web.workbench import Workbench
 
         muscle = self.known[self.design.muscle]
         session().state(Workbench).joint = scenario_lines(self.design, muscle)

@@ -137,7 +137,13 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int 
     return made.classes("w-full number").props("rows-per-page-options=[0]")
 
 
-class _Slider(ui.slider):
+def text_area(label: str, longest: int, height: int, **options: Any) -> ui.textarea:
+    """A field of many lines, of at most so many characters, with a height in pixels."""
+    look = f"outlined aria-label='{label}' maxlength={longest} spellcheck=false input-style='height: {height}px'"
+    return ui.textarea(**options).props(look).classes("w-full mono")
+
+
+class Slider(ui.slider):
     """A slider whose value the server does not send back."""
 
     LOOPBACK = False
@@ -166,7 +172,7 @@ class NumberSlider:
                     .classes("number")
                     .style("width: 120px; height: 28px; margin-top: -10px")
                 )
-            self.slider = _Slider(min=low, max=high, step=step, value=value, on_change=self._slide)
+            self.slider = Slider(min=low, max=high, step=step, value=value, on_change=self._slide)
             self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label.replace(" ", "-"))
 
     async def _slide(self) -> None:
