@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 import re
+import sys
 import time
 import zipfile
 from contextlib import asynccontextmanager
@@ -25,6 +26,7 @@ from mckibben import Scenario, catalog, read_dataset
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ExponentialLaw
+from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
 from mckibben.web import app, design, identify, rig, session, workbench
 from tests.dataset.conftest import FILES
@@ -215,6 +217,31 @@ def test_a_ranking_can_be_cancelled():
     before, after, ranking = asyncio.run(visit())
     assert 0 < before == after < 1
     assert ranking is None
+
+
+def test_a_fit_is_ended_within():
+    """By the next evaluation after `cancel`, not at its end."""
+    data, evaluations, ended = catalog.dataset("dmsp-10-250-martens2017"), [], []
+
+    async def visit():
+        jobs = session.Jobs()
+
+        def compute(progress):
+            check = stop_check.get()
+            stop_check.set(lambda: (evaluations.append(1), jobs.cancel() if len(evaluations) == 3 else None, check()))
+            try:
+                return mk.identify(ExponentialLaw, data)
+            finally:
+                ended.append(sys.exception())
+
+        async with visitor():
+            jobs.start(compute, lambda *found: pytest.fail("a result of a cancelled job"), pytest.fail)
+            await until(lambda: ended)
+        return jobs.busy
+
+    assert not asyncio.run(visit())
+    assert len(evaluations) == 3
+    assert isinstance(ended[0], session._CancelledError)
 
 
 def test_a_parameter_changes_the_run_and_runs_are_overlaid():

@@ -143,7 +143,7 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
     return ui.textarea(**options).props(look).classes("w-full mono")
 
 
-class Slider(ui.slider):
+class PageSlider(ui.slider):
     """A slider whose value the server does not send back."""
 
     LOOPBACK = False
@@ -172,7 +172,7 @@ class NumberSlider:
                     .classes("number")
                     .style("width: 120px; height: 28px; margin-top: -10px")
                 )
-            self.slider = Slider(min=low, max=high, step=step, value=value, on_change=self._slide)
+            self.slider = PageSlider(min=low, max=high, step=step, value=value, on_change=self._slide)
             self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label.replace(" ", "-"))
 
     async def _slide(self) -> None:

@@ -11,7 +11,7 @@ from nicegui import events, ui
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.mechanism import Mechanism, Points
 from mckibben.units import bar
-from mckibben.web.layout import Slider
+from mckibben.web.layout import PageSlider
 from mckibben.web.workbench import Kept
 
 _HEIGHT = 10.0  # of the fixed limb, in the units of the scene
@@ -28,7 +28,7 @@ class JointScene:
         self._joint: AntagonisticJoint | None = None
         with ui.row().classes("w-full items-center no-wrap").style("gap: 12px"):
             self._play = ui.switch("play", on_change=self._start).props("dense").classes("quiet").mark("play")
-            self.slider = Slider(min=0.0, max=1.0, step=0.01, value=0.0, on_change=self._place)
+            self.slider = PageSlider(min=0.0, max=1.0, step=0.01, value=0.0, on_change=self._place)
             self.slider.props('aria-label="time of the run"').mark("time")
             self._time = ui.label().classes("quiet number").style("min-width: 52px; text-align: right")
         self.scene = ui.scene(grid=False, background_color="#ffffff", fps=30).classes("w-full").style("height: 260px")
