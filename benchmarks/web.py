@@ -1,7 +1,8 @@
-"""The local page in headless Chromium: time from a slider to the drawn curve, and pictures of the pages.
+"""The local page in headless Chromium: time from a slider to the drawn curve, hostile uploads, and pictures.
 
     python benchmarks/web.py                      # latency
     python benchmarks/web.py --images docs/images # pictures for the docs
+    python benchmarks/web.py --hostile 1000       # damaged and hostile uploads
 
 Chromium is driven through its DevTools protocol; nothing but Chromium and the extra `web` is needed.
 """
@@ -10,10 +11,12 @@ from __future__ import annotations
 
 import argparse
 import base64
+import collections
 import io
 import itertools
 import json
 import os
+import random
 import re
 import shutil
 import socket
@@ -228,11 +231,14 @@ def main() -> None:
     parser.add_argument("--presses", type=int, default=100)
     parser.add_argument("--images", type=Path, help="folder of the pictures, in place of the latency")
     parser.add_argument("--width", type=int, default=1200)
+    parser.add_argument("--hostile", type=int, metavar="N", help="upload so many damaged files instead")
     asked = parser.parse_args()
     with served() as address, browser() as tab:
         if asked.images:
             asked.images.mkdir(parents=True, exist_ok=True)
             pictures(tab, address, asked.images, asked.width)
+        elif asked.hostile:
+            hostile(tab, address, asked.hostile)
         else:
             print(f"computation alone: median {computation():.1f} ms; load of the machine {os.getloadavg()[0]:.1f}")
             for slider in ("radius of the anchors", "torque of the load", "angle"):
@@ -246,6 +252,50 @@ def main() -> None:
             if not one.startswith((address, address.replace("http", "ws"), "data:", "blob:", "about:"))
         ]
         print(f"{len(tab.requests)} requests, to others {len(outside)} {outside[:3]}; errors {tab.errors[:3]}")
+
+
+def upload(tab: Tab, path: Path) -> None:
+    """Choose a file in the first upload of the page."""
+    root = tab.send("DOM.getDocument")["root"]["nodeId"]
+    field = tab.send("DOM.querySelector", nodeId=root, selector="input[type=file]")["nodeId"]
+    tab.send("DOM.setFileInputFiles", files=[str(path)], nodeId=field)
+
+
+def hostile(tab: Tab, address: str, count: int) -> None:
+    """Upload damaged files of every format, some under hostile names; each gives points or an error that is shown."""
+    sys.path.insert(0, str(ROOT))
+    from tests.dataset.conftest import FILES
+    from tests.dataset.test_hostile import damaged
+
+    chance, names, seen = random.Random(7), sorted(FILES), collections.Counter[str]()
+    scripts = ("<img src=x onerror=alert(1)>", "'; DROP TABLE x; --", "{{7*7}}", "a" * 200, "\u202egnp", "CON")
+    start = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(count):
+            if number % 50 == 0:
+                tab.open(f"{address}/identify")
+                tab.wait("document.querySelector('input[type=file]')")
+                tab.evaluate("window.alert = () => { window.__struck = true; }")
+                time.sleep(0.5)
+            name = names[number % len(names)]
+            content = damaged(FILES[name], chance)
+            if number % 10 == 0:  # such a word in every cell of the header
+                content = content.replace(b"pressure", chance.choice(scripts).encode("utf-8", "replace"))
+            path = Path(folder) / f"{number} {chance.choice(scripts)}{Path(name).suffix}"
+            path.write_bytes(content)
+            upload(tab, path)
+            tab.wait(f"[...document.querySelectorAll('.heading')].some(h => h.innerText.startsWith('{number} '))", 30)
+            text = tab.evaluate("document.body.innerText")
+            if "Traceback" in text or "fault of mckibben" in text or tab.evaluate("window.__struck"):
+                raise RuntimeError(f"{path.name}: {text[:2000]}")
+            seen["points" if " slack" in text else "refused with a message"] += 1
+            path.unlink()
+        tab.open(f"{address}/identify")
+        time.sleep(1.0)
+        (good := Path(folder) / "good.csv").write_bytes(DATA.read_bytes())
+        upload(tab, good)
+        tab.wait("document.body.innerText.includes('204 points, 31 slack')")
+    print(f"{count} uploads in {time.monotonic() - start:.0f} s: {dict(seen)}; afterwards a good file is read")
 
 
 def click(tab: Tab, text: str) -> None:
