@@ -110,6 +110,7 @@ class Tab:
         self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
         )
+        self.send("Emulation.setScrollbarsHidden", hidden=True)
         self.send("Page.navigate", url=address)
         self.wait("document.readyState === 'complete' && window.did_handshake !== false")
 
@@ -168,6 +169,7 @@ def browser() -> Iterator[Tab]:
 
 CHARTS = "[...document.querySelectorAll('[_echarts_instance_]')]"
 FIRST_CURVE = f"{CHARTS}.length && {CHARTS}[0].querySelector('canvas')"
+DRAWING = "document.querySelector('svg[role=img] polyline')"
 # From the key to the end of the task in which the first chart was drawn anew; the frame is shown right after it.
 HOOK = """(() => {
   const canvas = [...document.querySelectorAll('[_echarts_instance_] canvas')][0];
@@ -189,8 +191,8 @@ HOOK = """(() => {
 def latency(tab: Tab, address: str, slider: str, presses: int) -> list[float]:
     """Times [ms] from a key on a slider of the joint's page to its drawn curve."""
     tab.open(address)
-    tab.wait(FIRST_CURVE)
-    time.sleep(2.0)  # the first computation compiles
+    tab.wait(DRAWING)  # the first computation compiles
+    time.sleep(2.0)
     tab.evaluate(HOOK)
     tab.evaluate(f"document.querySelector('.q-slider[aria-label=\"{slider}\"]').focus()")
     tab.evaluate(
@@ -317,7 +319,7 @@ def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
     """The pages, after what a user would do first."""
     end = "" if width > 500 else f"-{width}"
     tab.open(f"{address}/", width, 900)
-    settle(tab, FIRST_CURVE)
+    settle(tab, DRAWING)
     tab.picture(folder / f"web-joint{end}.png")
     tab.open(f"{address}/identify", width, 900)
     tab.wait("document.querySelector('.q-expansion-item')")

@@ -96,7 +96,7 @@ def shows(text):
 
 def test_a_slider_of_the_joint_moves_curve_and_drawing_by_keys(page):
     def act(tab):
-        tab.wait(chrome.FIRST_CURVE + " && document.querySelector('svg[role=img] polyline')")
+        tab.wait(chrome.DRAWING)
         drawn = "document.querySelector('svg[role=img]').innerHTML"
         before = tab.evaluate(drawn)
         tab.evaluate("(s => (s.querySelector('[tabindex]') || s).focus())(document.querySelector('.q-slider'))")

@@ -123,9 +123,10 @@ def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
     found = design.compute(designed, MUSCLE)
     geometry = found.joint.geometry
     assert float(geometry.path_lengths(0.0)[0]) == pytest.approx(0.9 * MUSCLE.specimen.initial_length)
-    bodies = re.findall(r'points="(\S+),(\S+) (\S+),(\S+)" fill="none" stroke="#(?:0072B2|D55E00)"', found.drawing)
-    drawn = [np.hypot(float(x2) - float(x1), float(y2) - float(y1)) for x1, y1, x2, y2 in bodies]
-    np.testing.assert_allclose(drawn, np.array(geometry.path_lengths(20 * deg)) / mm, atol=0.02)
+    drawn = design.drawing(found.joint, 20 * deg, found.here.contractions)
+    bodies = re.findall(r'points="(\S+),(\S+) (\S+),(\S+)" fill="none" stroke="#(?:0072B2|D55E00)"', drawn)
+    lengths = [np.hypot(float(x2) - float(x1), float(y2) - float(y1)) for x1, y1, x2, y2 in bodies]
+    np.testing.assert_allclose(lengths, np.array(geometry.path_lengths(20 * deg)) / mm, atol=0.02)
     text = workbench.with_section(
         workbench.START, design.scenario_lines(designed, MUSCLE).partition("\n")[2], ("joint",)
     )

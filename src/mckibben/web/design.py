@@ -133,7 +133,6 @@ class Designed(NamedTuple):
     stiffness: tuple[np.ndarray, np.ndarray]
     torque: tuple[np.ndarray, np.ndarray]
     here: _Pose
-    drawing: str
 
 
 class _Pose(NamedTuple):
@@ -180,8 +179,7 @@ def compute(design: JointDesign, muscle: Muscle) -> Designed:
     """The joint and its ranges."""
     joint = joint_of(design, muscle)
     stiffness, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, (0.0, design.pressure * bar))
-    ranges = (tuple(map(np.asarray, stiffness)), tuple(map(np.asarray, torque)))
-    return Designed(joint, *ranges, here, drawing(joint, design.angle * deg, here.contractions))  # type: ignore[arg-type]
+    return Designed(joint, tuple(map(np.asarray, stiffness)), tuple(map(np.asarray, torque)), here)  # type: ignore[arg-type]
 
 
 def muscles(fitted: Muscle | None) -> dict[str, Muscle]:

@@ -20,6 +20,7 @@ from mckibben.web.design import (
     JointDesign,
     compute,
     connector_length,
+    drawing,
     highest_pressure,
     muscles,
     scenario_lines,
@@ -41,7 +42,7 @@ from mckibben.web.layout import (
     show_error,
     side,
 )
-from mckibben.web.session import Latest, session
+from mckibben.web.session import Latest, in_thread, session
 
 
 def page() -> None:
@@ -98,7 +99,7 @@ class _Page:
                 with panel("Attainable stiffness", stays=True):
                     degrees = {"min": -POSE, "max": POSE}
                     self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=350, xAxis=degrees)
-                    self.note = ui.label().classes("quiet number")
+                    self.note = ui.label("computing the first curves").classes("quiet number")
             with panel("Attainable torque"):
                 self.torque = chart("joint angle [°]", "torque [N·m]", height=230, xAxis=degrees)
             with panel("At this angle"), ui.element("div").classes("facts"):
@@ -183,7 +184,7 @@ class _Page:
             "markLine": {"symbol": "none", "silent": True, "label": {"show": False}, "lineStyle": look, "data": data}
         }
 
-    def show_rest(self) -> None:
+    async def show_rest(self) -> None:
         """Drawing, torque and texts of the newest joint, if they are not shown yet."""
         found, self.found = self.found, None
         if found is None:
@@ -192,7 +193,7 @@ class _Page:
             self.errors.clear()
         design, here, angles = self.design, found.here, ANGLES / deg
         muscle = self.known[design.muscle]
-        self.drawing.content = found.drawing
+        self.drawing.content, _ = await in_thread(drawing, found.joint, design.angle * deg, here.contractions)
         least, most = found.torque
         load = line("load", [-POSE, POSE], [design.torque] * 2, BLACK, dash=True, width=1.5)
         lower, upper = (line(name, angles, edge, GREEN) for name, edge in (("lowest", least), ("highest", most)))
