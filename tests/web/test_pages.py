@@ -252,6 +252,9 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
             bench = state(workbench.Workbench)
             await until(lambda: bench.current is not None, 60)
             first = bench.current
+            await until(lambda: the(user, ui.scene).objects)
+            drawn = [one.sy for one in the(user, ui.scene).objects.values()]  # in a scene with a limb of length 10
+            assert all(np.isclose(drawn, 10 / 0.37 * length[0]).any() for length in first.lengths)
             user.find(marker="keep").click()
             await until(lambda: there(user, "controller.position.ki"))
             the(user, ui.number, "controller.position.ki").set_value(90)
