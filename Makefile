@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OUT    ?= build/report
 WORKERS ?= 2
 
-.PHONY: reproduce test lint style types tests format bench docs clean help
+.PHONY: reproduce test lint style types tests format bench docs wheel clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -68,6 +68,14 @@ docs: $(VENV)/.installed-docs
 	rm -rf build/docs build/doctrees docs/api docs/gallery  # or examples would keep the output of an older program
 	$(BIN)/python -m sphinx -b html -W --keep-going -j $(WORKERS) -d build/doctrees docs build/docs
 	$(BIN)/python docs/check_site.py build/docs
+
+#   make wheel       source archive and wheel in dist, the wheel tried with all extras in a bare environment
+wheel: $(VENV)/.installed-dev
+	rm -rf dist build/bare build/bare-report
+	$(BIN)/python -m build --no-isolation
+	$(PYTHON) -m venv build/bare
+	build/bare/bin/python -m pip install --quiet --disable-pip-version-check "$$(ls dist/*.whl)[all]"
+	cd build && bare/bin/mckibben reproduce --quick --out bare-report
 
 #   make clean       remove what these commands made
 clean:

@@ -1,7 +1,8 @@
-"""The local page in headless Chromium: time from a slider to the drawn curve, and pictures of the pages.
+"""The local page in headless Chromium: time from a slider to the drawn curve, hostile uploads, and pictures.
 
     python benchmarks/web.py                      # latency
     python benchmarks/web.py --images docs/images # pictures for the docs
+    python benchmarks/web.py --hostile 1000       # damaged and hostile uploads
 
 Chromium is driven through its DevTools protocol; nothing but Chromium and the extra `web` is needed.
 """
@@ -10,10 +11,12 @@ from __future__ import annotations
 
 import argparse
 import base64
+import collections
 import io
 import itertools
 import json
 import os
+import random
 import re
 import shutil
 import socket
@@ -46,7 +49,8 @@ def free_port() -> int:
 def served() -> Iterator[str]:
     """Address of a server in a process of its own."""
     command = [sys.executable, "-m", "mckibben", "web", "--no-browser", "--port", str(free_port())]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}  # NiceGUI looks for it
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=ours) as process:
         try:
             assert process.stdout is not None
             yield process.stdout.readline().split()[0]
@@ -106,6 +110,7 @@ class Tab:
         self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
         )
+        self.send("Emulation.setScrollbarsHidden", hidden=True)
         self.send("Page.navigate", url=address)
         self.wait("document.readyState === 'complete' && window.did_handshake !== false")
 
@@ -127,10 +132,15 @@ class Tab:
         image.quantize(128).save(path, optimize=True)
 
 
+def chromium() -> str | None:
+    """Program of the browser."""
+    return shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
 @contextmanager
 def browser() -> Iterator[Tab]:
     """A tab of a new Chromium."""
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    program = chromium()
     if program is None:
         sys.exit("no Chromium is installed")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
@@ -138,6 +148,10 @@ def browser() -> Iterator[Tab]:
             "--headless",
             "--no-sandbox",
             "--disable-gpu",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-first-run",
             "--remote-debugging-port=0",
             f"--user-data-dir={profile}",
         ]
@@ -155,6 +169,7 @@ def browser() -> Iterator[Tab]:
 
 CHARTS = "[...document.querySelectorAll('[_echarts_instance_]')]"
 FIRST_CURVE = f"{CHARTS}.length && {CHARTS}[0].querySelector('canvas')"
+DRAWING = "document.querySelector('svg[role=img] polyline')"
 # From the key to the end of the task in which the first chart was drawn anew; the frame is shown right after it.
 HOOK = """(() => {
   const canvas = [...document.querySelectorAll('[_echarts_instance_] canvas')][0];
@@ -176,8 +191,8 @@ HOOK = """(() => {
 def latency(tab: Tab, address: str, slider: str, presses: int) -> list[float]:
     """Times [ms] from a key on a slider of the joint's page to its drawn curve."""
     tab.open(address)
-    tab.wait(FIRST_CURVE)
-    time.sleep(2.0)  # the first computation compiles
+    tab.wait(DRAWING)  # the first computation compiles
+    time.sleep(2.0)
     tab.evaluate(HOOK)
     tab.evaluate(f"document.querySelector('.q-slider[aria-label=\"{slider}\"]').focus()")
     tab.evaluate(
@@ -195,10 +210,10 @@ def latency(tab: Tab, address: str, slider: str, presses: int) -> list[float]:
 
 def computation() -> float:
     """Median time [ms] of what the server computes for a slider."""
-    from mckibben.web.joint import IdentificationState, JointDesign, compute, muscles
+    from mckibben.web.design import JointDesign, compute, muscles
 
     design, times = JointDesign(), []
-    muscle = muscles(IdentificationState())[design.muscle]
+    muscle = muscles(None)[design.muscle]
     for i in range(60):
         design.torque = 0.1 * i
         start = time.perf_counter()
@@ -218,11 +233,14 @@ def main() -> None:
     parser.add_argument("--presses", type=int, default=100)
     parser.add_argument("--images", type=Path, help="folder of the pictures, in place of the latency")
     parser.add_argument("--width", type=int, default=1200)
+    parser.add_argument("--hostile", type=int, metavar="N", help="upload so many damaged files instead")
     asked = parser.parse_args()
     with served() as address, browser() as tab:
         if asked.images:
             asked.images.mkdir(parents=True, exist_ok=True)
             pictures(tab, address, asked.images, asked.width)
+        elif asked.hostile:
+            hostile(tab, address, asked.hostile)
         else:
             print(f"computation alone: median {computation():.1f} ms; load of the machine {os.getloadavg()[0]:.1f}")
             for slider in ("radius of the anchors", "torque of the load", "angle"):
@@ -236,6 +254,50 @@ def main() -> None:
             if not one.startswith((address, address.replace("http", "ws"), "data:", "blob:", "about:"))
         ]
         print(f"{len(tab.requests)} requests, to others {len(outside)} {outside[:3]}; errors {tab.errors[:3]}")
+
+
+def upload(tab: Tab, path: Path) -> None:
+    """Choose a file in the first upload of the page."""
+    root = tab.send("DOM.getDocument")["root"]["nodeId"]
+    field = tab.send("DOM.querySelector", nodeId=root, selector="input[type=file]")["nodeId"]
+    tab.send("DOM.setFileInputFiles", files=[str(path)], nodeId=field)
+
+
+def hostile(tab: Tab, address: str, count: int) -> None:
+    """Upload damaged files of every format, some under hostile names; each gives points or an error that is shown."""
+    sys.path.insert(0, str(ROOT))
+    from tests.dataset.conftest import FILES
+    from tests.dataset.test_hostile import damaged
+
+    chance, names, seen = random.Random(7), sorted(FILES), collections.Counter[str]()
+    scripts = ("<img src=x onerror=alert(1)>", "'; DROP TABLE x; --", "{{7*7}}", "a" * 200, "\u202egnp", "CON")
+    start = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(count):
+            if number % 50 == 0:
+                tab.open(f"{address}/identify")
+                tab.wait("document.querySelector('input[type=file]')")
+                tab.evaluate("window.alert = () => { window.__struck = true; }")
+                time.sleep(0.5)
+            name = names[number % len(names)]
+            content = damaged(FILES[name], chance)
+            if number % 10 == 0:  # such a word in every cell of the header
+                content = content.replace(b"pressure", chance.choice(scripts).encode("utf-8", "replace"))
+            path = Path(folder) / f"{number} {chance.choice(scripts)}{Path(name).suffix}"
+            path.write_bytes(content)
+            upload(tab, path)
+            tab.wait(f"[...document.querySelectorAll('.heading')].some(h => h.innerText.startsWith('{number} '))", 30)
+            text = tab.evaluate("document.body.innerText")
+            if "Traceback" in text or "fault of mckibben" in text or tab.evaluate("window.__struck"):
+                raise RuntimeError(f"{path.name}: {text[:2000]}")
+            seen["points" if " slack" in text else "refused with a message"] += 1
+            path.unlink()
+        tab.open(f"{address}/identify")
+        time.sleep(1.0)
+        (good := Path(folder) / "good.csv").write_bytes(DATA.read_bytes())
+        upload(tab, good)
+        tab.wait("document.body.innerText.includes('204 points, 31 slack')")
+    print(f"{count} uploads in {time.monotonic() - start:.0f} s: {dict(seen)}; afterwards a good file is read")
 
 
 def click(tab: Tab, text: str) -> None:
@@ -257,7 +319,7 @@ def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
     """The pages, after what a user would do first."""
     end = "" if width > 500 else f"-{width}"
     tab.open(f"{address}/", width, 900)
-    settle(tab, FIRST_CURVE)
+    settle(tab, DRAWING)
     tab.picture(folder / f"web-joint{end}.png")
     tab.open(f"{address}/identify", width, 900)
     tab.wait("document.querySelector('.q-expansion-item')")

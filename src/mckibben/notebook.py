@@ -1,4 +1,4 @@
-"""Display in notebooks: HTML tables of results and components, and a progress bar."""
+"""Display in notebooks: HTML tables of results and components, and a progress bar; progress and end of long jobs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from html import escape
 from typing import Any, TypeAlias, get_args, get_type_hints
 
@@ -14,6 +15,9 @@ from mckibben.units import Quantity, show
 
 Progress: TypeAlias = Callable[[str, float], None]
 """Called with the present step of a long computation and its finished fraction, 0 to 1."""
+
+stop_check: ContextVar[Callable[[], None]] = ContextVar("stop_check", default=lambda: None)
+"""Called by each evaluation of a fit in this thread; raises to end it from outside."""
 
 _PERIOD = 0.2  # s between updates of the bar
 _LONGEST = 120  # characters of a value

@@ -3,6 +3,7 @@
 import ast
 import html
 import importlib
+import inspect
 import re
 import runpy
 import tomllib
@@ -76,6 +77,29 @@ def test_the_files_and_links_that_it_names_exist(page):
         assert (ROOT / path).exists(), path
     for name in re.findall(r"\bmk\.([A-Za-z_]+)", text):
         assert hasattr(mk, name), name
+
+
+SKETCHES = [
+    (page, block)
+    for page in PAGES[:-1]
+    for block in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    if ">>>" not in block  # those are run as doctests
+]
+
+
+@pytest.mark.parametrize(("page", "code"), SKETCHES, ids=lambda one: getattr(one, "stem", ""))
+def test_python_that_needs_other_data_calls_what_exists_with_arguments_that_it_takes(page, code):
+    """Its imports are run, and the arguments of what it imports are bound."""
+    tree, names = ast.parse(code), {}
+    imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    exec(compile(ast.Module(imports, []), page.name, "exec"), names)
+    called = [one for one in ast.walk(tree) if isinstance(one, ast.Call) and isinstance(one.func, ast.Name)]
+    assert called
+    for call in called:
+        given = {one.arg: None for one in call.keywords}
+        signature = inspect.signature(names[call.func.id])
+        left_out = any(isinstance(one, ast.Constant) and one.value is ... for one in call.args)
+        (signature.bind_partial if left_out else signature.bind)(*call.args, **given)
 
 
 def test_every_page_is_in_the_site_and_in_the_list_for_readers_of_the_repository():

@@ -1,6 +1,5 @@
 """mckibben tune, as people type it; and what is left when it is interrupted or killed."""
 
-import importlib.util
 import itertools
 import json
 import re
@@ -214,12 +213,6 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
 )
 def test_a_mistake_is_one_error(mistaken, arguments, named):
     assert named in mistaken("s.yaml", *arguments)
-
-
-def test_without_the_package_of_cma(mistaken, monkeypatch):
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "cmaes" else find(name, *rest))
-    assert "pip install 'mckibben[tune]'" in mistaken("s.yaml", *SMALL, "--method", "cma")
 
 
 @pytest.mark.parametrize("name", ["s-tuned.yaml", "s-tuned-2.yaml", "results.json", "tuning.png"])

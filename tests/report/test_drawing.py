@@ -20,11 +20,10 @@ from mckibben.joint import (
     TabulatedPath,
     TwoBonePath,
 )
+from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.muscle import Muscle, Specimen, return_spring
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.report import animate, draw_control_loop, draw_joint
-from mckibben.report.drawing import muscle_ends
-from mckibben.report.mechanism import Mechanism, muscle_sizes
 from mckibben.simulation import Result
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import run_scenario
@@ -69,7 +68,7 @@ def test_straight_muscles_have_the_lengths_of_their_paths(geometry, connectors):
             mechanism.strands(angle), connectors, geometry.path_lengths(angle), strict=True
         ):
             assert strand.length - connector == pytest.approx(float(path), rel=1e-12)
-            first, last = muscle_ends(strand, float(path))
+            first, last = strand.body(float(path))
             assert np.linalg.norm(last - first) == pytest.approx(float(path), rel=1e-12)
 
 

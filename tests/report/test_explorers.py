@@ -62,6 +62,20 @@ def test_run(found, case):
 
 
 @needs_node
+def test_the_joint_that_is_played_has_the_lengths_of_its_geometry(found, case):
+    body = "say(module.picture(self, 0.2, 2e5, 3e5));"
+    drawn = run(found["run"], body)
+    joint = case.scenario.plant().joint
+    contractions = joint.contractions(0.2, (2e5, 3e5))
+    for i, (path, contraction) in enumerate(zip(joint.geometry.path_lengths(0.2), contractions, strict=True), 1):
+        across = np.hypot(drawn[f"moving_x{i}"] - drawn[f"fixed_x{i}"], drawn[f"moving_y{i}"] - drawn[f"fixed_y{i}"])
+        assert across - joint.geometry.connector_length == pytest.approx(float(path), rel=1e-12)
+        assert drawn[f"length{i}"] == pytest.approx(0.18 * (1 - float(contraction)), rel=1e-12)
+        volume = float(joint.muscle1.specimen.volume(contraction))
+        assert np.pi / 4 * drawn[f"diameter{i}"] ** 2 * drawn[f"length{i}"] == pytest.approx(volume, rel=1e-9)
+
+
+@needs_node
 def test_attainable_stiffness(found, case):
     angles = np.linspace(-0.7, 0.7, 29)
     body = f"say({angles.tolist()}.map((angle) => module.at(self, angle)));"

@@ -3,12 +3,13 @@
 import errno
 import fcntl
 import os
-import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from mckibben.errors import FileError, McKibbenWarning
+from mckibben.storage import files
 from mckibben.storage.files import atomic_write, check_free, file_lock, make_folder
 
 
@@ -131,6 +132,22 @@ def test_new_folders_are_synced_into_their_parents(tmp_path, monkeypatch):
     assert len(synced) == 2
 
 
-def test_without_the_modules_of_unix_the_package_imports():
-    code = "import sys; sys.modules['fcntl'] = None; import mckibben.storage.files as f; assert f.fcntl is None"
-    subprocess.run([sys.executable, "-c", code], check=True)
+def test_on_windows_a_byte_is_locked_and_a_second_holder_is_refused(tmp_path, monkeypatch):
+    """With `flock` in place of the lock of Windows, and its error for a taken one."""
+    real = fcntl.flock
+
+    def locking(file, how, size):
+        assert os.lseek(file, 0, os.SEEK_CUR) > 1000 and (how, size) == (2, 1)
+        try:
+            real(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise PermissionError(errno.EACCES, "Permission denied") from None
+
+    monkeypatch.setattr(files, "fcntl", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(locking=locking, LK_NBLCK=2))
+    path = tmp_path / ".lock"
+    with file_lock(path, "at it"):
+        with pytest.raises(FileError, match=rf"pid {os.getpid()} on .* is at it"), file_lock(path, "at it"):
+            pytest.fail("two at once")
+        assert path.read_text(encoding="utf-8").startswith(f"pid {os.getpid()} on ")
+    assert not path.exists()

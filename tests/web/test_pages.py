@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import random
 import re
+import sys
 import time
 import zipfile
 from contextlib import asynccontextmanager
 from io import BytesIO
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -19,16 +21,19 @@ from nicegui import ui
 from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import user_simulation
 
-from mckibben import Scenario, catalog, identify, read_dataset
+import mckibben as mk
+from mckibben import Scenario, catalog, read_dataset
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ExponentialLaw
+from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, joint, rig, run, session
+from mckibben.web import app, design, identify, rig, session, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
 RIG = (Path(__file__).parents[2] / "examples" / "rig.csv").read_text(encoding="utf-8")
+MUSCLE = catalog.joint("knee-table-2").muscle1
 
 
 @asynccontextmanager
@@ -81,10 +86,9 @@ def test_the_joint_page_draws_what_the_joint_attains():
             return curve(chart, "lowest"), curve(chart, "highest")
 
     low, high = asyncio.run(visit())
-    muscle = catalog.joint("knee-table-2").muscle1
     knee = KneeGeometry(joint_length=370 * mm, joint_radius=30 * mm, connector_length=208 * mm)
     angles = np.linspace(-40, 40, 81) * deg
-    expected = type(catalog.joint("knee-table-2"))(knee, muscle, muscle).attainable_stiffness(
+    expected = type(catalog.joint("knee-table-2"))(knee, MUSCLE, MUSCLE).attainable_stiffness(
         angles, 0.0, pressure_limits=(0.0, 6 * bar)
     )
     np.testing.assert_allclose(low, expected[0], rtol=1e-4)
@@ -100,26 +104,51 @@ def test_a_slider_changes_the_joint_and_a_reload_keeps_it():
             slider.set_value(45)
             await until(lambda: any("44." in one.text or "45." in one.text for one in user.find(ui.label).elements))
             await user.open("/")
-            return the(user, ui.slider, "radius-of-the-anchors").value, state(joint.JointDesign).joint_radius
+            return the(user, ui.slider, "radius-of-the-anchors").value, state(design.JointDesign).dimensions["radius"]
 
     assert asyncio.run(visit()) == (45, 45)
 
 
-def test_a_joint_that_cannot_be_is_an_error_with_a_remedy():
-    design = joint.JointDesign(joint_length=150.0)
+@pytest.mark.parametrize("kind", ["round knee", "between two bones"])
+def test_a_joint_that_cannot_be_is_an_error_with_a_remedy(kind):
     with pytest.raises(McKibbenError) as found:
-        joint.compute(design, catalog.joint("knee-table-2").muscle1)
-    assert found.value.unit == "m"
+        design.compute(design.JointDesign(kind=kind, dimensions={"height": 130.0}), MUSCLE)
+    assert found.value.unit == "m" and found.value.remedy
 
 
-def test_the_drawing_has_the_lengths_of_the_geometry():
-    design = joint.JointDesign(angle=20.0)
-    found = joint.compute(design, catalog.joint("knee-table-2").muscle1)
-    lines = re.findall(
-        r'x1="(\S+)" y1="(\S+)" x2="(\S+)" y2="(\S+)" stroke="(#0072B2|#D55E00)"', joint.drawing(design, found)
+@pytest.mark.parametrize("kind", design.KINDS)
+def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
+    """Muscles with their connectors; the part of a cable on a cam is an arc of many points."""
+    designed = design.JointDesign(kind=kind, angle=20.0)
+    found = design.compute(designed, MUSCLE)
+    geometry = found.joint.geometry
+    assert float(geometry.path_lengths(0.0)[0]) == pytest.approx(0.9 * MUSCLE.specimen.initial_length)
+    drawn = design.drawing(found.joint, 20 * deg, found.here.contractions)
+    bodies = re.findall(r'points="(\S+),(\S+) (\S+),(\S+)" fill="none" stroke="#(?:0072B2|D55E00)"', drawn)
+    lengths = [np.hypot(float(x2) - float(x1), float(y2) - float(y1)) for x1, y1, x2, y2 in bodies]
+    np.testing.assert_allclose(lengths, np.array(geometry.path_lengths(20 * deg)) / mm, atol=0.02)
+    text = workbench.with_section(
+        workbench.START, design.scenario_lines(designed, MUSCLE).partition("\n")[2], ("joint",)
     )
-    drawn = [np.hypot(float(x2) - float(x1), float(y2) - float(y1)) for x1, y1, x2, y2, _ in lines]
-    np.testing.assert_allclose(drawn, np.array(found.joint.geometry.path_lengths(20 * deg)) / mm, atol=0.02)
+    kept = Scenario.parse(text).plant().joint.geometry
+    assert type(kept) is type(geometry)
+    np.testing.assert_allclose(jax.tree.leaves(kept), jax.tree.leaves(geometry), rtol=1e-9)
+
+
+def test_another_kind_of_joint_has_its_own_sliders():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/")
+            chart = charts(user)[0]
+            await until(lambda: chart.options["series"])
+            the(user, ui.select, "kind").set_value("pulleys")
+            await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
+            the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
+            await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
+            return state(design.JointDesign)
+
+    kept = asyncio.run(visit())
+    assert (kept.kind, kept.dimensions) == ("pulleys", {"radius": 60})
 
 
 async def paste(user, text):
@@ -137,18 +166,18 @@ def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
             await user.should_see("ExponentialLaw: F =", retries=100)
             user.find(marker="download").click()
             answer = await user.download.next()
-            kept = state(joint.IdentificationState)
+            kept = state(identify.IdentificationState)
             await user.open("/identify")  # a reload
             await user.should_see("ExponentialLaw: F =", retries=30)
             await user.open("/")
-            assert joint.YOURS in the(user, ui.select, "muscle").options
+            assert design.YOURS in the(user, ui.select, "muscle").options
             return answer.content, kept.muscle
 
     content, muscle = asyncio.run(visit())
     zipfile.ZipFile(BytesIO(content)).extractall(tmp_path)
     (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
-    expected = identify(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
-    text = run._START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
+    expected = mk.identify(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
+    text = workbench.START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
     found = Scenario.parse(text, folder=tmp_path).joint.muscle.build()
     assert found.law == muscle.law == expected.law
 
@@ -158,7 +187,7 @@ def test_problems_are_listed_by_line_and_shown_as_text():
         async with visitor() as user:
             await user.open("/identify")
             await paste(user, "pressure_bar,contraction_percent,force_N\n1,0,10\n1,<img src=x onerror=alert(1)>,5\n")
-            await until(lambda: state(joint.IdentificationState).error is not None)
+            await until(lambda: state(identify.IdentificationState).error is not None)
             await user.should_see("1 problem", retries=30)
             table = the(user, ui.table)
             assert not user.find(ui.label).elements & {
@@ -177,7 +206,7 @@ def test_a_ranking_can_be_cancelled():
             await user.open("/identify")
             await paste(user, RIG)
             await user.should_see("204 points", retries=60)
-            kept = state(joint.IdentificationState)
+            kept = state(identify.IdentificationState)
             user.find(marker="rank").click()
             await until(lambda: kept.jobs.part > 0)
             user.find(marker="cancel").click()
@@ -191,13 +220,41 @@ def test_a_ranking_can_be_cancelled():
     assert ranking is None
 
 
+def test_a_fit_is_ended_within():
+    """By the next evaluation after `cancel`, not at its end."""
+    data, evaluations, ended = catalog.dataset("dmsp-10-250-martens2017"), [], []
+
+    async def visit():
+        jobs = session.Jobs()
+
+        def compute(progress):
+            check = stop_check.get()
+            stop_check.set(lambda: (evaluations.append(1), jobs.cancel() if len(evaluations) == 3 else None, check()))
+            try:
+                return mk.identify(ExponentialLaw, data)
+            finally:
+                ended.append(sys.exception())
+
+        async with visitor():
+            jobs.start(compute, lambda *found: pytest.fail("a result of a cancelled job"), pytest.fail)
+            await until(lambda: ended)
+        return jobs.busy
+
+    assert not asyncio.run(visit())
+    assert len(evaluations) == 3
+    assert isinstance(ended[0], session._CancelledError)
+
+
 def test_a_parameter_changes_the_run_and_runs_are_overlaid():
     async def visit():
         async with visitor() as user:
             await user.open("/run")
-            bench = state(run.Workbench)
+            bench = state(workbench.Workbench)
             await until(lambda: bench.current is not None, 60)
             first = bench.current
+            await until(lambda: the(user, ui.scene).objects)
+            drawn = [one.sy for one in the(user, ui.scene).objects.values()]  # in a scene with a limb of length 10
+            assert all(np.isclose(drawn, 10 / 0.37 * length[0]).any() for length in first.lengths)
             user.find(marker="keep").click()
             await until(lambda: there(user, "controller.position.ki"))
             the(user, ui.number, "controller.position.ki").set_value(90)
@@ -213,18 +270,19 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
 
 
 def test_other_controllers_and_references_are_scenarios():
-    for section in run.CONTROLLERS.values():
-        Scenario.parse(run.with_section(run._START, section, ("controller",))).control()
-    for form in run._SIGNALS.values():
-        found = Scenario.parse(run.with_section(run._START, form.format(**run._ANGLES), ("reference", "angle")))
+    for section in workbench.CONTROLLERS.values():
+        Scenario.parse(workbench.with_section(workbench.START, section, ("controller",))).control()
+    for form in workbench.SIGNALS.values():
+        found = Scenario.parse(
+            workbench.with_section(workbench.START, form.format(**workbench.ANGLES), ("reference", "angle"))
+        )
         assert np.isfinite(float(found.reference().angle(1.0)))
 
 
 def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
-    design = joint.JointDesign(joint_length=400.0, joint_radius=40.0)
-    muscle = catalog.joint("knee-table-2").muscle1
-    found = run.with_joint(run._START, joint.scenario_lines(design, muscle), tmp_path)
-    assert found.plant().joint.geometry == joint.joint_of(design, muscle).geometry
+    designed = design.JointDesign(dimensions={"height": 400.0, "radius": 40.0})
+    found = workbench.with_joint(workbench.START, design.scenario_lines(designed, MUSCLE), tmp_path)
+    assert found.plant().joint.geometry == design.joint_of(designed, MUSCLE).geometry
     low, high = found.plant().joint.attainable_stiffness(0.0, -found.load.build().gravity_torque(0.0))
     assert low < found.start.stiffness < high
 
@@ -232,18 +290,18 @@ def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
 def test_a_scenario_names_no_files_of_other_folders(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
-    text = run.with_section(run._START, "{samples: {file: ../other/angle.csv}}", ("reference", "angle"))
+    text = workbench.with_section(workbench.START, "{samples: {file: ../other/angle.csv}}", ("reference", "angle"))
     (tmp_path / "mine").mkdir()
     with pytest.raises(ScenarioError) as found:
-        run.parse(text, tmp_path / "mine")
+        workbench.parse(text, tmp_path / "mine")
     assert found.value.problems[0].field == "reference.angle.samples.file"
     (tmp_path / "mine" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
-    run.parse(text.replace("../other/", ""), tmp_path / "mine")
+    workbench.parse(text.replace("../other/", ""), tmp_path / "mine")
 
 
 def test_a_run_that_nobody_can_wait_for_is_refused(tmp_path):
     with pytest.raises(ParameterError, match="steps"):
-        run.parse(run._START.replace("duration: 6 s", "duration: 6000 s"), tmp_path)
+        workbench.parse(workbench.START.replace("duration: 6 s", "duration: 6000 s"), tmp_path)
 
 
 def test_hundreds_of_damaged_files_leave_a_page_that_lives():
@@ -253,7 +311,7 @@ def test_hundreds_of_damaged_files_leave_a_page_that_lives():
         chance, seen = random.Random(3), {"points": 0, "problems": 0}
         async with visitor() as user:
             await user.open("/identify")
-            kept, upload = state(joint.IdentificationState), the(user, ui.upload)
+            kept, upload = state(identify.IdentificationState), the(user, ui.upload)
             names = [name for name in FILES if not name.endswith((".h5", "73.mat"))]  # these cost a process each
             for number in range(240):
                 name = names[number % len(names)]
@@ -274,9 +332,9 @@ def test_hundreds_of_damaged_files_leave_a_page_that_lives():
 def test_damaged_scenarios_are_scenarios_or_errors(tmp_path):
     chance = random.Random(5)
     for _ in range(200):
-        text = damaged(run._START.encode(), chance).decode("utf-8", errors="replace")
+        text = damaged(workbench.START.encode(), chance).decode("utf-8", errors="replace")
         try:
-            run.parse(text, tmp_path)
+            workbench.parse(text, tmp_path)
         except McKibbenError as error:
             assert str(error)
 

@@ -42,8 +42,7 @@ from mckibben.cli.options import (
 from mckibben.cli.plan import envelope, plan, stiffness
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep, tune
-from mckibben.cli.web import web
-from mckibben.errors import McKibbenError, McKibbenWarning, printable
+from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
 
@@ -171,7 +170,21 @@ app.command()(calibrate)
 app.command()(export)
 app.add_typer(rig)
 app.add_typer(leg)
-app.command()(web)
+
+
+@app.command()
+def web(
+    port: Annotated[int, Option(min=1, max=65535, help="Port of the address.")] = 8080,
+    no_browser: Annotated[bool, Option("--no-browser", help="Open no browser.")] = False,
+) -> None:
+    """Serve a page on this machine: identify a muscle, design a joint, run it."""
+    try:
+        import nicegui  # noqa: F401
+    except ImportError as error:
+        raise ParameterError("NiceGUI is not installed", remedy="install it: pip install 'mckibben[web]'") from error
+    from mckibben.web.app import start
+
+    start(port, show=not no_browser, ready=lambda address: echo(f"{address} (Ctrl-C ends it)"))
 
 
 @app.command()

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
 from mckibben.muscle import ForceLaw, Parameter
+from mckibben.notebook import stop_check
 
 
 def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
@@ -184,6 +185,7 @@ class FitProblem:
 
     def columns_and_residuals(self, values: Floats) -> Floats:
         """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""
+        stop_check.get()()
         points = self.contraction, self.pressure, self.force, self._factors
         return np.asarray(_columns_and_residuals(self.law_type, values, *points, self.constants))
 

@@ -114,7 +114,7 @@ def _write(path: Path, content: bytes) -> None:
 
 def _read(path: Path) -> bytes:
     """Content of a private, undamaged file; OSError or ValueError otherwise."""
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW), "rb") as file:
+    with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0)), "rb") as file:
         if not _is_private(os.fstat(file.fileno()), stat.S_ISREG):
             raise PermissionError(f"{path} may have been written by others")
         checksum, content = file.read(32), file.read()
@@ -129,7 +129,9 @@ def _checksum(path: Path, content: bytes) -> bytes:
 
 
 def _is_private(status: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
-    """Whether it is of its kind, belongs to this user, and cannot be written by others."""
+    """Whether it is of its kind, belongs to this user, and cannot be written by others; unknown, so not, on Windows."""
+    if not hasattr(os, "getuid"):
+        return False
     return is_kind(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
 
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mckibben.errors import ParameterError, SimulationError
+from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.plant import JointPlant
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
-from mckibben.report.mechanism import Mechanism, muscle_sizes
 from mckibben.report.style import BLUE, DESIRED, SKY, VERMILLION, draw_band, pressure_colours, robust_limits, styled
 from mckibben.simulation import Result
 from mckibben.storage.files import atomic_write

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
 from mckibben.joint.geometry import Pressures
+from mckibben.joint.mechanism import Mechanism, Points, Strand, muscle_sizes
 from mckibben.numerics.checks import check_kind
 from mckibben.plant import JointPlant
-from mckibben.report.mechanism import Mechanism, Points, Strand, muscle_sizes
 from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
 from mckibben.units import bar, deg, mm
 
@@ -88,7 +88,7 @@ class JointPicture:
         self._levers.set_data(*np.array(levers).reshape(-1, 2).T)
         self._weights.set_data(*np.array([mechanism.limb(angle, at) for at in self._masses]).reshape(-1, 2).T)
         for index, strand in enumerate(strands):
-            first, last = muscle_ends(strand, lengths[index])
+            first, last = strand.body(lengths[index])
             cable = [strand.start, first, (np.nan, np.nan), last, strand.end, *strand.wrap]
             diameter = diameters[index]
             width = _SLENDER * lengths[index] if diameter is None else diameter
@@ -98,13 +98,6 @@ class JointPicture:
             self._bodies[index].set_xy(_body(first, last, width))
             self._bodies[index].set(facecolor=colours[index], visible=not self._springs[index])
         return strands
-
-
-def muscle_ends(strand: Strand, length: float) -> tuple[Points, Points]:
-    """Ends of a muscle of a length [m] on its strand: in its middle, or above a cam at the fixed end."""
-    along = (strand.end - strand.start) / strand.length
-    above = 0.0 if len(strand.wrap) else max(strand.length - length, 0.0) / 2
-    return strand.start + above * along, strand.start + (above + length) * along
 
 
 def _frame(first: Points, last: Points) -> tuple[Points, Points]:
@@ -253,7 +246,7 @@ def _label_whole(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], le
     rotation = 90.0 if abs(up[1]) > 0.5 else 0.0
     second = 1.0 if (strands[1].start - strands[0].start) @ right >= 0 else -1.0
     for number, (strand, length, side) in enumerate(zip(strands, lengths, (-second, second), strict=True), 1):
-        first, last = muscle_ends(strand, length)
+        first, last = strand.body(length)
         _note(axes, (first + last) / 2, f"muscle {number}", side * right, gap, rotation=rotation)
         if isinstance(geometry, KneeGeometry) and number == 2:
             _note(axes, (strand.start + first) / 2, "$L_u$", side * right, gap)

@@ -63,7 +63,7 @@ const explorer = (function () {
 
     // Draws again when the explorer is opened, a slider is moved, or the width changes.
     function start(name, draw) {
-        const root = document.getElementById(name), inputs = [...root.querySelectorAll("input")];
+        const root = document.getElementById(name), inputs = [...root.querySelectorAll("form input")];
         const charts = root.querySelector(".charts"), says = root.querySelector(".says");
         const values = (key) => Object.fromEntries(inputs.map((one) => [one.name, Number(one[key]) * one.dataset.factor]));
         let waiting = false, width = 0;
@@ -138,8 +138,68 @@ const explorer = (function () {
         });
     }
 
+    // Plays rows of a run at equal times: the joint at the time of a slider, or going on in real time.
+    function player(root, module, times) {
+        const box = root.querySelector(".player");
+        const [svg, button, slider, output] = ["svg", "button", "input", "output"].map((one) => box.querySelector(one));
+        let self = null, rows = [], playing = false, began = 0;
+        slider.max = times.length - 1;
+        const low = [204, 217, 230], high = [213, 94, 0]; // of a muscle without and with the highest pressure
+        function draw() {
+            const k = Number(slider.value), row = rows[k];
+            button.textContent = playing ? "Pause" : "Play";
+            output.textContent = `${times[k].toFixed(2)} s`;
+            slider.setAttribute("aria-valuetext", output.textContent);
+            svg.replaceChildren();
+            if (!row || !(Math.abs(row.angle) < Math.PI / 2)) return;
+            const at = module.picture(self, row.angle, row.pressure1, row.pressure2), top = at.fixed_y1;
+            svg.setAttribute("viewBox", [-0.7 * top, -1.05 * top, 1.4 * top, 1.75 * top].join(" "));
+            const line = (a, b, stroke, width, cap = "round") => element(svg, "line", {
+                x1: a[0], y1: -a[1], x2: b[0], y2: -b[1], stroke, "stroke-width": width, "stroke-linecap": cap});
+            const limb = [0.6 * top * Math.sin(row.angle), -0.6 * top * Math.cos(row.angle)];
+            line([0, top], [0, 0], LINE, 0.035 * top);
+            line([0, 0], limb, LINE, 0.035 * top);
+            line([at.fixed_x1, top], [at.fixed_x2, top], SOFT, 0.015 * top);
+            line([at.moving_x1, at.moving_y1], [at.moving_x2, at.moving_y2], SOFT, 0.015 * top);
+            const most = Math.max(...rows.map((one) => Math.max(one.pressure1, one.pressure2)));
+            for (const i of [1, 2]) {
+                const a = [at[`fixed_x${i}`], at[`fixed_y${i}`]], b = [at[`moving_x${i}`], at[`moving_y${i}`]];
+                const part = at[`length${i}`] / Math.hypot(b[0] - a[0], b[1] - a[1]);
+                const on = (s) => a.map((one, axis) => one + s * (b[axis] - one));
+                const colour = low.map((one, c) => Math.round(one + row[`pressure${i}`] / most * (high[c] - one)));
+                line(a, b, SOFT, 0.006 * top);
+                line(on((1 - part) / 2), on((1 + part) / 2), `rgb(${colour})`, at[`diameter${i}`], "butt");
+            }
+            element(svg, "circle", {r: 0.02 * top, fill: "#fff", stroke: INK, "stroke-width": 0.006 * top});
+        }
+        function step(now) {
+            if (!playing) return;
+            slider.value = (now - began) / 1e3 / (times[1] - times[0]);
+            playing = Number(slider.value) < times.length - 1;
+            draw();
+            requestAnimationFrame(step);
+        }
+        button.addEventListener("click", () => {
+            playing = !playing;
+            if (Number(slider.value) >= times.length - 1) slider.value = 0;
+            began = performance.now() - 1e3 * times[slider.value];
+            draw();
+            requestAnimationFrame(step);
+        });
+        slider.addEventListener("input", (event) => {
+            event.stopPropagation(); // it is no parameter
+            playing = false;
+            draw();
+        });
+        return (made, found) => {
+            [self, rows] = [made, found];
+            draw();
+        };
+    }
+
     function run(name, module, {period, count}) {
         const every = 10, times = grid(0, (count - every) * period, count / every);
+        const play = player(document.getElementById(name), module, times);
         start(name, (values, _, charts) => {
             const self = made(module, values), rows = [], errors = [0, 0];
             module.init(self);
@@ -157,6 +217,7 @@ const explorer = (function () {
                     curve(`desired_${key}`, {colour: SOFT, dashed: true, label: "desired"}), curve(key, {colour: COLOURS[0], label: "actual"}),
                 ]);
             }
+            play(self, rows);
             const [angle, stiffness] = errors.map(Math.sqrt);
             if (!Number.isFinite(angle) || angle > 1) return "The joint diverges.";
             return `Root mean square error: ${show(angle * deg)}° and ${show(stiffness)} N·m/rad.`;

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import markupsafe
 import numpy as np
 
@@ -162,18 +163,37 @@ def _run(scenario: Scenario, plant: JointPlant) -> Explorer:
             "state": state,
             "angle": at.angle,
             "stiffness": stiffness,
+            "pressure1": at.pressures[0],
+            "pressure2": at.pressures[1],
             "desired_angle": setpoint.angle,
             "desired_stiffness": setpoint.stiffness,
         }
+
+    def picture(parameters: Any, angle: Any, pressure1: Any, pressure2: Any) -> dict[str, Any]:
+        """Ends of muscles and connectors, lengths and diameters of the muscles [m]."""
+        joint, found = plant.joint, {}
+        contractions = joint.contractions(angle, (pressure1, pressure2))
+        pairs = zip((joint.muscle1, joint.muscle2), joint.geometry.anchors(angle), contractions, strict=True)
+        for number, (muscle, ends, contraction) in enumerate(pairs, 1):
+            assert ends is not None
+            for end, place in zip(("fixed", "moving"), ends, strict=True):
+                found |= {f"{end}_x{number}": place[0], f"{end}_y{number}": place[1]}
+            length = muscle.specimen.length_at(contraction)
+            diameter = jnp.sqrt(4 * muscle.specimen.volume(contraction) / (jnp.pi * length))
+            found |= {f"length{number}": length, f"diameter{number}": diameter}
+        return found
 
     state = jax.eval_shape(lambda: init(module.parameters)["state"])
     state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
     module.add("init", "state at the start", init, {})
     module.add("period", "one control period", period, {"state": state, "time": np.zeros(())})
+    number = np.zeros(())
+    given = {"angle": number, "pressure1": number, "pressure2": number}
+    module.add("picture", "ends, lengths and diameters of the muscles [m]", picture, given)
     count = round(scenario.duration / scenario.control_period)
     text = (
         f"The run of {scenario.duration:g} s with a step of the stiffness, simulated again in this page, with the same "
-        f"numbers as mckibben's. Gains start at those of the report."
+        f"numbers as mckibben's, and played. Gains start at those of the report."
     )
     options = {"period": scenario.control_period, "count": count}
     return _explorer("run", "Explore a run over the gains of its two PID loops", text, sliders, module, options)

@@ -57,6 +57,7 @@ except ImportError:  # Windows
     fcntl = None
 
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_LOCKED = 1 << 20  # place of the byte that is locked on Windows
 _PIECE = 1 << 20  # bytes read at once
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file systems without locks
 
@@ -235,11 +236,12 @@ def _lock(path: Path, task: str) -> int:
 
 def _try_flock(file: int, path: Path, task: str) -> bool:
     """Lock an open file; False where locks are not supported."""
-    if fcntl is None:
-        return False
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        else:
+            _lock_byte(file)
+    except (BlockingIOError, PermissionError):
         holder = os.read(file, 200).decode("utf-8", "replace").strip() or "just started"
         problem = Problem(f"another process ({holder}) is {task}", remedy="wait for its end")
         raise FileError(str(path.parent), [problem]) from None
@@ -248,6 +250,17 @@ def _try_flock(file: int, path: Path, task: str) -> bool:
             raise
         return False
     return True
+
+
+def _lock_byte(file: int) -> None:
+    """Lock a byte far behind the content, which others can still read; `PermissionError` if another process has it."""
+    import msvcrt
+
+    os.lseek(file, _LOCKED, os.SEEK_SET)
+    try:
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
+    finally:
+        os.lseek(file, 0, os.SEEK_SET)
 
 
 def is_same_file(path: Path, file: int) -> bool:

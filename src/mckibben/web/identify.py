@@ -32,6 +32,7 @@ from mckibben.web.layout import (
     show_warnings,
     side,
     table,
+    text_area,
 )
 from mckibben.web.security import LARGEST
 from mckibben.web.session import Jobs, session
@@ -117,12 +118,8 @@ class _Page:
                     "w-full"
                 )
                 with ui.expansion("or paste a table").props("dense").classes("w-full"):
-                    self.pasted = (
-                        ui.textarea(placeholder="pressure_bar,contraction_percent,force_N\n1,0,120\n...")
-                        .props(f"outlined maxlength={_LONGEST_PASTE} input-style='height: 130px'")
-                        .classes("w-full mono")
-                        .mark("paste")
-                    )
+                    example = "pressure_bar,contraction_percent,force_N\n1,0,120\n..."
+                    self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
                     ui.button("Read", on_click=self.paste).props("flat no-caps")
                 with ui.expansion("initial length and columns").props("dense").classes("w-full"):
                     ui.input("initial length, such as 180 mm").props("dense").classes("w-full").bind_value(
@@ -252,7 +249,7 @@ class _Page:
             self.show_ranking(state.ranking)
 
     def show_data(self, data: IsobaricDataset) -> None:
-        """What was recognised."""
+        """Columns with their ranges, and remarks of the reader."""
         attrs = data.table.attrs
         with panel(self.state.name):
             ui.label(f"{len(data)} points, {len(data) - len(data.taut)} slack").classes("number")
@@ -345,7 +342,7 @@ class _Page:
 
     def design(self) -> None:
         """Take the muscle to the page of the joint."""
-        from mckibben.web.joint import YOURS, JointDesign
+        from mckibben.web.design import YOURS, JointDesign
 
         session().state(JointDesign).muscle = YOURS
         ui.navigate.to("/")

@@ -90,7 +90,7 @@ def side() -> Iterator[None]:
 
 
 def show_error(error: McKibbenError) -> None:
-    """What is wrong: each problem of a file with its line, and what to do about it."""
+    """Message of an error; of a file each problem with its line and remedy."""
     if not isinstance(error, FileError):
         _message(error.message, error.remedy)
         return
@@ -137,7 +137,13 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int 
     return made.classes("w-full number").props("rows-per-page-options=[0]")
 
 
-class _Slider(ui.slider):
+def text_area(label: str, longest: int, height: int, **options: Any) -> ui.textarea:
+    """A field of many lines, of at most so many characters, with a height in pixels."""
+    look = f"outlined aria-label='{label}' maxlength={longest} spellcheck=false input-style='height: {height}px'"
+    return ui.textarea(**options).props(look).classes("w-full mono")
+
+
+class PageSlider(ui.slider):
     """A slider whose value the server does not send back."""
 
     LOOPBACK = False
@@ -166,7 +172,7 @@ class NumberSlider:
                     .classes("number")
                     .style("width: 120px; height: 28px; margin-top: -10px")
                 )
-            self.slider = _Slider(min=low, max=high, step=step, value=value, on_change=self._slide)
+            self.slider = PageSlider(min=low, max=high, step=step, value=value, on_change=self._slide)
             self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label.replace(" ", "-"))
 
     async def _slide(self) -> None:

@@ -21,7 +21,20 @@ from mckibben.study.rig.document import RigTest
 from mckibben.study.rig.running import CheckedTest, check, data_name, run_test
 from mckibben.units import bar, percent
 from mckibben.web.identify import IdentificationState
-from mckibben.web.layout import BLUE, GREEN, VERMILLION, chart, dots, draw, frame, line, panel, show_error, side
+from mckibben.web.layout import (
+    BLUE,
+    GREEN,
+    VERMILLION,
+    chart,
+    dots,
+    draw,
+    frame,
+    line,
+    panel,
+    show_error,
+    side,
+    text_area,
+)
 from mckibben.web.session import Jobs, session
 
 _MOST_SAMPLES = 5_000_000
@@ -113,9 +126,7 @@ class _Page:
         self.state, self.folder = state, folder
         self.shown, self.drawn = -1, -1
         with side(), panel("Test on the simulated rig"):
-            ui.textarea(value=state.text).props(
-                f"outlined maxlength={LONGEST_TEXT} spellcheck=false input-style='height: 330px'"
-            ).classes("w-full mono").mark("protocol").bind_value(state, "text")
+            text_area("protocol", LONGEST_TEXT, 330).mark("protocol").bind_value(state, "text")
             ui.select(_PACES, label="time of the rig").props("dense").classes("w-full").bind_value(state, "pace")
             with ui.row().style("gap: 8px"):
                 ui.button("Start", on_click=self.start).props("unelevated no-caps").mark("start")

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from nicegui import events, ui
 
-from mckibben.config.document import LONGEST_TEXT, read_document, to_text
-from mckibben.config.model import parse_model
-from mckibben.errors import McKibbenError, ParameterError, printable
-from mckibben.simulation import Result
-from mckibben.simulation.metrics import in_shown_units
+from mckibben.config.document import LONGEST_TEXT
+from mckibben.errors import McKibbenError, printable
 from mckibben.study.parameters import ScenarioParameter, list_parameters
 from mckibben.study.parameters.values import with_values
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 from mckibben.units import bar, deg, factor
 from mckibben.web.layout import (
     BLACK,
@@ -38,166 +31,25 @@ from mckibben.web.layout import (
     show_warnings,
     side,
     table,
+    text_area,
 )
-from mckibben.web.session import Jobs, session
+from mckibben.web.scene import JointScene
+from mckibben.web.session import session
+from mckibben.web.workbench import (
+    ANGLES,
+    CONTROLLERS,
+    SIGNALS,
+    START,
+    Kept,
+    Workbench,
+    compute,
+    parse,
+    with_joint,
+    with_section,
+)
 
-MOST_STEPS = 2_000_000
-"""Integration steps of a run; more are for the command line, where a run can be stopped."""
 _MOST_KEPT = len(PALETTE) - 1
-
-_START = """\
-name: knee
-joint:
-  geometry: knee-table-2
-  connector_length: 208 mm
-  muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-load: knee-table-2
-valve: {time_constant: 20 ms}
-controller:
-  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}}
-  stiffness: {pid: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}
-reference:
-  angle: {sine: {amplitude: 10 deg, frequency: 0.5 Hz}}
-  stiffness: {step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 3 s}}
-start: {angle: 0 deg, stiffness: 12 N*m/rad}
-duration: 6 s
-control_period: 1 ms
-"""
-CONTROLLERS = {
-    "two PID loops": _START[_START.index("  position") : _START.index("reference")],
-    "PID loops with backpropagation": """\
-  position: {backprop: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, gain_ratio: 2, learning_rate: 3 1/s,
-    momentum: 0.5, signal_scale: 10 deg, error_scale: 1 deg, output_scale: 10 bar/s, seed: 0}}
-  stiffness: {backprop: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad), gain_ratio: 2,
-    learning_rate: 3 1/s, momentum: 0.5, signal_scale: 15 N*m/rad, error_scale: 1 N*m/rad, output_scale: 1 bar/s,
-    jacobian: sign, seed: 0}}
-""",
-    "model inversion (decoupling)": """\
-  decoupling:
-    poles: {bandwidth: 80 rad/s}
-    disturbance_observer: {bandwidth: 250 rad/s}
-    pressure_observer: {bandwidth: 200 rad/s}
-""",
-    "predictive control": """\
-  predictive:
-    bandwidth: 80 rad/s
-    disturbance_observer: {bandwidth: 250 rad/s}
-    pressure_observer: {bandwidth: 200 rad/s}
-""",
-}
-_SIGNALS = {
-    "constant": "{at}",
-    "step": "{{step: {{before: {low}, after: {high}, at: 3 s}}}}",
-    "ramp": "{{ramp: {{before: {low}, after: {high}, start: 2 s, duration: 2 s}}}}",
-    "sine": "{{sine: {{amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}}}",
-}
-_ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}
 _GROUPS = {"controller.": "Gains", "reference.": "References", "load.": "Load"}
-_COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", "pressure1", "pressure2")
-
-
-@dataclass(frozen=True)
-class Kept:
-    """What is drawn of a run."""
-
-    name: str
-    columns: dict[str, np.ndarray]
-    band: tuple[np.ndarray, np.ndarray]
-    metrics: dict[str, float]
-    outcome: str
-    text: str
-
-
-@dataclass
-class Workbench:
-    """State of the page; `joint` is a section of a scenario, to be taken over."""
-
-    scenario: Scenario | None = None
-    text: str = _START
-    current: Kept | None = None
-    kept: list[Kept] = field(default_factory=list)
-    error: McKibbenError | None = None
-    notes: list[str] = field(default_factory=list)
-    jobs: Jobs = field(default_factory=Jobs)
-    joint: str = ""
-    form: int = 0
-
-
-def parse(text: str, folder: Path) -> Scenario:
-    """A scenario that names no files but those of the session, and is no longer than a page can wait for."""
-    found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
-    steps = found.duration / found.control_period * found.substeps
-    if steps > MOST_STEPS:
-        raise ParameterError(
-            f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}",
-            value=steps,
-            remedy="shorten the duration, or use `mckibben simulate`",
-        )
-    return found
-
-
-def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
-    """Run a scenario; what is drawn of it, and remarks."""
-    result, feasibility = run_scenario(scenario)
-    remarks = [] if feasibility.feasible else [feasibility.describe()]
-    if result.outcome.name != "COMPLETED":
-        remarks.append(result.outcome.value)
-    return _kept(scenario, result, folder), remarks
-
-
-def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
-    step = max(1, len(result["angle"]) // 1200)
-    columns = {name: np.asarray(result[name])[::step] for name in _COLUMNS}
-    bounds = np.asarray(result["lowest_stiffness"])[::step], np.asarray(result["highest_stiffness"])[::step]
-    text = scenario.dumps(folder=folder)
-    return Kept(
-        scenario.name,
-        columns,
-        bounds,
-        in_shown_units(result.metrics),
-        result.outcome.name.lower().replace("_", " "),
-        text,
-    )
-
-
-def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
-    """The text of a scenario with another section at a place."""
-    data = _plain(read_document(text).data)
-    inner: Any = data
-    for key in place[:-1]:
-        inner = inner[key]
-    inner[place[-1]] = _plain(read_document(f"x: {section}" if "\n" not in section else f"x:\n{section}").data)["x"]
-    return to_text(data)
-
-
-def _plain(data: Any) -> Any:
-    """A document with dictionaries that may be changed, and lists."""
-    if isinstance(data, dict):
-        return {key: _plain(value) for key, value in data.items()}
-    return [_plain(one) for one in data] if isinstance(data, tuple | list) else data
-
-
-def with_joint(text: str, joint: str, folder: Path) -> Scenario:
-    """The scenario with another joint, and a stiffness reference inside what that attains."""
-    data = _plain(read_document(text).data)
-    data["joint"] = _plain(read_document(joint).data)["joint"]
-    scenario = parse(to_text(data), folder)
-    plant = scenario.plant()
-    angles = jnp.linspace(-10.0, 10.0, 9) * deg
-    low, high = plant.joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
-    lowest, highest = float(jnp.max(low)), float(jnp.min(high))
-    if not lowest < highest:  # as it is: the run says why
-        return scenario
-    before, after = (lowest + part * (highest - lowest) for part in (0.3, 0.6))
-    data["reference"]["stiffness"] = {
-        "step": {
-            "before": f"{before:.3g} N*m/rad",
-            "after": f"{after:.3g} N*m/rad",
-            "at": f"{scenario.duration / 2:g} s",
-        }
-    }
-    data["start"] = {"angle": "0 deg", "stiffness": f"{before:.3g} N*m/rad"}
-    return parse(to_text(data), folder)
 
 
 def page() -> None:
@@ -218,20 +70,15 @@ class _Page:
             with panel("Controller and references"):
                 for label, options, choose in (
                     ("controller", list(CONTROLLERS), self.choose_controller),
-                    ("angle", list(_SIGNALS), self.choose_angle),
-                    ("stiffness", list(_SIGNALS), self.choose_stiffness),
+                    ("angle", list(SIGNALS), self.choose_angle),
+                    ("stiffness", list(SIGNALS), self.choose_stiffness),
                 ):
                     ui.select(options, label=f"{label}: choose a kind", on_change=choose).props("dense").classes(
                         "w-full"
                     ).mark(label)
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel("Scenario"):
-                self.yaml = (
-                    ui.textarea()
-                    .props(f"outlined maxlength={LONGEST_TEXT} spellcheck=false input-style='height: 260px'")
-                    .classes("w-full mono")
-                    .mark("yaml")
-                )
+                self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
                 with ui.row().style("gap: 8px"):
                     ui.button("Run", on_click=self.apply).props("unelevated no-caps").mark("run")
                     ui.button("Download", on_click=self.download).props("flat no-caps")
@@ -254,20 +101,23 @@ class _Page:
                 self.angle = chart("time [s]", "angle [°]", height=270)
             with panel("Stiffness"):
                 self.stiffness = chart("time [s]", "stiffness [N·m/rad]", height=270)
-            with panel("Pressures"):
-                self.pressure = chart("time [s]", "pressure [bar]", height=200)
+            with ui.element("div").classes("pair"):
+                with panel("Pressures"):
+                    self.pressure = chart("time [s]", "pressure [bar]", height=290)
+                with panel("Joint"):
+                    self.scene = JointScene()
             with panel("Numbers"):
                 self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
         ui.timer(0.1, self.refresh)
         if state.joint:
-            text = _START if state.current is None else state.current.text
+            text = START if state.current is None else state.current.text
             joint, state.joint = state.joint, ""
             self.change(lambda: with_joint(text, joint, folder))
         elif state.current is None and not state.jobs.busy:
             self.apply_text(state.text)
 
     def refresh(self) -> None:
-        """Show what is new."""
+        """Show new results."""
         state = self.state
         self.busy.visible = state.jobs.busy
         if self.formed != state.form:
@@ -331,7 +181,7 @@ class _Page:
 
     def section(self, section: str, *place: str) -> None:
         """Run the scenario with another section."""
-        text = _START if self.state.current is None else self.state.current.text  # one that could be run
+        text = START if self.state.current is None else self.state.current.text  # one that could be run
         self.change(lambda: parse(with_section(text, section, place), self.folder))
 
     def choose_controller(self, event: events.ValueChangeEventArguments) -> None:
@@ -340,7 +190,7 @@ class _Page:
 
     def choose_angle(self, event: events.ValueChangeEventArguments) -> None:
         """Take another kind of angle reference."""
-        self.section(_SIGNALS[event.value].format(**_ANGLES), "reference", "angle")
+        self.section(SIGNALS[event.value].format(**ANGLES), "reference", "angle")
 
     def choose_stiffness(self, event: events.ValueChangeEventArguments) -> None:
         """Take another kind of stiffness reference, about the mean of the present one."""
@@ -348,7 +198,7 @@ class _Page:
         mean = 15.0 if now is None else float(np.mean(now.columns["desired_stiffness"]))
         low, high = f"{0.9 * mean:.3g} N*m/rad", f"{1.1 * mean:.3g} N*m/rad"
         parts = {"at": f"{mean:.3g} N*m/rad", "low": low, "high": high, "half": f"{0.1 * mean:.3g} N*m/rad"}
-        self.section(_SIGNALS[event.value].format(**parts), "reference", "stiffness")
+        self.section(SIGNALS[event.value].format(**parts), "reference", "stiffness")
 
     def fields(self, scenario: Scenario) -> None:
         """Fields of the numbers of a scenario that are set."""
@@ -406,6 +256,7 @@ class _Page:
         draw(self.stiffness, [*bounds, *older, line("now", time, columns["stiffness"], BLUE), desired])
         colors = (("antagonist", "pressure1", GREEN), ("agonist", "pressure2", VERMILLION))
         draw(self.pressure, [line(name, time, columns[key] / bar, color) for name, key, color in colors])
+        self.scene.show(now)
         self.numbers.clear()
         with self.numbers:
             rows = [_row(one) for one in (dataclasses.replace(now, name="now"), *overlays)]

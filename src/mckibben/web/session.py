@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from nicegui import app, background_tasks
 
 from mckibben.errors import McKibbenError, McKibbenWarning, printable
+from mckibben.notebook import stop_check
 
 T = TypeVar("T")
 
@@ -134,7 +135,7 @@ class Jobs:
         return self._running == self._number != 0
 
     def cancel(self) -> None:
-        """Stop at the next progress; a computation that reports none goes on, and its result is not taken."""
+        """Stop at the next progress or evaluation of a fit; a run goes on, and its result is not taken."""
         self._number += 1
         self.version += 1
 
@@ -150,15 +151,22 @@ class Jobs:
         self.step, self.part = "", 0.0
         self.version += 1
 
-        def progress(step: str, part: float) -> None:
+        def check() -> None:
             if number != self._number:
                 raise _CancelledError
+
+        def progress(step: str, part: float) -> None:
+            check()
             self.step, self.part = step, part
+
+        def work() -> T:
+            stop_check.set(check)  # of the context of its thread
+            return compute(progress)
 
         async def run() -> None:
             with suppress(_CancelledError):
                 try:
-                    found, heard = await in_thread(compute, progress)
+                    found, heard = await in_thread(work)
                 except McKibbenError as error:
                     if number == self._number:
                         fail(error)

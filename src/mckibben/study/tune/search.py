@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import importlib.util
 import threading
 import warnings
 from collections.abc import Callable, Sequence
@@ -176,8 +175,7 @@ class Method(enum.Enum):
 
     EVOLUTION: differential evolution; global, many runs.
 
-    CMA: covariance matrix adaptation evolution strategy, between the two; needs the package cmaes
-    (``pip install mckibben[tune]``).
+    CMA: covariance matrix adaptation evolution strategy, between the two.
     """
 
     GRADIENT = "gradient"
@@ -190,8 +188,6 @@ _MIN_POPULATION = {Method.EVOLUTION: 5, Method.CMA: 4}
 
 def check_method(method: Method, *, numbers: int, population: int) -> None:
     """Check that the package of a method is there, and that it can search so many parameters."""
-    if method is Method.CMA and importlib.util.find_spec("cmaes") is None:
-        raise ParameterError("CMA-ES needs the package cmaes", remedy="pip install 'mckibben[tune]'")
     if method is Method.CMA and numbers < 2:
         raise ParameterError("CMA-ES needs at least two parameters", remedy="use gradient or evolution")
     least = _MIN_POPULATION.get(method, 1)

@@ -6,10 +6,13 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.joint import AntagonisticJoint, Geometry
+from mckibben.joint.antagonistic import AntagonisticJoint
+from mckibben.joint.geometry import Geometry, Pair
 from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.compiled import compiled
 from mckibben.units import deg
 
 Points = NDArray[np.float64]
@@ -34,6 +37,12 @@ class Strand(NamedTuple):
     def length(self) -> float:
         """Length [m] of the straight part."""
         return float(np.linalg.norm(self.end - self.start))
+
+    def body(self, length: float) -> tuple[Points, Points]:
+        """Ends of the muscle, which has a length [m]: in the middle, or above a cam at the fixed end."""
+        along = (self.end - self.start) / self.length
+        above = 0.0 if len(self.wrap) else max(self.length - length, 0.0) / 2
+        return self.start + above * along, self.start + (above + length) * along
 
 
 class Mechanism:
@@ -64,7 +73,7 @@ class Mechanism:
         self.up = np.array([cosine, sine])
         """Direction of the fixed limb from the hinge; at 0 deg that of the moving limb is opposite."""
         self._turn = np.array([[sine, -cosine], [cosine, sine]])  # to this frame, from one with the fixed limb along y
-        (paths, arms), (_, slopes) = value_and_derivative(geometry.paths_and_arms, grid)
+        (paths, arms), (_, slopes) = _profiles(geometry, grid)
         self._cams = [
             _Cam(side * grid, np.asarray(arm, float), side * np.asarray(slope, float))
             for side, arm, slope in zip((-1, 1), arms, slopes, strict=True)
@@ -102,6 +111,12 @@ class Mechanism:
         """Return the point of the moving limb at a distance [m] from the hinge."""
         cosine, sine = math.cos(angle), math.sin(angle)
         return -distance * np.array([cosine * self.up[0] - sine * self.up[1], sine * self.up[0] + cosine * self.up[1]])
+
+
+@compiled
+def _profiles(geometry: Geometry, angles: ArrayLike) -> tuple[tuple[Pair, Pair], tuple[Pair, Pair]]:
+    """Paths and moment arms over angles [rad], and their derivatives; compiled once for a kind of geometry."""
+    return value_and_derivative(geometry.paths_and_arms, angles)
 
 
 class _Cam:

@@ -1,0 +1,241 @@
+"""Design of a joint of two equal muscles: kinds and their dimensions, ranges over the angle, drawing, and file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, get_type_hints
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import ArrayLike
+
+from mckibben import catalog
+from mckibben.config.document import to_text
+from mckibben.errors import RangeError
+from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
+from mckibben.joint.mechanism import Mechanism, Points, muscle_sizes
+from mckibben.muscle import Muscle
+from mckibben.numerics.compiled import compiled
+from mckibben.units import Quantity, bar, deg, mm, percent, show
+from mckibben.web.layout import BLUE, VERMILLION
+
+_MUSCLES = {"MAS-10-180N-AA-MC-O": "lei-mas-10-180n", "DMSP-10-250": "sarosi-dmsp-10"}
+"""Specimens of the catalog and their laws."""
+YOURS = "your fit"
+ANGLES = np.linspace(-40, 40, 81) * deg
+POSE = 40.0
+
+
+class JointDimension(NamedTuple):
+    """A number of a kind of joint: its label, unit, limits, step and first value."""
+
+    label: str
+    unit: str
+    limits: tuple[float, float]
+    step: float
+    value: float
+
+
+class JointKind(NamedTuple):
+    """A kind of joint: its dimensions, and the geometry from these [mm] and the length [m] of the muscles at 0 deg."""
+
+    dimensions: dict[str, JointDimension]
+    geometry: Callable[..., Geometry]
+
+
+def _connectors(distance: float, length: float) -> float:
+    """Length of the connectors [m] of muscles of a length [m] between anchors at a distance [m]."""
+    if distance < length:
+        raise RangeError(
+            f"the anchors are {distance / mm:.4g} mm apart, less than the muscles of {length / mm:.4g} mm",
+            value=distance,
+            lower=length,
+            unit="m",
+            remedy="move them apart, or let the muscles contract more",
+        )
+    return distance - length
+
+
+def _knee(length: float, *, height: float, radius: float) -> Geometry:
+    return KneeGeometry(height * mm, radius * mm, _connectors(height * mm, length))
+
+
+def _pulleys(length: float, *, radius: float) -> Geometry:
+    return PairedPaths(Pulley(radius * mm, length), Pulley(radius * mm, length))
+
+
+def _cams(length: float, *, arm: float, slope: float, curvature: float) -> Geometry:
+    """Cams that are mirror images of each other."""
+    first, second = (Cam(arm * mm, length, sign * slope * mm, curvature * mm) for sign in (-1, 1))
+    return PairedPaths(first, second)
+
+
+def _bones(length: float, *, height: float, upper: float, lower: float, depth: float) -> Geometry:
+    """Muscles on both sides between two bones."""
+    between = _connectors(math.hypot(lower - upper, height + depth) * mm, length)
+    ends = [(x * mm, y * mm) for x, y in ((upper, height), (lower, -depth))]
+    first, second = (
+        TwoBonePath(sign * ends[0][0], ends[0][1], sign * ends[1][0], ends[1][1], between) for sign in (-1, 1)
+    )
+    return PairedPaths(first, second)
+
+
+_HEIGHT = JointDimension("from hip to joint axis", "mm", (150, 700), 1, 370)
+_RADIUS = JointDimension("radius of the anchors", "mm", (8, 80), 0.5, 30)
+KINDS = {
+    "round knee": JointKind({"height": _HEIGHT, "radius": _RADIUS}, _knee),
+    "pulleys": JointKind({"radius": _RADIUS._replace(label="radius of the pulleys")}, _pulleys),
+    "cams": JointKind(
+        {
+            "arm": _RADIUS._replace(label="moment arms at 0°"),
+            "slope": JointDimension("growth of an arm", "mm/rad", (-30, 30), 0.5, 10),
+            "curvature": JointDimension("curvature of the arms", "mm/rad²", (-30, 30), 0.5, 0),
+        },
+        _cams,
+    ),
+    "between two bones": JointKind(
+        {
+            "height": _HEIGHT,
+            "upper": JointDimension("upper anchors, to the side", "mm", (0, 120), 1, 30),
+            "lower": JointDimension("lower anchors, to the side", "mm", (8, 120), 1, 35),
+            "depth": JointDimension("lower anchors, below the axis", "mm", (-60, 120), 1, 20),
+        },
+        _bones,
+    ),
+}
+"""Joints of two equal muscles on opposite sides."""
+
+
+@dataclass
+class JointDesign:
+    """Numbers of the page, in the units that are shown; `dimensions` are those of the kind."""
+
+    muscle: str = next(iter(_MUSCLES))
+    kind: str = next(iter(KINDS))
+    dimensions: dict[str, float] = field(default_factory=dict)
+    contraction: float = 10.0
+    torque: float = 0.0
+    pressure: float = 6.0
+    angle: float = 10.0
+
+    def __post_init__(self) -> None:
+        self.dimensions = {name: one.value for name, one in KINDS[self.kind].dimensions.items()} | self.dimensions
+
+
+class Designed(NamedTuple):
+    """A joint with its ranges over the angle, and at the angle that is drawn."""
+
+    joint: AntagonisticJoint
+    stiffness: tuple[np.ndarray, np.ndarray]
+    torque: tuple[np.ndarray, np.ndarray]
+    here: _Pose
+
+
+class _Pose(NamedTuple):
+    """The joint at one angle; pairs are of muscles 1 and 2."""
+
+    stiffness: tuple[Array, Array]
+    torque: tuple[Array, Array]
+    arms: tuple[Array, Array]
+    contractions: tuple[Array, Array]
+
+
+@compiled
+def _ranges(
+    joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
+) -> tuple[Any, Any, _Pose]:
+    """Stiffness and torque over angles and at one of them; compiled once for each kind of law."""
+    every = jnp.append(jnp.asarray(angles), jnp.asarray(angle))
+    stiffness = joint.attainable_stiffness(every, torque, pressure_limits=limits)
+    torques = joint.attainable_torque(every, pressure_limits=limits)
+    lengths, arms = joint.geometry.paths_and_arms(angle)
+    contractions = joint.muscle1.specimen.contraction_at(lengths[0]), joint.muscle2.specimen.contraction_at(lengths[1])
+    (low, high), (least, most) = stiffness, torques
+    here = _Pose((low[-1], high[-1]), (least[-1], most[-1]), arms, contractions)
+    return (low[:-1], high[:-1]), (least[:-1], most[:-1]), here
+
+
+def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
+    """The joint of two such muscles; raises a `RangeError` for lengths that do not fit."""
+    length = float(muscle.specimen.initial_length) * (1 - design.contraction * percent)
+    return AntagonisticJoint(KINDS[design.kind].geometry(length, **design.dimensions), muscle, muscle)
+
+
+def connector_length(geometry: Any) -> float | None:
+    """Length of the connectors [m]; None for a geometry without."""
+    return getattr(getattr(geometry, "path1", geometry), "connector_length", None)
+
+
+def highest_pressure(muscle: Muscle) -> float:
+    """Highest pressure [bar] of a muscle's domain."""
+    return round(float(muscle.domain.pressure_max) / bar, 2)
+
+
+def compute(design: JointDesign, muscle: Muscle) -> Designed:
+    """The joint and its ranges."""
+    joint = joint_of(design, muscle)
+    stiffness, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, (0.0, design.pressure * bar))
+    return Designed(joint, tuple(map(np.asarray, stiffness)), tuple(map(np.asarray, torque)), here)  # type: ignore[arg-type]
+
+
+def muscles(fitted: Muscle | None) -> dict[str, Muscle]:
+    """Muscles to choose from: of the catalog, and the one identified in this session."""
+    known = {name: Muscle(catalog.specimen(name), catalog.law(law)) for name, law in _MUSCLES.items()}
+    return known if fitted is None else {YOURS: fitted} | known
+
+
+def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
+    """The section `joint` of a scenario."""
+    made_of = "muscle.yaml" if design.muscle == YOURS else {"specimen": design.muscle, "law": _MUSCLES[design.muscle]}
+    return to_text({"joint": {"geometry": _section(joint_of(design, muscle).geometry), "muscle": made_of}})
+
+
+def _section(part: eqx.Module) -> dict[str, Any]:
+    """The section of a file that gives a component, with the units of its fields."""
+    found: dict[str, Any] = {"class": type(part).__name__}
+    for name, hint in get_type_hints(type(part), include_extras=True).items():
+        value = getattr(part, name)
+        units = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Quantity)]
+        found[name] = show(value, units[0].shown, 10) if units else _section(value)
+    return found
+
+
+def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any]) -> str:
+    """SVG of a joint at an angle [rad], to scale; of numbers only."""
+    mechanism = Mechanism(joint.geometry, (-POSE * deg, POSE * deg))
+    strands, height = mechanism.strands(angle), mechanism.height / mm
+    bone, shank = 0.016 * height, 0.55 * mechanism.height
+
+    def points(*places: Sequence[float] | Points) -> str:
+        """Places [m] in millimetres, where y points down."""
+        return " ".join(f"{x / mm:.2f},{-y / mm:.2f}" for x, y in places)
+
+    def path(color: str, width: float, *places: Sequence[float] | Points) -> str:
+        look = f'stroke="{color}" stroke-width="{width:.2f}" stroke-linecap="round"'
+        return f'<polyline points="{points(*places)}" fill="none" {look}/>'
+
+    top = mechanism.height * mechanism.up
+    levers = [one.end for one, straight in zip(strands, mechanism.straight, strict=True) if straight]
+    parts = [
+        *(f'<polygon points="{points(*outline)}" fill="#dce1e8"/>' for outline in mechanism.cams(angle)),
+        path("#c3cad1", 2.2 * bone, top, (0, 0)),
+        path("#aab4bd", 2.2 * bone, (0, 0), mechanism.limb(angle, shank)),
+        path("#8a949d", bone, strands[0].start, top, strands[1].start),
+        *(path("#8a949d", bone, (0, 0), end) for end in levers),
+    ]
+    lengths, diameters = muscle_sizes(joint, contractions)
+    for strand, length, diameter, color in zip(strands, lengths, diameters, (BLUE, VERMILLION), strict=True):
+        thick = (0.07 * length if diameter is None else diameter) / mm
+        body = path(color, float(thick), *strand.body(float(length))).replace("round", "butt")
+        parts += [path("#6b7680", 0.5 * bone, strand.start, strand.end, *strand.wrap), body]
+    side = max(0.62 * height, 1.3 * max(abs(one.start[0]) for one in strands) / mm)
+    box = f"{-side:.1f} {-1.06 * height:.1f} {2 * side:.1f} {1.68 * height:.1f}"
+    return (
+        f'<svg viewBox="{box}" role="img" aria-label="drawing of the joint" '
+        f'style="width: 100%; height: 300px; display: block">{"".join(parts)}'
+        f'<circle r="{1.5 * bone:.2f}" fill="#ffffff" stroke="#5f6b76" stroke-width="{0.6 * bone:.2f}"/></svg>'
+    )

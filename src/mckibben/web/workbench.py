@@ -1,0 +1,184 @@
+"""Scenarios and runs of the page of runs: texts to begin with, changes of sections, and the curves of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from mckibben.config.document import read_document, to_text
+from mckibben.config.model import parse_model
+from mckibben.errors import McKibbenError, ParameterError
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.mechanism import muscle_sizes
+from mckibben.simulation import Result
+from mckibben.simulation.metrics import in_shown_units
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.building import run_scenario
+from mckibben.units import deg
+from mckibben.web.session import Jobs
+
+MOST_STEPS = 2_000_000
+"""Integration steps of a run; more are for the command line, where a run can be stopped."""
+START = """\
+name: knee
+joint:
+  geometry: knee-table-2
+  connector_length: 208 mm
+  muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+load: knee-table-2
+valve: {time_constant: 20 ms}
+controller:
+  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}}
+  stiffness: {pid: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}
+reference:
+  angle: {sine: {amplitude: 10 deg, frequency: 0.5 Hz}}
+  stiffness: {step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 3 s}}
+start: {angle: 0 deg, stiffness: 12 N*m/rad}
+duration: 6 s
+control_period: 1 ms
+"""
+CONTROLLERS = {
+    "two PID loops": START[START.index("  position") : START.index("reference")],
+    "PID loops with backpropagation": """\
+  position: {backprop: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, gain_ratio: 2, learning_rate: 3 1/s,
+    momentum: 0.5, signal_scale: 10 deg, error_scale: 1 deg, output_scale: 10 bar/s, seed: 0}}
+  stiffness: {backprop: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad), gain_ratio: 2,
+    learning_rate: 3 1/s, momentum: 0.5, signal_scale: 15 N*m/rad, error_scale: 1 N*m/rad, output_scale: 1 bar/s,
+    jacobian: sign, seed: 0}}
+""",
+    "model inversion (decoupling)": """\
+  decoupling:
+    poles: {bandwidth: 80 rad/s}
+    disturbance_observer: {bandwidth: 250 rad/s}
+    pressure_observer: {bandwidth: 200 rad/s}
+""",
+    "predictive control": """\
+  predictive:
+    bandwidth: 80 rad/s
+    disturbance_observer: {bandwidth: 250 rad/s}
+    pressure_observer: {bandwidth: 200 rad/s}
+""",
+}
+SIGNALS = {
+    "constant": "{at}",
+    "step": "{{step: {{before: {low}, after: {high}, at: 3 s}}}}",
+    "ramp": "{{ramp: {{before: {low}, after: {high}, start: 2 s, duration: 2 s}}}}",
+    "sine": "{{sine: {{amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}}}",
+}
+ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}
+_COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", "pressure1", "pressure2")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Joint, curves, metrics and file of a run; sizes [m] of muscles 1 and 2 over time, None for unknown diameters."""
+
+    name: str
+    joint: AntagonisticJoint
+    columns: dict[str, np.ndarray]
+    lengths: list[np.ndarray]
+    diameters: list[np.ndarray | None]
+    band: tuple[np.ndarray, np.ndarray]
+    metrics: dict[str, float]
+    outcome: str
+    text: str
+
+
+@dataclass
+class Workbench:
+    """State of the page; `joint` is a section of a scenario, to be taken over."""
+
+    scenario: Scenario | None = None
+    text: str = START
+    current: Kept | None = None
+    kept: list[Kept] = field(default_factory=list)
+    error: McKibbenError | None = None
+    notes: list[str] = field(default_factory=list)
+    jobs: Jobs = field(default_factory=Jobs)
+    joint: str = ""
+    form: int = 0
+
+
+def parse(text: str, folder: Path) -> Scenario:
+    """A scenario that names no files but those of the session, and is no longer than a page can wait for."""
+    found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
+    steps = found.duration / found.control_period * found.substeps
+    if steps > MOST_STEPS:
+        raise ParameterError(
+            f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}",
+            value=steps,
+            remedy="shorten the duration, or use `mckibben simulate`",
+        )
+    return found
+
+
+def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
+    """Run a scenario; its curves, and remarks."""
+    result, feasibility = run_scenario(scenario)
+    remarks = [] if feasibility.feasible else [feasibility.describe()]
+    if result.outcome.name != "COMPLETED":
+        remarks.append(result.outcome.value)
+    return _kept(scenario, result, folder), remarks
+
+
+def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
+    step = max(1, len(result["angle"]) // 1200)
+    columns = {name: np.asarray(result[name])[::step] for name in _COLUMNS}
+    bounds = np.asarray(result["lowest_stiffness"])[::step], np.asarray(result["highest_stiffness"])[::step]
+    joint = scenario.plant().joint
+    sizes = muscle_sizes(joint, [np.asarray(result[f"contraction{number}"])[::step] for number in (1, 2)])
+    text = scenario.dumps(folder=folder)
+    return Kept(
+        scenario.name,
+        joint,
+        columns,
+        *sizes,
+        bounds,
+        in_shown_units(result.metrics),
+        result.outcome.name.lower().replace("_", " "),
+        text,
+    )
+
+
+def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
+    """The text of a scenario with another section at a place."""
+    data = _plain(read_document(text).data)
+    inner: Any = data
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = _plain(read_document(f"x: {section}" if "\n" not in section else f"x:\n{section}").data)["x"]
+    return to_text(data)
+
+
+def _plain(data: Any) -> Any:
+    """A document with dictionaries that may be changed, and lists."""
+    if isinstance(data, dict):
+        return {key: _plain(value) for key, value in data.items()}
+    return [_plain(one) for one in data] if isinstance(data, tuple | list) else data
+
+
+def with_joint(text: str, joint: str, folder: Path) -> Scenario:
+    """The scenario with another joint, and a stiffness reference inside what that attains."""
+    data = _plain(read_document(text).data)
+    data["joint"] = _plain(read_document(joint).data)["joint"]
+    scenario = parse(to_text(data), folder)
+    plant = scenario.plant()
+    angles = jnp.linspace(-10.0, 10.0, 9) * deg
+    low, high = plant.joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
+    lowest, highest = float(jnp.max(low)), float(jnp.min(high))
+    if not lowest < highest:  # as it is: the run says why
+        return scenario
+    before, after = (lowest + part * (highest - lowest) for part in (0.3, 0.6))
+    data["reference"]["stiffness"] = {
+        "step": {
+            "before": f"{before:.3g} N*m/rad",
+            "after": f"{after:.3g} N*m/rad",
+            "at": f"{scenario.duration / 2:g} s",
+        }
+    }
+    data["start"] = {"angle": "0 deg", "stiffness": f"{before:.3g} N*m/rad"}
+    return parse(to_text(data), folder)

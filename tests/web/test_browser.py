@@ -1,0 +1,144 @@
+"""The main path of each page in headless Chromium; then a reload in a phone's width. Names, contrast, widths."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui")
+
+ROOT = Path(__file__).parents[2]
+_spec = importlib.util.spec_from_file_location("benchmarks_web", ROOT / "benchmarks" / "web.py")
+chrome = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(chrome)
+
+pytestmark = pytest.mark.skipif(chrome.chromium() is None, reason="no Chromium is installed: apt-get install chromium")
+
+WIDTHS = {"wide": 1200, "phone": 390}
+OPERATED = ("button", "textbox", "slider", "combobox", "checkbox", "switch", "spinbutton", "link")
+
+# Texts with too little contrast to the next background that is not transparent (WCAG 2.1, level AA).
+FAINT = """(() => {
+  const rgb = (text) => (text.match(/[\\d.]+/g) || []).map(Number);
+  const linear = (v) => v / 255 <= 0.03928 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4;
+  const light = ([r, g, b]) => 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  const found = [];
+  for (const one of document.querySelectorAll('body *')) {
+    const text = [...one.childNodes].filter((n) => n.nodeType === 3).map((n) => n.data).join('').trim();
+    const look = getComputedStyle(one), shown = one.getBoundingClientRect().width && look.visibility !== 'hidden';
+    if (!text || !shown || one.closest('.q-icon, [disabled], svg')) continue;
+    let ground = [255, 255, 255];
+    for (let under = one; under; under = under.parentElement) {
+      const color = rgb(getComputedStyle(under).backgroundColor);
+      if (color.length === 3 || color[3] === 1) { ground = color; break; }
+    }
+    const [low, high] = [light(rgb(look.color)), light(ground)].sort((a, b) => a - b);
+    const ratio = (high + 0.05) / (low + 0.05), size = parseFloat(look.fontSize);
+    const large = size >= 24 || (size >= 18.66 && look.fontWeight >= 700);
+    if (ratio < (large ? 3 : 4.5)) found.push(`${text.slice(0, 30)}: ${ratio.toFixed(2)}`);
+  }
+  return found;
+})()"""
+
+
+@pytest.fixture(scope="module")
+def opened():
+    """Address of a server, and a tab."""
+    with chrome.served() as address, chrome.browser() as tab:
+        yield address, tab
+
+
+@pytest.fixture
+def page(opened):
+    """Opens a page in both widths, with an action in the first; checks what any page has to be."""
+    address, tab = opened
+
+    def visit(path, act, still):
+        tab.errors.clear()
+        tab.requests.clear()
+        for name, width in WIDTHS.items():
+            tab.open(f"{address}{path}", width, 900)
+            if name == "wide":
+                act(tab)
+            tab.wait(still)
+            time.sleep(0.3)
+            assert tab.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), name
+            assert tab.evaluate(FAINT) == []
+            assert unnamed(tab) == []
+        assert tab.errors == []
+        own = (address, address.replace("http", "ws"), "data:", "blob:")
+        assert [one for one in tab.requests if not one.startswith(own)] == []
+
+    return visit
+
+
+def unnamed(tab):
+    """What a user operates and assistive programs have no name for, or no way to."""
+    found = []
+    for node in tab.send("Accessibility.getFullAXTree")["nodes"]:
+        role = node.get("role", {}).get("value")
+        if node.get("ignored") or role not in OPERATED:
+            continue
+        properties = {one["name"]: one["value"].get("value") for one in node.get("properties", ())}
+        reached = properties.get("focusable") or properties.get("disabled") or role == "slider"  # keys reach its inside
+        if not node.get("name", {}).get("value", "").strip() or not reached:
+            found.append((role, node.get("name", {}).get("value"), properties))
+    return found
+
+
+def shows(text):
+    return f"document.body.innerText.includes({json.dumps(text)})"
+
+
+def test_a_slider_of_the_joint_moves_curve_and_drawing_by_keys(page):
+    def act(tab):
+        tab.wait(chrome.DRAWING)
+        drawn = "document.querySelector('svg[role=img]').innerHTML"
+        before = tab.evaluate(drawn)
+        tab.evaluate("(s => (s.querySelector('[tabindex]') || s).focus())(document.querySelector('.q-slider'))")
+        for _ in range(4):
+            tab.press("ArrowRight", 39)
+        tab.wait(f"{drawn} !== {json.dumps(before)}")
+
+    page("/", act, chrome.FIRST_CURVE)
+
+
+def test_pasted_points_are_fitted_and_still_there_after_a_reload(page):
+    def act(tab):
+        tab.wait("document.querySelector('.q-expansion-item .q-item')")
+        time.sleep(0.5)
+        tab.evaluate("document.querySelector('.q-expansion-item .q-item').click()")
+        time.sleep(0.5)
+        tab.evaluate(chrome.PASTE % json.dumps(chrome.DATA.read_text(encoding="utf-8")))
+        time.sleep(0.5)
+        chrome.click(tab, "Read")
+        tab.wait(shows("204 points, 31 slack"))
+        chrome.click(tab, "Fit")
+
+    page("/identify", act, shows("ExponentialLaw: F =") + " && " + chrome.FIRST_CURVE)
+
+
+def test_a_run_is_computed_changed_kept_and_played(page):
+    def act(tab):
+        tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
+        chrome.click(tab, "Keep this run")
+        tab.wait(shows("run 1"))
+        assert tab.evaluate("!!document.querySelector('canvas[data-engine^=\"three\"]')")
+        tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
+        tab.wait(shows("0.50 s"))
+
+    page("/run", act, shows("run 1"))
+
+
+def test_a_test_on_the_rig_is_drawn_and_vented(page):
+    def act(tab):
+        time.sleep(0.5)
+        chrome.click(tab, "Start")
+        tab.wait(shows(" of ") + " && " + chrome.FIRST_CURVE)
+        chrome.click(tab, "Vent")
+
+    page("/rig", act, shows("vented by hand"))
