@@ -1,5 +1,6 @@
 """Controllers as C99: all of the comparison compile without warnings, and repeat the recorded run."""
 
+import importlib
 import shutil
 import subprocess
 from pathlib import Path
@@ -60,6 +61,18 @@ def test_all_compile_without_warnings(scenarios, tmp_path):
             ["nm", "-u", "knee.o"], cwd=tmp_path, capture_output=True, text=True, check=True
         ).stdout
         assert not {"malloc", "calloc", "printf"} & set(symbols.split())
+
+
+@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
+def test_it_fits_a_cortex_m7_and_runs_there(scenarios, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend("benchmarks")
+    board = importlib.import_module("microcontroller")
+    export(scenarios["PID"], "c", tmp_path, name="knee")
+    size = board.footprint(tmp_path, "knee")
+    assert 1000 < size.code < 16_000
+    assert 8 < size.stack < 1024
+    if shutil.which(board.EMULATOR):
+        assert board.replayed(tmp_path, "knee", steps=20_000).deviation < 1e-12
 
 
 def test_a_changed_file_is_seen_by_the_replay(scenarios, tmp_path):

@@ -101,6 +101,27 @@ def test_both_engines_have_the_same_batches(scenario):
         np.testing.assert_allclose(batches["native"][name], expected, rtol=0, atol=tolerance, err_msg=name)
 
 
+def test_batches_in_32_bits_are_near_those_in_64(scenario):
+    plant = scenario.plant()
+    over = {
+        "plant.load.mass2": np.linspace(0.4, 0.6, 11),
+        "controller.model.muscle1.law.a1": np.linspace(-250, -240, 11),
+    }
+    batches = {
+        bits: mk.simulate_many(
+            plant, scenario.control(), scenario.reference(), over=over, keep=["angle", "command1"], every=0.01,
+            engine="native", precision=bits, initial=scenario.initial(plant), chunk=16, **timing(scenario),
+        )
+        for bits in (32, 64)
+    }  # fmt: skip
+    assert [batch.table.attrs["engine"] for batch in batches.values()] == ["native", "native"]
+    near, right = batches[32], batches[64]
+    assert near["angle"].dtype == np.float32
+    np.testing.assert_allclose(near["angle"], right["angle"], rtol=0, atol=5e-6)
+    np.testing.assert_allclose(near["command1"], right["command1"], rtol=0, atol=4e-4 * 8e5)  # differentiated noise
+    np.testing.assert_array_equal(near["outcome"], right["outcome"])
+
+
 def test_without_a_compiler_xla_does_it(monkeypatch):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])
     plant = scenario.plant()

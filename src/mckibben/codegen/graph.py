@@ -65,6 +65,7 @@ class Carried:
     loop: ForLoop
     initial: Value
     following: Any = None  # its value after a pass of the loop
+    uniform: bool = True
 
 
 @dataclass(eq=False, repr=False, slots=True)
@@ -178,10 +179,11 @@ FOLDED: dict[str, Callable[..., Any]] = {
 class Graph:
     """Statements in scopes; `scope` is the current one."""
 
-    def __init__(self, *, lanes: bool = False) -> None:
+    def __init__(self, *, lanes: bool = False, single: bool = False) -> None:
         self.root = Scope()
         self.scope = self.root
         self.lanes = lanes  # whether the program is for many runs side by side
+        self.single = single  # whether what differs between them has 32 bits
         self._kept: list[Value] = []  # expressions are told apart by the identities of values
 
     def constant(self, number: Any, kind: Kind) -> Value:
@@ -302,14 +304,14 @@ class Graph:
         outer.statements.append(loop)
         return loop
 
-    def carry(self, loop: ForLoop, initial: Value) -> Value:
+    def carry(self, loop: ForLoop, initial: Value, uniform: bool = True) -> Value:
         """A variable of a loop, as its body sees it."""
-        loop.carried.append(Carried(loop, initial))
-        return Value("carried", initial.kind, (), loop.scope, loop.carried[-1], not self.lanes)
+        loop.carried.append(Carried(loop, initial, uniform=uniform))
+        return Value("carried", initial.kind, (), loop.scope, loop.carried[-1], uniform)
 
     def after(self, carried: Carried) -> Value:
         """The last value of a variable of a loop, in the scope around it."""
-        value = Value("carried", carried.initial.kind, (), self.scope, carried, not self.lanes)
+        value = Value("carried", carried.initial.kind, (), self.scope, carried, carried.uniform)
         self._kept.append(value)
         return value
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +14,8 @@ import numpy as np
 from jax.extend import core
 
 from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
-from mckibben.codegen.polynomials import erf_inv, log, tanh
+from mckibben.codegen.jaxprs import CALLS, equations, source, varying_carry
+from mckibben.codegen.polynomials import erf_inv, log1p, log1p_single, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
 from mckibben.codegen.shapes import ShapeRules
 from mckibben.errors import ExportError
@@ -32,9 +34,8 @@ _BINARY = {
 _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier", "reduce_precision"}
-_CALLS = {"jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call"}
 _RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`: the libraries' are called
-_TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
+_TAKE_STORED = CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
 _LARGEST = 50_000  # elements of an array that is not in memory
 Array = Any  # an array of values, or `Stored`
 
@@ -77,7 +78,7 @@ class _UnsupportedError(Exception):
     def __init__(self, equation: Any) -> None:
         super().__init__(equation.primitive.name)
         self.name = equation.primitive.name
-        self.place = _source(equation)
+        self.place = source(equation)
 
 
 class Lowering(ShapeRules):
@@ -123,7 +124,7 @@ class Lowering(ShapeRules):
             try:
                 results = self._equation(equation, given)
             except _UnsupportedError as error:
-                error.place = error.place or _source(equation)
+                error.place = error.place or source(equation)
                 raise
             known.update(zip(equation.outvars, results, strict=True))
         return [read(one) for one in jaxpr.outvars]
@@ -159,18 +160,19 @@ class Lowering(ShapeRules):
         kind = kind_of(aval.dtype)
         name = _RENAMED.get(name, name)
         if name == "erf_inv" and aval.dtype == np.float32:
-            return self._closed(jax.make_jaxpr(erf_inv)(jnp.zeros(aval.shape, aval.dtype)), arguments)
+            return self._closed(_jaxpr_of(erf_inv, aval.shape, aval.dtype), arguments)
         if name == "log1p" and aval.dtype == np.float32:
-            (found,) = self._closed(jax.make_jaxpr(lambda x: log(1.0 + x))(jnp.zeros(aval.shape)), arguments)
+            if self._graph.single:
+                return self._closed(_jaxpr_of(log1p_single, aval.shape, aval.dtype), arguments)
+            (found,) = self._closed(_jaxpr_of(log1p, aval.shape, np.dtype(float)), arguments)
             return [self._elementwise(lambda x: self._graph.operation("single", kind, x), found)]
-        if name in _FOR_LANES and not all(one.uniform for x in arguments for one in x.flat):
-            closed = jax.make_jaxpr(_FOR_LANES[name])(jnp.zeros(aval.shape, aval.dtype))
-            return self._closed(closed, arguments)
+        if name in _FOR_LANES and not all(map(_is_uniform, arguments)):
+            return self._closed(_jaxpr_of(_FOR_LANES[name], aval.shape, aval.dtype), arguments)
         if name in _UNARY | _BINARY:
             return [self._elementwise(lambda *xs: self._operation(name, aval.dtype, *xs), *arguments)]
         if name in _SAME:
             return arguments
-        if name in _CALLS:
+        if name in CALLS:
             inner = parameters.get("jaxpr") or parameters["call_jaxpr"]
             if rule := self._rule(name, inner, arguments):
                 return [
@@ -186,7 +188,7 @@ class Lowering(ShapeRules):
     def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
         """Result of an operation, of 32 bits where its type has no more."""
         result = self._graph.operation(name, kind_of(dtype), *arguments)
-        if dtype == np.float32:
+        if dtype == np.float32 and not self._graph.single:
             return self._graph.operation("single", Kind.REAL, result)
         if dtype == np.uint32 and name in _WRAPPING:
             return self._graph.operation("and", Kind.INTEGER, result, self._graph.constant(MASK, Kind.INTEGER))
@@ -213,11 +215,15 @@ class Lowering(ShapeRules):
 
     def _rule(self, name: str, inner: Any, arguments: list[Array]) -> tuple[str, ...]:
         """Operations in place of a polynomial of the project, but where all lanes are computed side by side."""
-        if name != "custom_jvp_call" or not all(one.uniform for x in arguments for one in x.flat):
+        if name != "custom_jvp_call" or not all(map(_is_uniform, arguments)):
             return ()
         return _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
 
     def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
+        if not any(one.ndim for one in arrays):  # nearly always
+            result = np.empty((), object)
+            result[()] = function(*(one[()] for one in arrays))
+            return result
         arrays = np.broadcast_arrays(*arrays)
         return _array(arrays[0].shape, lambda at: function(*(one[at] for one in arrays)))
 
@@ -275,8 +281,11 @@ class Lowering(ShapeRules):
         return self._elementwise(convert, x)
 
     def _bitcast_convert_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
-        name = {"f8": "from_bits", "f4": "from_bits_32", "i8": "bits"}.get(np.dtype(parameters["new_dtype"]).str[1:])
-        if name is None:
+        names = {"f8": "from_bits", "f4": "from_bits_32", "i8": "bits"}
+        if self._graph.single:
+            names = {"f4": "from_bits_32", "i4": "bits"}
+        name = names.get(np.dtype(parameters["new_dtype"]).str[1:])
+        if name is None or (self._graph.single and x.flat[0].uniform):
             return None
         return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
 
@@ -307,10 +316,10 @@ class Lowering(ShapeRules):
     def _reduce(self, name: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
         rest = [axis for axis in range(x.ndim) if axis not in axes]
         rows = x.transpose([*axes, *rest]).reshape(-1, *(x.shape[axis] for axis in rest))
-        result = rows[0]
-        for row in rows[1:]:
+        result, *others = (np.asarray(row, object) for row in rows)
+        for row in others:
             result = self._elementwise(lambda x, y: self._graph.operation(name, kind, x, y), result, row)
-        return np.asarray(result, object)
+        return result
 
     def _reduce_sum(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return self._reduce("add", parameters["axes"], kind, x)
@@ -371,13 +380,17 @@ class Lowering(ShapeRules):
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
         carry = [self.plain(one) for one in arguments[count : count + carries]]
-        if length * _equations(body.jaxpr) <= _UNROLLED or length <= 1:
+        if length * equations(body.jaxpr) <= _UNROLLED or length <= 1:
             return self._unrolled(body, length, reverse, constants, carry, list(map(self.plain, columns)))
         columns = [one if isinstance(one, Stored) else self._stored(one) for one in columns]
         inner: list[Array] = []
+        varying = [False] * len(carry)
+        if self._graph.lanes:
+            varying = varying_carry(body, *([not _is_uniform(x) for x in xs] for xs in (constants, carry, columns)))
 
         def passes(loop: ForLoop) -> list[list[Value]]:
-            inner.extend(_array(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry)
+            for one, varies in zip(carry, varying, strict=True):
+                inner.append(_array(one.shape, lambda at, one=one, u=not varies: self._graph.carry(loop, one[at], u)))
             rows = [self._row(loop, column) for column in columns]
             results = list(map(self.plain, self._closed(body, [*constants, *inner, *rows])))
             following = [value for one in results[:carries] for value in one.flat]
@@ -459,6 +472,18 @@ class Lowering(ShapeRules):
         return [*carry, *(np.stack(column) for column in zip(*rows, strict=True))]
 
 
+def _is_uniform(array: Array) -> bool:
+    """Whether an array is the same in all lanes."""
+    if isinstance(array, Stored):
+        return array.array is None or array.array.uniform
+    return all(value.uniform for value in array.flat)
+
+
+@functools.cache
+def _jaxpr_of(function: Callable[..., Any], shape: tuple[int, ...], dtype: Any) -> Any:
+    return jax.make_jaxpr(function)(jnp.zeros(shape, dtype))
+
+
 def kind_of_values(array: Array) -> Kind:
     """Kind of the values of an array."""
     return array.flat[0].kind if array.size else Kind.REAL
@@ -470,24 +495,3 @@ def _array(shape: tuple[int, ...], value: Callable[[tuple[int, ...]], Value]) ->
     for at in np.ndindex(*shape):
         result[at] = value(at)
     return result
-
-
-def _equations(jaxpr: Any) -> int:
-    """Equations of a jaxpr, with those of inner ones."""
-    return sum(1 + sum(map(_equations, _inner(equation))) for equation in jaxpr.eqns)
-
-
-def _inner(equation: Any) -> Iterator[Any]:
-    for value in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")):
-        inner = getattr(value, "jaxpr", value)
-        if hasattr(inner, "eqns"):
-            yield inner
-
-
-def _source(equation: Any) -> str:
-    """Where an equation was written."""
-    traceback = equation.source_info.traceback
-    for frame in traceback.frames if traceback is not None else ():
-        if "/jax/" not in frame.file_name and "/equinox/" not in frame.file_name:
-            return f"{frame.file_name.rpartition('/')[2]}, line {frame.line_num}, in {frame.function_name}"
-    return ""

@@ -23,7 +23,7 @@ from mckibben.codegen.graph import Graph, Kind, StoredArray
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.source_module import inputs_of
-from mckibben.codegen.vectors import HEADERS, PRELUDE, SUFFIX, WIDTH, VectorWriter
+from mckibben.codegen.vectors import HEADERS, SUFFIX, VectorWriter, prelude, width
 from mckibben.codegen.writer import Writer
 from mckibben.errors import ExportError
 from mckibben.numerics.program_cache import ARRAY, program_path, read_program, write_program
@@ -31,7 +31,7 @@ from mckibben.numerics.runtime import programs_folder
 
 _FLAGS = ("-march=native", "-fno-math-errno", "-fno-trapping-math", "-fwrapv", "-w", "-shared", "-fPIC")
 _ALONE = ("-O2", "-fno-tree-vectorize")
-_FOR_LANES = ("-O3", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
+_FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _LONGEST = 3_000_000  # characters of a source
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 _DTYPES = {Kind.REAL: np.float64, Kind.INTEGER: np.int64, Kind.BOOLEAN: np.int64}
@@ -59,14 +59,17 @@ class NativeFunction:
         self._known: dict[Any, _Compiled | ExportError] = {}
         self._lock = threading.Lock()
 
-    def __call__(self, shared: Any, lanes: Any = None) -> Any:
-        """Results; raises `ExportError` where the function cannot be emitted or compiled."""
+    def __call__(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Any:
+        """Results; raises `ExportError` where the function cannot be emitted or compiled.
+
+        In a `single` program what differs between runs has 32 bits; what they share, such as the reference, has 64.
+        """
         given, varying = _Split.of(shared), _Split.of(lanes, lanes=True)
-        key = given.key, varying.key
+        key = given.key, varying.key, single
         with self._lock:
             if key not in self._known:
                 try:
-                    self._known[key] = self._compiled(given, varying)
+                    self._known[key] = self._compiled(given, varying, single)
                 except ExportError as error:  # nor will it the next time
                     self._known[key] = error
         found = self._known[key]
@@ -74,24 +77,24 @@ class NativeFunction:
             raise found
         return found(given.arrays, varying.arrays)
 
-    def _compiled(self, shared: _Split, lanes: _Split) -> _Compiled:
+    def _compiled(self, shared: _Split, lanes: _Split, single: bool) -> _Compiled:
         """From the program cache, or compiled."""
         folder, path = programs_folder(), None
         if folder is not None:
-            path = program_path(folder, self._function, (shared.key, lanes.key), _compiler_state(), "native")
+            path = program_path(folder, self._function, (shared.key, lanes.key, single), _compiler_state(), "native")
         if path is not None and (content := read_program(path)) is not None:
             library, leaves, tree = pickle.loads(content)
-            return _Compiled(load_library(library), leaves, jax.tree.structure(tree))
+            return _Compiled(load_library(library), leaves, jax.tree.structure(tree), width(single))
 
         def function(given: Sequence[Any], varying: Sequence[Any]) -> Any:
             return self._function(shared.filled(given), lanes.filled(varying))
 
         varying = [x[..., 0] for x in lanes.arrays]
-        source, leaves, tree = write_native(function, shared.arrays, varying)
+        source, leaves, tree = write_native(function, shared.arrays, varying, single=single)
         library = compile_library(source, _FOR_LANES if varying else _ALONE)
         if path is not None:
             write_program(path, pickle.dumps((library, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
-        return _Compiled(load_library(library), leaves, tree)
+        return _Compiled(load_library(library), leaves, tree, width(single))
 
 
 @dataclass(frozen=True)
@@ -130,11 +133,12 @@ class _Compiled:
     run: Any
     leaves: list[tuple[tuple[int, ...], str]]
     tree: Any
+    width: int = 1  # runs in a vector
 
     def __call__(self, given: Sequence[Any], varying: Sequence[Any]) -> Any:
         """Results of all runs."""
         count = varying[0].shape[-1] if varying else 1
-        size = -(-count // WIDTH) * WIDTH if varying else 1
+        size = -(-count // self.width) * self.width if varying else 1
         inputs = [_input(x) for x in given] + [_padded(_input(x), size) for x in varying]
         outputs = [np.empty((*shape, size), _DTYPES[kind_of(np.dtype(kind))]) for shape, kind in self.leaves]
         pointers = [(ctypes.c_void_p * len(xs))(*(x.ctypes.data for x in xs)) for xs in (inputs, outputs)]
@@ -152,14 +156,18 @@ class Written(NamedTuple):
     tree: Any
 
 
-def write_native(function: Callable[..., Any], given: Sequence[Any], varying: Sequence[Any]) -> Written:
+def write_native(
+    function: Callable[..., Any], given: Sequence[Any], varying: Sequence[Any], *, single: bool = False
+) -> Written:
     """Write a function of arrays that all runs share, and of arrays of one run each."""
-    graph = Graph(lanes=bool(varying))
+    graph = Graph(lanes=bool(varying), single=single)
     graph.scope = graph.root.inner()
     inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
     results, shape = Lowering(graph).function(function, (given, varying), inputs)
     values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
-    writer = VectorWriter([graph.scope], values) if varying else Writer([graph.scope], c_language(), values)
+    writer = (
+        VectorWriter([graph.scope], values, single=single) if varying else Writer([graph.scope], c_language(), values)
+    )
     leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
     kinds = [kind_of(x.dtype) for x in (*given, *varying)], [kind_of(np.dtype(kind)) for _, kind in leaves]
     lines = [
@@ -172,7 +180,7 @@ def write_native(function: Callable[..., Any], given: Sequence[Any], varying: Se
         "    }",
         "}",
     ]
-    source = "\n".join([PRELUDE if varying else HEADERS, *sorted(writer.helpers), *lines, ""])
+    source = "\n".join([prelude(single) if varying else HEADERS, *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
     return Written(source, leaves, jax.tree.structure(shape))

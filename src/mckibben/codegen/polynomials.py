@@ -22,8 +22,9 @@ def tanh(x: Any) -> Any:
     return jnp.sign(x) * ((1 - power) / (1 + power))
 
 
-def log(x: Any) -> Any:
-    """Natural logarithm of a positive normal number (fdlibm), right to 1e-16 of it."""
+def log1p(x: Any) -> Any:
+    """Natural logarithm of 1 + x, a positive normal number (fdlibm), right to 1e-16 of it."""
+    x = 1.0 + x
     bits = lax.bitcast_convert_type(x, jnp.int64)
     shifted = bits + _ABOVE_HALF_ROOT
     exponent = ((shifted >> 52) - 1023).astype(x.dtype)
@@ -49,3 +50,20 @@ def erf_inv(x: Any) -> Any:
     near, far = w - 2.5, jnp.sqrt(w) - 3.0
     p, q = (functools.reduce(lambda sum_, c: sum_ * y + c, cs) for y, cs in ((near, _NEAR), (far, _FAR)))
     return jnp.where(w < 5.0, p, q) * x
+
+
+def log1p_single(x: Any) -> Any:
+    """Natural logarithm of 1 + x, a positive normal number of 32 bits (Cephes), right to 1e-7 of it."""
+    x = 1 + x
+    bits = lax.bitcast_convert_type(x, jnp.int32) + _ABOVE_HALF_ROOT_32
+    exponent = ((bits >> 23) - 127).astype(x.dtype)
+    f = lax.bitcast_convert_type((bits & 0x007FFFFF) + _HALF_ROOT_32, jnp.float32) - 1
+    z = f * f
+    rest = f * z * elementary.polynomial(f, _LOG_32) + exponent * -2.12194440e-4
+    return f + (rest - z / 2) + exponent * 0.693359375
+
+
+_HALF_ROOT_32 = 0x3F3504F3  # of 1/2
+_ABOVE_HALF_ROOT_32 = 0x3F800000 - _HALF_ROOT_32
+_LOG_32 = (3.3333331174e-1, -2.4999993993e-1, 2.0000714765e-1, -1.6668057665e-1, 1.4249322787e-1, -1.2420140846e-1,
+           1.1676998740e-1, -1.1514610310e-1, 7.0376836292e-2)  # fmt: skip

@@ -1,6 +1,6 @@
 """Text of programs for many runs side by side: C with the vector extensions of gcc and clang.
 
-What is the same in all lanes is a scalar; the rest are vectors of `W` numbers, of masks where it is boolean.
+What is the same in all lanes is a scalar of 64 bits; the rest are vectors of `W` numbers, of masks where it is boolean.
 """
 
 from __future__ import annotations
@@ -11,49 +11,69 @@ from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.writer import Text, Writer
 
-WIDTH = 8
+_BITS = 512  # of a vector: one register, or several smaller ones
 _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
 _BROADCAST = {Kind.REAL: "real", Kind.INTEGER: "integer", Kind.BOOLEAN: "mask"}
-_ATOM = 8
+_ATOM, _PREFIX = 8, 7
 SUFFIX = {Kind.REAL: "", Kind.INTEGER: "_integer", Kind.BOOLEAN: "_mask"}
 """Suffix of the functions that load and store vectors, by kind."""
 
 HEADERS = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
-PRELUDE = (
-    f"{HEADERS}\nenum {{ W = {WIDTH} }};"
-    + """
-typedef double V __attribute__((vector_size(8 * W)));
-typedef int64_t I __attribute__((vector_size(8 * W)));
+_SCHEDULING = """#ifndef __clang__
+#pragma GCC optimize("schedule-insns", "sched-pressure", "ira-region=one", "no-gcse", "no-tree-pre")
+#endif
+"""  # of gcc for long blocks: scheduling before registers are allocated, and less that is slow to compile
+_PRELUDE = """
 #define INLINE static inline __attribute__((always_inline, unused))
-INLINE V real(double x) { return x - (V){0}; }
-INLINE I integer(int64_t x) { return x - (I){0}; }
+INLINE V real(double x) { return (REAL)x - (V){0}; }
+INLINE I integer(int64_t x) { return (WHOLE)x - (I){0}; }
 INLINE I mask(bool x) { return integer(-(int64_t)x); }
 INLINE V pick(I c, V x, V y) { return (V)((c & (I)x) | (~c & (I)y)); }
 INLINE I pick_integer(I c, I x, I y) { return (c & x) | (~c & y); }
-INLINE V load(const double *x) { V r; memcpy(&r, x, sizeof r); return r; }
-INLINE I load_integer(const int64_t *x) { I r; memcpy(&r, x, sizeof r); return r; }
+INLINE V load(const double *x) { D r; memcpy(&r, x, sizeof r); return __builtin_convertvector(r, V); }
+INLINE I load_integer(const int64_t *x) { L r; memcpy(&r, x, sizeof r); return __builtin_convertvector(r, I); }
 INLINE I load_mask(const int64_t *x) { return load_integer(x) != 0; }
-INLINE void store(double *to, V x) { memcpy(to, &x, sizeof x); }
-INLINE void store_integer(int64_t *to, I x) { memcpy(to, &x, sizeof x); }
+INLINE void store(double *to, V x) { D r = __builtin_convertvector(x, D); memcpy(to, &r, sizeof r); }
+INLINE void store_integer(int64_t *to, I x) { L r = __builtin_convertvector(x, L); memcpy(to, &r, sizeof r); }
 INLINE void store_mask(int64_t *to, I x) { store_integer(to, x & 1); }
 INLINE V v_maximum(V x, V y) { return pick((x > y) | (x != x), x, y); }
 INLINE V v_minimum(V x, V y) { return pick((x < y) | (x != x), x, y); }
-INLINE V v_absolute(V x) { return (V)((I)x & INT64_MAX); }
+INLINE V v_absolute(V x) { return (V)((I)x & (WHOLE)(UINT64_MAX >> (65 - 8 * sizeof(REAL)))); }
 INLINE V v_sign(V x) { return pick(x > 0, real(1), pick(x < 0, real(-1), real(0))); }
-typedef float F __attribute__((vector_size(4 * W)));
-typedef int32_t J __attribute__((vector_size(4 * W)));
-INLINE V v_single(V x) { return __builtin_convertvector(__builtin_convertvector(x, F), V); }
-INLINE V v_from_bits_32(I x) { return __builtin_convertvector((F)__builtin_convertvector(x, J), V); }
 INLINE I v_isfinite(V x) { return x - x == 0; }
 #define EACH(name, f) INLINE V name(V x) { V r; for (int i = 0; i < W; ++i) r[i] = f(x[i]); return r; }
-EACH(v_sqrt, __builtin_sqrt) EACH(v_rint, __builtin_rint) EACH(v_floor, __builtin_floor) EACH(v_ceil, __builtin_ceil)
+EACH(v_sqrt, ROOT) EACH(v_rint, NEAREST) EACH(v_floor, FLOOR) EACH(v_ceil, CEIL)
 EACH(v_exp, exp) EACH(v_expm1, expm1) EACH(v_log, log) EACH(v_log1p, log1p) EACH(v_sin, sin) EACH(v_cos, cos)
 EACH(v_tan, tan) EACH(v_asin, asin) EACH(v_acos, acos) EACH(v_atan, atan) EACH(v_sinh, sinh) EACH(v_cosh, cosh)
 EACH(v_tanh, tanh) EACH(v_cbrt, cbrt)
 #define PAIR(name, f) INLINE V name(V x, V y) { V r; for (int i = 0; i < W; ++i) r[i] = f(x[i], y[i]); return r; }
 PAIR(v_pow, pow) PAIR(v_atan2, atan2) PAIR(v_fmod, fmod)
 """
-)
+_DOUBLE = """typedef float F __attribute__((vector_size(4 * W)));
+typedef int32_t J __attribute__((vector_size(4 * W)));
+INLINE V v_single(V x) { return __builtin_convertvector(__builtin_convertvector(x, F), V); }
+INLINE V v_from_bits_32(I x) { return __builtin_convertvector((F)__builtin_convertvector(x, J), V); }
+"""
+
+
+def width(single: bool) -> int:
+    """Runs in a vector."""
+    return _BITS // (32 if single else 64)
+
+
+def prelude(single: bool) -> str:
+    """What programs for many runs begin with: `V` are W real numbers, `I` integers, `D` and `L` those of 64 bits."""
+    real, suffix, bits = ("float", "f", 32) if single else ("double", "", 64)
+    names = {"ROOT": "sqrt", "NEAREST": "rint", "FLOOR": "floor", "CEIL": "ceil"}
+    vectors = {"V": real, "I": f"int{bits}_t", "U": f"uint{bits}_t", "D": "double", "L": "int64_t"}
+    lines = [
+        f"{_SCHEDULING}{HEADERS}",
+        f"#define REAL {real}\n#define WHOLE int{bits}_t\nenum {{ W = {width(single)} }};",
+        *(f"#define {name} __builtin_{function}{suffix}" for name, function in names.items()),
+        *(f"typedef {kind} {name} __attribute__((vector_size(sizeof({kind}) * W)));" for name, kind in vectors.items()),
+    ]
+    return "\n".join(lines) + _PRELUDE + ("" if single else _DOUBLE)
+
 
 _FUNCTIONS = {"max": "v_maximum", "min": "v_minimum", "abs": "v_absolute", "round": "v_rint", "rem": "v_fmod"}
 
@@ -61,17 +81,27 @@ _FUNCTIONS = {"max": "v_maximum", "min": "v_minimum", "abs": "v_absolute", "roun
 class VectorWriter(Writer):
     """Writes scopes of a program for many runs."""
 
-    def __init__(self, scopes: Sequence[Scope], results: Sequence[Value | StoredArray]) -> None:
+    def __init__(self, scopes: Sequence[Scope], results: Sequence[Value | StoredArray], *, single: bool) -> None:
         super().__init__(scopes, c_language(), results)
+        self._single = single
 
     def constant(self, value: Value) -> str:
         return f"const {self.language.types[value.kind] if value.uniform else _VECTORS[value.kind]}"
 
-    def variable(self, kind: Kind) -> str:
-        return _VECTORS[kind]
+    def variable(self, kind: Kind, uniform: bool) -> str:
+        return self.language.types[kind] if uniform else _VECTORS[kind]
 
-    def converted(self, value: Value) -> str:
-        return self._vector(value)
+    def converted(self, value: Value, uniform: bool) -> str:
+        return self.text(value) if uniform else self._vector(value)
+
+    def _argument(self, value: Value, argument: Value) -> Text:
+        """Text of an argument; scalars are numbers of 32 bits, where the vector beside them has those."""
+        text = super()._argument(value, argument)
+        if not self._single or value.uniform or not argument.uniform:
+            return text
+        if argument.kind is Kind.REAL and argument.constant is not None:
+            return self._literal(argument, c_language("float"))
+        return f"({'float' if argument.kind is Kind.REAL else 'int32_t'})({text[0]})", _PREFIX
 
     def _vector(self, value: Value) -> str:
         """Text of a value as a vector."""
@@ -130,8 +160,10 @@ class VectorWriter(Writer):
             return self._conversion(self._vector(arguments[0]), arguments[0].kind, value.kind), _ATOM
         if name == "bits":
             return f"((I){self._vector(arguments[0])})", _ATOM
-        if name == "from_bits":
+        if name == ("from_bits_32" if self._single else "from_bits"):
             return f"((V){self._vector(arguments[0])})", _ATOM
+        if name == "shift_right" and self._single:  # of words: random bits, and positive numbers
+            return f"((I)((U){self._vector(arguments[0])} >> (U){self._vector(arguments[1])}))", _ATOM
         if name in self.language.functions:
             function = _FUNCTIONS.get(name, f"v_{self.language.functions[name]}")
             return f"{function}({', '.join(map(self._vector, arguments))})", _ATOM

@@ -135,8 +135,10 @@ class Writer:
                 lines += self._array(array, None, indent)
         for one in carried:
             self._carried[id(one)] = self._new("x")
-            initial = self.converted(one.initial)
-            lines.append(f"{indent}{self.variable(one.initial.kind)} {self._carried[id(one)]} = {initial};")
+            initial = self.converted(one.initial, one.uniform)
+            lines.append(
+                f"{indent}{self.variable(one.initial.kind, one.uniform)} {self._carried[id(one)]} = {initial};"
+            )
         index, inside = self._new("i"), indent + "    "
         self.name(loop.index, index)
         further = f"{index} < {loop.length}" if loop.going is None else self._carried[id(loop.going)]
@@ -146,14 +148,15 @@ class Writer:
             for place, element in enumerate(array.elements):
                 at = self._place(loop.row, len(array.elements), place)
                 lines.append(f"{inside}{self.store(array, at, element)};")
-        updates = [(self._carried[id(one)], one.following) for one in carried]
+        updates = [(self._carried[id(one)], one.following, one.uniform) for one in carried]
         swapped = {}
-        for target, following in updates:
+        for target, following, uniform in updates:
             if following.operation == "carried" and self.text(following) != target:
                 swapped[target] = self._new("t")
-                lines.append(f"{inside}{self.variable(following.kind)} {swapped[target]} = {self.text(following)};")
-        for target, following in updates:
-            text = swapped.get(target, self.converted(following))
+                kind, text = self.variable(following.kind, uniform), self.converted(following, uniform)
+                lines.append(f"{inside}{kind} {swapped[target]} = {text};")
+        for target, following, uniform in updates:
+            text = swapped.get(target, self.converted(following, uniform))
             if text != target:
                 lines.append(f"{inside}{target} = {text};")
         return [*lines, f"{indent}}}"]
@@ -165,19 +168,19 @@ class Writer:
         lines = []
         for one in chosen:
             self.name(one, self._new("y"))
-            lines.append(f"{indent}{self.variable(one.kind)} {self.text(one)};")
+            lines.append(f"{indent}{self.variable(one.kind, one.uniform)} {self.text(one)};")
         for head, scope, values in zip(("if ({}) {{", "}} else {{"), branch.scopes, branch.values, strict=True):
             lines.append(indent + head.format(self.text(branch.condition)))
             lines += self.scope(scope, indent + "    ")
             for one in chosen:
-                lines.append(f"{indent}    {self.text(one)} = {self.converted(values[one.data[1]])};")
+                lines.append(f"{indent}    {self.text(one)} = {self.converted(values[one.data[1]], one.uniform)};")
         return [*lines, f"{indent}}}"]
 
-    def variable(self, kind: Kind) -> str:
-        """Type of the declaration of what changes."""
+    def variable(self, kind: Kind, uniform: bool) -> str:
+        """Type of the declaration of what changes, which may be the same in all lanes."""
         return self.language.types[kind]
 
-    def converted(self, value: Value) -> str:
+    def converted(self, value: Value, uniform: bool) -> str:
         """Text of a value as it is assigned to a variable."""
         return self.text(value)
 

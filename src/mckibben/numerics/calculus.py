@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -78,6 +79,7 @@ def rk4(
         return lax.fori_loop(0, 4, next_stage, (jax.tree.map(jnp.zeros_like, state), state))[1]
 
     # The barrier keeps XLA from computing parts of one stage's derivative again inside the next stage's fusion.
+    @functools.partial(jax.jit, inline=True)  # traced once for all stages
     def stage(at: State, given: tuple[Any, ...]) -> State:
         return lax.optimization_barrier(rate(at, *given))
 

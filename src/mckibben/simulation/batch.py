@@ -180,7 +180,8 @@ def simulate_many(
 
     def compute(piece: slice) -> tuple[dict[str, NDArray], str]:
         given = pad_chunk(lanes, piece, size), shared, times, period, asked
-        answer, used = compute_with(engine, asked.precision, lambda: _native_chunk(*given), lambda: _chunk(*given))
+        native, xla = lambda: _native_chunk(*given), lambda: _chunk(*given)
+        answer, used = compute_with(engine, asked.precision, native, xla, many=True)
         return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}, used
 
     progress = progress or notebook_progress()
@@ -287,9 +288,15 @@ def _native_run(shared: Any, lane: Any) -> dict[str, Array]:
     """Columns of one run."""
     problem, begun, period, asked = shared
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
-    parts = own.plant, own.controller, begun.setpoints, begun.starts, period
+    precision = jnp.dtype(asked.precision)
+    parts = cast((own.plant, own.controller, begun.setpoints, begun.starts, period), precision)
     streamed = streaming_episode(
-        *parts, asked.substeps, change=begun.changes, split=begun.split, keep=asked.keep, every=asked.stride
+        *parts,
+        asked.substeps,
+        change=cast(begun.changes, precision),
+        split=begun.split,
+        keep=asked.keep,
+        every=asked.stride,
     )
     return _columns(streamed, begun.exist, asked)
 
@@ -304,7 +311,8 @@ def _native_chunk(
     of_each, of_all = eqx.partition(begun, spec)
     unused: Any = {"reference": None, "initial": None}
     varying = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), lanes._replace(**unused))
-    columns = _native_run((shared._replace(**unused), of_all, period, asked), (varying, of_each))
+    given = (shared._replace(**unused), of_all, period, asked), (varying, of_each)
+    columns = _native_run(*given, single=asked.precision == "float32")
     span = np.asarray(_span(begun.setpoints, lanes))
     return {name: np.moveaxis(values, -1, 0) for name, values in columns.items()} | {"_span": span}
 

@@ -20,7 +20,7 @@ ENGINES = ("auto", "native", "xla")
 """Engines: programs emitted as C and compiled by the machine's compiler, XLA's, or the first where it can be used."""
 
 
-def check_engine(engine: str, precision: Any = np.float64) -> str:
+def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False) -> str:
     """The engine to be tried: "native" or "xla"; raises `ParameterError` for a wrong one, or one that is not there."""
     if engine not in ENGINES:
         raise ParameterError(
@@ -31,8 +31,8 @@ def check_engine(engine: str, precision: Any = np.float64) -> str:
     missing = ""
     if compiler() is None:
         missing = "there is no C compiler"
-    elif np.dtype(precision) != np.float64:
-        missing = "it has 64 bits only"
+    elif np.dtype(precision) != np.float64 and not many:
+        missing = "it has 32 bits for batches only"
     elif jax.default_backend() != "cpu":
         missing = "runs are computed on an accelerator"
     if missing and engine == "native":
@@ -42,9 +42,11 @@ def check_engine(engine: str, precision: Any = np.float64) -> str:
     return "xla" if missing else "native"
 
 
-def compute_with(engine: str, precision: Any, native: Callable[[], R], xla: Callable[[], R]) -> tuple[R, str]:
+def compute_with(
+    engine: str, precision: Any, native: Callable[[], R], xla: Callable[[], R], *, many: bool = False
+) -> tuple[R, str]:
     """Result and engine of a computation; "auto" takes XLA where the native one cannot be emitted."""
-    if check_engine(engine, precision) == "native":
+    if check_engine(engine, precision, many=many) == "native":
         try:
             return native(), "native"
         except ExportError:

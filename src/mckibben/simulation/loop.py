@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -110,6 +111,7 @@ def streaming_episode(
     periods = setpoints.angle.shape[0]
     change = last_change(setpoints.stiffness) if change is None else change
 
+    @functools.partial(jax.jit, inline=True)  # traced once for both runs
     def step(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Any]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 

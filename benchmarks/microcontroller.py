@@ -1,0 +1,124 @@
+"""Controllers of the comparison on a Cortex-M7: code size, stack, memory, and instructions a step in QEMU.
+
+    python benchmarks/microcontroller.py
+
+Needs arm-none-eabi-gcc with newlib (Debian: gcc-arm-none-eabi, libnewlib-arm-none-eabi), and for the instructions
+qemu-system-arm.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from mckibben.export import export
+from mckibben.study.benchmark import Suite
+from mckibben.study.scenario import Scenario
+
+COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
+CORTEX_M7 = ("-std=c99", "-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
+WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
+ROOT = Path(__file__).parents[1]
+STARTUP = """
+#include <stdint.h>
+extern void _start(void);
+static void reset(void)
+{
+    *(volatile uint32_t *)0xE000ED88 |= 0xFu << 20; /* floating-point unit */
+    __asm volatile("dsb\\n isb");
+    _start();
+}
+static void hang(void) { for (;;) continue; }
+__attribute__((section(".vectors"), used)) static void (*const vectors[])(void) = {
+    (void (*)(void))0x20400000, reset, hang, hang, hang, hang, hang};
+"""
+
+
+class Footprint(NamedTuple):
+    """What a controller takes: code and constants, stack of its functions, both in bytes."""
+
+    code: int
+    stack: int
+
+
+class Replayed(NamedTuple):
+    """A replay in QEMU: largest deviation of a command, relative to the largest; instructions a step; memory [B]."""
+
+    deviation: float
+    instructions: int
+    memory: int
+
+
+def footprint(folder: Path, name: str = "controller") -> Footprint:
+    """Compile an exported controller for a Cortex-M7, without libm; the stack is without that of libm too."""
+    command = (COMPILER, *CORTEX_M7, *WARNINGS, "-fstack-usage", "-c", f"{name}.c")
+    subprocess.run(command, cwd=folder, check=True)
+    sizes = subprocess.run(
+        ("arm-none-eabi-size", f"{name}.o"), cwd=folder, check=True, capture_output=True, text=True
+    ).stdout
+    rows = [line.split("\t") for line in (folder / f"{name}.su").read_text().splitlines()]
+    assert all(kind == "static" for *_, kind in rows)  # nothing of a size that is not known
+    own = [int(size) for where, size, _ in rows if f":{name}_" in where]
+    helpers = [int(size) for where, size, _ in rows if f":{name}_" not in where]
+    return Footprint(int(sizes.splitlines()[1].split()[0]), max(own) + max(helpers, default=0))
+
+
+def replayed(folder: Path, name: str = "controller", steps: int = 200_000) -> Replayed:
+    """Replay a recorded run on an emulated Cortex-M7; an instruction is a nanosecond of its clock."""
+    (folder / "startup.c").write_text(STARTUP)
+    places = "-Wl,--section-start=.vectors=0,--section-start=.init=0x1000,-Ttext=0x2000,-Tdata=0x20000000"
+    files = ("replay.c", f"{name}.c", "startup.c", "-o", "replay.elf", "-lm")
+    subprocess.run((COMPILER, *CORTEX_M7, "-specs=rdimon.specs", places, *files), cwd=folder, check=True)
+    arguments = f"enable=on,target=native,arg=replay,arg=replay.csv,arg={steps}"
+    command = (EMULATOR, "-M", "mps2-an500", "-nographic", "-monitor", "none", "-serial", "none", "-icount", "shift=0")
+    done = subprocess.run(
+        (*command, "-semihosting-config", arguments, "-kernel", "replay.elf"),
+        cwd=folder, check=True, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    deviation, *_ = re.findall(r"([0-9.e+-]+) of the largest", done.stdout)
+    timed = re.findall(r"(\d+) ns a step .* (\d+) bytes", done.stdout)
+    return Replayed(float(deviation), *map(int, timed[0] if timed else (0, 0)))
+
+
+def scenarios() -> dict[str, Scenario]:
+    """A run of a second of each controller of the comparison."""
+    suite = Suite.read(ROOT / "examples" / "comparison" / "knee.yaml")
+    parts = {name: getattr(suite, name) for name in ("joint", "load", "valve", "sensors", "control_period", "substeps")}
+    reference = {
+        "angle": {"sine": {"amplitude": "5 deg", "frequency": "1 Hz", "phase": "90 deg"}},
+        "stiffness": {"step": {"before": "14 N*m/rad", "after": "15 N*m/rad", "at": "500 ms"}},
+    }
+    return {
+        name: Scenario(name=name, controller=spec, reference=reference, duration=1.0, **parts)
+        for name, spec in suite.controllers.items()
+    }
+
+
+def main() -> int:
+    """Print the table."""
+    if shutil.which(COMPILER) is None:
+        print(f"there is no {COMPILER}", file=sys.stderr)
+        return 1
+    print("| controller | numbers | code [kB] | stack [B] | memory [B] | instructions a step | deviation |")
+    print("|---|---|---:|---:|---:|---:|---:|")
+    for name, scenario in scenarios().items():
+        for single in (False, True):
+            with tempfile.TemporaryDirectory() as made:
+                folder = Path(made)
+                export(scenario, "c", folder, name="controller", single=single)
+                size = footprint(folder)
+                row = [name, "float" if single else "double", f"{size.code / 1000:.1f}", f"{size.stack}"]
+                if shutil.which(EMULATOR):
+                    run = replayed(folder)
+                    row += [f"{run.memory}", f"{run.instructions}", f"{run.deviation:.0e}"]
+                print("| " + " | ".join(row) + " |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
