@@ -1,5 +1,6 @@
 """Animation and player of a run of a leg."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -7,6 +8,7 @@ import subprocess
 from pathlib import Path
 from runpy import run_path
 
+import equinox as eqx
 import mujoco
 import numpy as np
 import pytest
@@ -57,6 +59,14 @@ def test_muscles_have_the_volume_of_their_contraction(landing):
         volume = np.asarray(muscle.specimen.volume(contraction))
         np.testing.assert_allclose(np.pi / 4 * one.diameter**2 * one.length, volume)
         np.testing.assert_allclose(one.length, 0.18 * (1 - contraction))
+
+
+def test_a_muscle_of_unknown_volume_is_drawn_slender(landing):
+    plant, run = landing
+    unknown = dataclasses.replace(plant.leg.joints[0].muscles.muscle1.specimen, braid_angle=None, volume_terms=None)
+    plant = eqx.tree_at(lambda x: x.leg.joints[0].muscles.muscle1.specimen, plant, unknown)
+    one = muscle_shapes(plant, run, 5e5)["hip1"]
+    np.testing.assert_allclose(one.diameter, 0.07 * one.length)
 
 
 @pytest.mark.parametrize("suffix", ["webp", "gif"])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mckibben.joint.antagonistic import AntagonisticJoint
 from mckibben.joint.geometry import Geometry, Pair
+from mckibben.muscle import Specimen
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled
 from mckibben.units import deg
@@ -155,15 +156,16 @@ class _Cam:
 
 
 def muscle_sizes(joint: AntagonisticJoint, contractions: Any) -> tuple[list[Points], list[Points | None]]:
-    """Lengths [m] and diameters [m] of the muscles at pairs of contractions; None for an unknown volume.
+    """Lengths [m] and diameters [m] of the muscles at pairs of contractions; None for an unknown volume."""
+    pairs = zip((joint.muscle1, joint.muscle2), contractions, strict=True)
+    sizes = [specimen_size(muscle.specimen, contraction) for muscle, contraction in pairs]
+    return [length for length, _ in sizes], [diameter for _, diameter in sizes]
 
-    The diameter is that of a cylinder with the volume and the length of the muscle.
-    """
-    lengths, diameters = [], []
-    for muscle, contraction in zip((joint.muscle1, joint.muscle2), contractions, strict=True):
-        specimen = muscle.specimen
-        length = np.asarray(specimen.length_at(contraction), float)
-        volume = np.asarray(specimen.volume(contraction), float) if specimen.has_volume else None
-        lengths.append(length)
-        diameters.append(None if volume is None else np.sqrt(np.maximum(4 * volume / (np.pi * length), 0.0)))
-    return lengths, diameters
+
+def specimen_size(specimen: Specimen, contraction: Any) -> tuple[Points, Points | None]:
+    """Length [m], and diameter [m] of a cylinder with it and the volume; None for an unknown volume."""
+    length = np.asarray(specimen.length_at(contraction), float)
+    if not specimen.has_volume:
+        return length, None
+    volume = np.asarray(specimen.volume(contraction), float)
+    return length, np.sqrt(np.maximum(4 * volume / (np.pi * length), 0.0))

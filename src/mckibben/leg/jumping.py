@@ -140,7 +140,7 @@ class JumpStudy:
         return headers, rows
 
     def describe(self) -> str:
-        """What timing adds, as text."""
+        """Gain in height by timing, as text."""
         gain, low, high = (one / mm for one in self.gain())
         return f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
 

@@ -133,7 +133,7 @@ Angles = dict[str, Angle]
 
 
 class UncertaintySpec(ConfigModel):
-    """What is uncertain: relative standard deviations of the strength of each muscle and of the mass of each body.
+    """Uncertainty: relative standard deviations of the strength of each muscle and of the mass of each body.
 
     All are independent; the inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors
     of the fit as well, those with the same file alike.

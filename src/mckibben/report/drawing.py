@@ -23,7 +23,8 @@ from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressur
 from mckibben.units import bar, deg, mm
 
 _BONE, _PLATE, _CABLE, _UNKNOWN = "#C9CED6", "#DCE1E8", "#555555", "#8FBBDD"
-_SLENDER = 0.07  # diameter per length of a muscle without a known one
+SLENDER = 0.07
+"""Diameter per length of a muscle whose own is unknown."""
 _LIMB = 0.62  # length of the moving limb per height
 _NOTE = {"fontsize": 9, "color": BLACK}
 
@@ -91,7 +92,7 @@ class JointPicture:
             first, last = strand.body(lengths[index])
             cable = [strand.start, first, (np.nan, np.nan), last, strand.end, *strand.wrap]
             diameter = diameters[index]
-            width = _SLENDER * lengths[index] if diameter is None else diameter
+            width = SLENDER * lengths[index] if diameter is None else diameter
             if self._springs[index]:
                 cable[1:4] = _coil(first, last, width)
             self._cables[index].set_data(*np.array(cable).T)

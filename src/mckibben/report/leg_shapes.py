@@ -1,4 +1,4 @@
-"""What is drawn of a leg in a run: its joints, and its muscles with their thickness and colour."""
+"""Coordinates of a leg over a run for its drawings: joints, paths of muscles, and their lengths and diameters."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from mckibben.export.leg_mjcf import anchors
 from mckibben.export.mjcf import Transmission, path_transmission, transmissions
+from mckibben.joint.mechanism import specimen_size
 from mckibben.leg import LegJoint, LegPlant
 from mckibben.leg.dynamics import Posture, Velocity, frames
 from mckibben.muscle import Muscle
+from mckibben.report.drawing import SLENDER
 from mckibben.report.style import VERMILLION
 
 if TYPE_CHECKING:
@@ -51,15 +53,13 @@ def muscle_shapes(plant: LegPlant, run: xr.Dataset, largest: float) -> dict[str,
 
 
 def _shape(muscle: Muscle, contraction: Any, filling: Any) -> Shape:
-    """Shape of a muscle as a cylinder with its volume."""
-    shortened = np.asarray(contraction, float)
-    length = float(muscle.specimen.initial_length) * (1 - shortened)
-    volume = np.asarray(muscle.specimen.volume(shortened))
-    return Shape(length, np.sqrt(4 * volume / (np.pi * length)), np.asarray(filling, float))
+    """Shape of a muscle as a cylinder with its volume; slender if that is unknown."""
+    length, diameter = specimen_size(muscle.specimen, np.asarray(contraction, float))
+    return Shape(length, SLENDER * length if diameter is None else diameter, np.asarray(filling, float))
 
 
 def place_of(plant: LegPlant, name: str) -> int:
-    """Which part of its path a muscle is in: over two joints, the one with the longer connectors."""
+    """Index of the part of a path that has the muscle: over two joints, the one with the longer connectors."""
     for one in plant.leg.biarticular:
         if one.name == name:
             return int(np.argmax([float(getattr(path, "connector_length", 0.0)) for path in (one.path1, one.path2)]))
