@@ -29,7 +29,7 @@ from mckibben.export.mjcf import (
 )
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
 from mckibben.export.plant import is_real
-from mckibben.export.targets import Exported, write_exported
+from mckibben.export.targets import Exported, check_name, write_exported
 from mckibben.joint import RigidTendon, Tendon
 from mckibben.leg import LegJoint, LegPlant, LegScenario, LegState
 from mckibben.muscle import Muscle
@@ -172,6 +172,7 @@ def export_leg(
     scenario: LegScenario, out: str | os.PathLike[str], *, name: str = "leg", overwrite: bool = False
 ) -> Exported:
     """Write the leg of a scenario for MuJoCo into a folder, in the posture of its touchdown or squat."""
+    check_name(name)
     plant = scenario.plant()
     angles: dict[str, float] = {}
     if scenario.jump is not None:

@@ -68,15 +68,20 @@ def export(
     if single and target != "c":
         remedy = "leave it out, or write the format c"
         raise ExportError(f"{target} has numbers of 64 bits only", field="single", value=single, remedy=remedy)
-    name = name or _NAMES.get(target, "controller")
-    if identifier(name) != name:
-        remedy = "give an identifier of C, such as knee"
-        raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
+    name = check_name(name or _NAMES.get(target, "controller"))
     module, function = TARGETS[target][0].split(":")
     make: Callable[..., Exported] = getattr(import_module(module), function)
     made = make(scenario, name, Path(out), single)
     write_exported(made, out, overwrite=overwrite)
     return made
+
+
+def check_name(name: str) -> str:
+    """The name of a program or model; `ParameterError` unless it is an identifier of C."""
+    if identifier(name) != name:
+        remedy = "give an identifier of C, such as knee"
+        raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
+    return name
 
 
 def write_exported(made: Exported, out: str | os.PathLike[str], *, overwrite: bool = False) -> None:
