@@ -492,14 +492,15 @@ def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, 
     contraction, pressure = (np.tile(each.ravel(), 2) for each in np.meshgrid(np.linspace(0, 0.2, 17), np.arange(2, 7)))
     force = forces(law, contraction, pressure * bar)
     deviation = 0.3 + relative * force
-    covered = []
+    covered, said = [], []
     for _ in range(20):
         measured = force + deviation * random.standard_normal(len(force))
         data = IsobaricDataset.of(pressure=pressure * bar, contraction=contraction, force=measured)
         fit = identify(ExponentialLaw, data)
-        assert ("scatter grows" in fit.report()) == grows
+        said.append("scatter grows" in fit.report())
         found = fit.force_intervals(contraction, pressure * bar).prediction
         new = force + deviation * random.standard_normal(len(force))
         covered.append((found.lower <= new) & (new <= found.upper))
+    assert all(said) if grows else sum(said) <= 3  # of 1 expected
     for part in np.array_split(np.argsort(force), 4):
         assert 0.91 < np.mean(np.array(covered)[:, part]) < 0.985

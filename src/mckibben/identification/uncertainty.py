@@ -215,7 +215,7 @@ def _solve(triangle: Floats, gradients: Floats) -> Floats:
     return np.linalg.solve((triangle / lengths).T, (gradients / lengths).T).T
 
 
-_GROWTH_LEVEL = 0.01  # probability of a growth where there is none
+_GROWTH_LEVEL = 0.05  # probability of a growth where there is none; a missed one costs coverage at large forces
 _GROWTHS = np.geomspace(1e-3, 1e5, 200).tolist()  # of the variance, over the range of forces
 
 
