@@ -107,10 +107,8 @@ def main():
     options.add_argument("--seed", type=int, default=20)
     given = options.parse_args()
     suite = Suite.read(SUITE)
-    (runs,), rng = (
-        draw(suite, given.runs, given.seed).groups,
-        np.random.default_rng(given.seed),
-    )  # the joints differ in numbers
+    (runs,) = draw(suite, given.runs, given.seed).groups  # the joints differ in numbers
+    rng = np.random.default_rng(given.seed)
     plant, zeros = truth(runs, rng)
     nominal = suite.scenario("decoupling, friction fed forward", next(iter(suite.references)))
     nominal = with_values(
