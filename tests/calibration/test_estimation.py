@@ -1,6 +1,7 @@
 """Calibration on recordings that obey the equation of motion of a known joint exactly, but for noise."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,13 +9,16 @@ import pytest
 from mckibben import catalog
 from mckibben.calibration import JointCalibration, JointPrior, JointRecording, calibrate_joint
 from mckibben.calibration.equations import halves_of, parameters, problem_of
+from mckibben.calibration.experiment import with_fits
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
+from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
 pytestmark = pytest.mark.usefixtures("optimized")
 NOISE = 2e3  # Pa
 DISTANCE, GRAVITY = 0.2, 9.81
@@ -147,13 +151,17 @@ def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
         assert caught.value.value == field
 
 
-def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded):
+def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded, tmp_path):
     rng, law = np.random.default_rng(3), knee().muscle1.law
     contraction, pressure = (one.ravel() for one in np.meshgrid(np.linspace(0.0, 0.2, 9), np.linspace(1e5, 6e5, 6)))
     force = law.force(contraction, pressure) + 8 * rng.standard_normal(contraction.size)
     fit = identify(
         ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.maximum(force, 0.0))
     )
+    fit.to_yaml(tmp_path / "fit.yaml")
+    text = EXAMPLE.read_text(encoding="utf-8").replace("law: lei-mas-10-180n", "law: fit.yaml")
+    found = with_fits(Scenario.parse(text, folder=tmp_path), JointPrior()).fits
+    assert [one.law for one in found] == [fit.law, fit.law]
     joint = dataclasses.replace(knee(), muscle1=dataclasses.replace(knee().muscle1, law=fit.law))
     prior = JointPrior(strength=0.002, offset=0.002, zero=1e-6, arm_scale=1e-6, fits=(fit, None))
     problem = problem_of(joint, LOAD, [halves_of(recorded[0][0])], prior)

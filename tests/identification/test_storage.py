@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from mckibben import catalog
 from mckibben.errors import FileError, ScenarioError
 from mckibben.identification import DatasetSummary, Fit, identify, read_law
+from mckibben.identification.storage import find_fit
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw
 from mckibben.units import deg, mm
 
@@ -39,6 +40,8 @@ def test_every_number_comes_back_exactly(fit, tmp_path):
     assert again.intervals() == fit.intervals()
     assert again.report() == fit.report()
     assert read_law(tmp_path / "fit.yaml") == fit.law
+    found = find_fit(tmp_path / "fit.yaml")
+    assert np.sqrt(np.diag(found.robust_covariance)) == pytest.approx(list(fit.robust.standard_errors.values()))
     text = (tmp_path / "fit.yaml").read_text()
     assert "# 92.52 N/bar: constant, per pressure" in text
 
@@ -92,6 +95,7 @@ def test_a_law_written_by_hand(tmp_path):
     assert law.braid_angle == pytest.approx(25 * deg)
     assert law.initial_diameter == pytest.approx(10 * mm)
     assert law.domain == Domain(-0.03, 0.25, 0.0, 8e5)
+    assert find_fit(path) is None
     with pytest.raises(ScenarioError) as error:
         Fit.from_yaml(path)
     assert {"residuals", "points", "correlations", "warnings", "dataset"} <= {p.field for p in error.value.problems}
