@@ -135,8 +135,7 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     bench.add(f"plain C, {where}", plain_c)
     bench.add(f"SIMD by hand, {where}", simd)
     bench.add(f"ours, simulate_many, {where}", our_own)
-    if precision == "f64":  # of 32 bits there is no other
-        bench.add(f"ours, engine='xla', {where}", xla)
+    bench.add(f"ours, engine='xla', {where}", xla)
     if cores == 1:
         bench.add(f"ours, SmoothLaw, {where}", smooth_law)
         bench.add(f"NumPy, {where}", numpy)

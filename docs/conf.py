@@ -13,6 +13,8 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 
 import mckibben
+from mckibben.report.page import write_explorers
+from mckibben.study.scenario import Scenario
 
 mpl.use("agg")
 sys.path.insert(0, str(Path(__file__).parent))  # sphinx-gallery imports the scraper by name
@@ -103,6 +105,13 @@ def _block_math(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def _explorers(app: Sphinx, error: Exception | None) -> None:
+    if error is None:
+        scenario = Scenario.read(Path(app.srcdir).parent / "examples" / "pre-contracted-step-pid.yaml")
+        write_explorers(scenario, Path(app.outdir) / "explorers.html")
+
+
 def setup(app: Sphinx) -> None:
-    """Formulas as MathML, which browsers draw themselves."""
+    """Formulas as MathML, which browsers draw themselves, and the page with sliders."""
+    app.connect("build-finished", _explorers)
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 import subprocess
 from importlib.resources import files
@@ -12,6 +13,7 @@ import pytest
 from mckibben.paper.settings import PRE_CONTRACTED, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report.explorers import explorers
+from mckibben.report.page import write_explorers
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="needs Node, which runs the scripts of the page")
@@ -105,3 +107,9 @@ def test_the_script_of_the_page_is_valid():
     done = subprocess.run([NODE, "--check", "-"], input=script, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert not any(word in script for word in ("fetch(", "import", "XMLHttpRequest", "</"))
+
+
+def test_the_page_of_the_documentation_has_all_and_loads_nothing(case, found, tmp_path):
+    text = write_explorers(case.scenario, tmp_path / "explorers.html").read_text(encoding="utf-8")
+    assert [key for key in found if f'id="explore-{key}"' in text] == list(found)
+    assert not re.search(r"(src|href)=|https?:|@import", text.replace("http://www.w3.org/2000/svg", ""))

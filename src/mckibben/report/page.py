@@ -22,6 +22,7 @@ from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.storage.files import atomic_write
+from mckibben.study.scenario import Scenario
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 
@@ -92,6 +93,12 @@ def write_page(path: Path, text: str) -> Path:
     with atomic_write(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return path
+
+
+def write_explorers(scenario: Scenario, path: Path) -> Path:
+    """Write a self-contained page with the explorers of a scenario alone."""
+    parts = {"style": style_sheet(), "script": markupsafe.Markup(_resource("explorers.js"))}
+    return write_page(path, template_of("explorers.html.jinja").render(explorers=explorers(scenario), **parts))
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
