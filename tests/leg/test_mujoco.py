@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.errors import ExportError
+from mckibben.errors import ExportError, ParameterError
 from mckibben.export.leg_compliance import compliance
-from mckibben.export.leg_mjcf import leg_files, leg_model
+from mckibben.export.leg_mjcf import export_leg, leg_files, leg_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
 from mckibben.leg import (
@@ -18,6 +18,7 @@ from mckibben.leg import (
     Leg,
     LegJoint,
     LegPlant,
+    LegScenario,
     LegStart,
     Link,
     PressureSchedule,
@@ -271,3 +272,10 @@ def test_what_mujoco_cannot_hold_is_refused():
             leg_model(LegPlant(leg, valve))
         assert caught.value.field == field
         assert caught.value.remedy
+
+
+def test_a_leg_of_a_file_is_written_under_a_name_of_c(tmp_path):
+    scenario = LegScenario.read("examples/leg/lei-leg.yaml")
+    with pytest.raises(ParameterError) as caught:
+        export_leg(scenario, tmp_path, name="two legs")
+    assert (caught.value.field, list(tmp_path.iterdir())) == ("name", [])
