@@ -217,12 +217,9 @@ _ROLLED: ContextVar[bool] = ContextVar("rolled integration stages", default=Fals
 
 
 @contextmanager
-def batched_program(*, rolled: bool = True, guarded: bool = True) -> Iterator[None]:
-    """Trace for many runs side by side, or, not `rolled`, for one run with its derivatives.
-
-    XLA needs it `guarded`: with branches around what it would compute again for each use.
-    """
-    tokens = _BATCHED.set(guarded), _ROLLED.set(rolled)
+def batched_program(*, rolled: bool = True) -> Iterator[None]:
+    """Trace for many runs side by side, or, not `rolled`, for one run with its derivatives."""
+    tokens = _BATCHED.set(True), _ROLLED.set(rolled)
     try:
         yield
     finally:

@@ -68,15 +68,15 @@ def rk4(
 
     if trace_mode()[1]:
         kind = jnp.result_type(step)
-        rows = jnp.asarray([0.0, 0.5, 0.5, 1.0], kind), jnp.asarray([1 / 6, 1 / 3, 1 / 3, 1 / 6], kind)
+        places, weights = (jnp.asarray(row, kind) for row in ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)))
 
-        def next_stage(carry: tuple[State, State], at: tuple[Array, Array]) -> tuple[tuple[State, State], None]:
-            (slope, total), (place, weight) = carry, at
-            here = jax.tree.map(lambda b, m, e: jnp.where(place == 0, b, jnp.where(place == 1, e, m)), *inputs)
-            slope = rate(moved(slope, place * step), *here)
-            return (slope, jax.tree.map(lambda t, dx: t + weight * step * dx, total, slope)), None
+        def next_stage(i: Array, carry: tuple[State, State]) -> tuple[State, State]:
+            slope, total = carry
+            here = jax.tree.map(lambda b, m, e: jnp.where(i == 0, b, jnp.where(i == 3, e, m)), *inputs)
+            slope = rate(moved(slope, places[i] * step), *here)
+            return slope, jax.tree.map(lambda t, dx: t + weights[i] * step * dx, total, slope)
 
-        return lax.scan(next_stage, (jax.tree.map(jnp.zeros_like, state), state), rows)[0][1]
+        return lax.fori_loop(0, 4, next_stage, (jax.tree.map(jnp.zeros_like, state), state))[1]
 
     # The barrier keeps XLA from computing parts of one stage's derivative again inside the next stage's fusion.
     @functools.partial(jax.jit, inline=True)  # traced once for all stages

@@ -290,11 +290,14 @@ def _native_run(shared: Any, lane: Any) -> dict[str, Array]:
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
     precision = jnp.dtype(asked.precision)
     parts = cast((own.plant, own.controller, begun.setpoints, begun.starts, period), precision)
-    change = cast(begun.changes, precision)
-    with batched_program(guarded=False):
-        streamed = streaming_episode(
-            *parts, asked.substeps, change=change, split=begun.split, keep=asked.keep, every=asked.stride
-        )
+    streamed = streaming_episode(
+        *parts,
+        asked.substeps,
+        change=cast(begun.changes, precision),
+        split=begun.split,
+        keep=asked.keep,
+        every=asked.stride,
+    )
     return _columns(streamed, begun.exist, asked)
 
 
