@@ -67,7 +67,8 @@ def test_examples_build_and_start_at_rest(path):
     rate = plant.rate(initial)
     assert abs(float(rate.velocity)) < 1e-6
     setpoint = scenario.reference()(0.0)
-    assert float(plant.joint.stiffness(initial.angle, initial.pressures)) == pytest.approx(scenario.start.stiffness)
+    if True not in plant.joint.springs:  # else the angle determines it
+        assert float(plant.joint.stiffness(initial.angle, initial.pressures)) == pytest.approx(scenario.start.stiffness)
     assert float(setpoint.angle) == float(initial.angle)
     state = scenario.control().init(mk.control.Measurement(initial.angle, initial.pressures))
     assert jnp.isfinite(state.estimate)

@@ -23,6 +23,11 @@ class ConfigModel(BaseModel):
     """The present name of each key that was renamed; for errors."""
 
 
+def fields_by_key(model: type[BaseModel]) -> dict[str, str]:
+    """Names of the fields by their keys in a file."""
+    return {info.alias or name: name for name, info in model.model_fields.items()}
+
+
 def explicit_fields(part: ConfigModel | None, *without: str) -> dict[str, Any]:
     """The fields that are given, by name; the others keep the default of the class that is built."""
     if part is None:
@@ -243,7 +248,7 @@ def _item(value: Any, key: str | int) -> Any:
 
 
 def _keys_of(model: type[BaseModel] | None) -> list[str]:
-    return [info.alias or name for name, info in model.model_fields.items()] if model else []
+    return list(fields_by_key(model)) if model else []
 
 
 def _marks_in(annotation: Any) -> tuple[Any, ...]:

@@ -12,7 +12,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from mckibben.config.fields import OneOf
-from mckibben.config.model import ConfigModel, model_in
+from mckibben.config.model import ConfigModel, fields_by_key, model_in
 from mckibben.config.schema import ComponentModel
 from mckibben.control import Signal
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
@@ -23,7 +23,7 @@ from mckibben.units import BoundedInt, Quantity, show
 
 def effective_value(scenario: Scenario, part: ConfigModel, place: Place) -> float | int | None:
     """Effective value [SI] of a number, also where it is unset; None for a starting stiffness and a minimum tension."""
-    key = place[-1]
+    key = fields_by_key(type(part))[place[-1]]
     value = getattr(part, key)
     if value is not None:
         return value
@@ -170,7 +170,7 @@ def _refuse_absent(
     reason = (f"{'.'.join(here[:-1])} is given as {_form(part)}, not as {key}", _OTHER_FORM)
     found.refuse(called, reason)
     model = model_in(info.annotation)
-    inner = [info.alias or name for name, info in model.model_fields.items()] if model else []
+    inner = list(fields_by_key(model)) if model else []
     found.refuse([(*name, each) for name in names for each in inner if not _is_number_of(part, each)], reason)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
 from mckibben.config.document import dotted, edit_yaml
-from mckibben.config.model import ConfigModel
+from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.study.parameters.parameter import Place, ScenarioParameter, fields_of, find_parameters
 from mckibben.study.scenario import Scenario
@@ -43,7 +43,7 @@ def update(part: P, values: Mapping[Place, Any]) -> P:
         return part
     if isinstance(part, tuple):
         return _with_items(part, values)
-    names = {info.alias or name: name for name, info in type(part).model_fields.items()}
+    names = fields_by_key(type(part))
     changed = {}
     for key, inner in _by_first_key(values).items():
         name = names[key]
