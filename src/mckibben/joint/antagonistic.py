@@ -19,6 +19,7 @@ from mckibben.notebook import Displayed
 from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_positive, check_within
+from mckibben.numerics.compiled import compiled_alone
 from mckibben.numerics.elementary import floating
 
 MuscleStates = tuple[MuscleState, MuscleState]
@@ -148,6 +149,7 @@ class AntagonisticJoint(eqx.Module, Displayed):
         """Whether a muscle has creep."""
         return self.muscle1.has_creep or self.muscle2.has_creep
 
+    @compiled_alone
     def contractions(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES) -> Pair:
         """Return the contraction [-] of each muscle."""
         pressure1, pressure2 = pressure_pair(pressures)
@@ -170,6 +172,10 @@ class AntagonisticJoint(eqx.Module, Displayed):
     def torque(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the torque of the muscles [N*m], F2 d2 - F1 d1 (Eq. 7 without gravity)."""
         _warn_outside(self, angle, pressures)
+        return self._torque(angle, pressures)
+
+    @compiled_alone
+    def _torque(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         pressure1, pressure2 = pressure_pair(pressures)
         (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
         tension1 = self.tendon.tension(self.muscle1, path1, pressure1)
@@ -189,6 +195,7 @@ class AntagonisticJoint(eqx.Module, Displayed):
         _warn_outside(self, angle, pressures)
         return self.evaluate(angle, pressures)
 
+    @compiled_alone
     @computed_once
     def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return `torque_and_stiffness` without a check of the domain."""

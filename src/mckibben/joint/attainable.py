@@ -21,7 +21,7 @@ from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import compiled, compiled_alone
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
@@ -35,6 +35,7 @@ _ROUNDING = 1e-12  # relative, of a tension
 _INSIDE = 1e-9  # distance from the ends of a segment, as a fraction: at the very end a muscle is slack
 
 
+@compiled_alone
 def torque_range(
     joint: Joint, angle: ArrayLike, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> Pair:
@@ -46,6 +47,7 @@ def torque_range(
     return jnp.where(feasible, lowest, jnp.nan), jnp.where(feasible, highest, jnp.nan)
 
 
+@compiled_alone
 def stiffness_range(
     joint: Joint,
     angle: ArrayLike,

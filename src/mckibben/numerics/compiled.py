@@ -47,6 +47,18 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
+def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
+    """`compiled` where all arguments are numbers; traced by another program, a part of that."""
+    alone = compiled(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs)))
+        return (function if traced else alone)(*args, **kwargs)
+
+    return call
+
+
 def compiled_as_given(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
     """`compiled` with only arrays traced and numbers static; pass trees through `numeric` first."""
     program = Program(function, options)
