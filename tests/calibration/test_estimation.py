@@ -19,7 +19,7 @@ from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
-pytestmark = pytest.mark.usefixtures("optimized")
+
 NOISE = 2e3  # Pa
 DISTANCE, GRAVITY = 0.2, 9.81
 
