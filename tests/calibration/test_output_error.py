@@ -19,7 +19,7 @@ from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
-
+pytestmark = pytest.mark.usefixtures("optimized")
 PERIOD, DELAY, LAG = 10 * ms, 34 * ms, 80 * ms
 STRENGTHS = (0.9, 1.12)
 LOAD = GeneralLoad(inertia=0.02, greatest_gravity_torque=0.6, damping=0.05)

@@ -10,7 +10,7 @@ import pytest
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import build_joint
 
-
+pytestmark = pytest.mark.usefixtures("optimized")
 EXAMPLE = Path("examples/calibration/knee.yaml").resolve()
 WEIGHT = ("--weight", "0.5 kg", "--distance", "200 mm")
 
