@@ -77,11 +77,15 @@ def optimized():
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """A file for a worker, but all of the paper, whose files share a reproduction, for one."""
+    """A file for a worker, but all of the paper, or of its report, whose files share a reproduction, for one."""
     from xdist.scheduler import LoadFileScheduling
+
+    report = tuple(f"tests/report/test_{name}.py" for name in ("figures", "html"))
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
+            if nodeid.startswith(report):
+                return "tests/report"
             return "tests/paper" if nodeid.startswith("tests/paper/") else super()._split_scope(nodeid)
 
     return Scheduling(config, log)

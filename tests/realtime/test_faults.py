@@ -25,7 +25,7 @@ from mckibben.units import bar, ms
 from .conftest import LIMITS, PERIOD, Kept
 
 PERIODS = 30
-INSTANTS = np.random.default_rng(5).uniform(0, PERIODS * PERIOD, 200)
+INSTANTS = np.random.default_rng(5).uniform(0, PERIODS * PERIOD, 100)
 
 
 class Watched(SimulatedJoint):

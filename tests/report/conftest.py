@@ -63,18 +63,24 @@ def reproduction():
 
 
 @pytest.fixture(scope="session")
-def drawn(reproduction):
-    """All figures of the report, by name."""
-    from mckibben.report import figures
+def written(reproduction, tmp_path_factory):
+    """A written report: its folder, and the figures that it has, by name."""
+    from mckibben.report import figures, write_report
 
-    return {figure.name: figure for figure in figures(reproduction)}
+    folder, drawn = tmp_path_factory.mktemp("report"), list(figures(reproduction))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mckibben.report.page.figures", lambda _: drawn)
+        write_report(reproduction, folder)
+    return folder, {figure.name: figure for figure in drawn}
 
 
 @pytest.fixture(scope="session")
-def page(reproduction, tmp_path_factory):
-    """The folder of a written report."""
-    from mckibben.report import write_report
+def drawn(written):
+    """All figures of the report, by name."""
+    return written[1]
 
-    folder = tmp_path_factory.mktemp("report")
-    write_report(reproduction, folder)
-    return folder
+
+@pytest.fixture(scope="session")
+def page(written):
+    """The folder of a written report."""
+    return written[0]

@@ -49,14 +49,13 @@ SCENARIOS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def optimized_c(monkeypatch):
-    monkeypatch.setenv("MCKIBBEN_CFLAGS", "")
-
-
-@pytest.fixture(params=SCENARIOS)
+@pytest.fixture(params=SCENARIOS, scope="module")
 def scenario(request):
-    return Scenario.parse(SCENARIOS[request.param])
+    """The scenarios one by one, that of the paper compiled as users do."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "as in the paper":
+            patch.setenv("MCKIBBEN_CFLAGS", "")
+        yield Scenario.parse(SCENARIOS[request.param])
 
 
 def timing(scenario):
@@ -77,20 +76,28 @@ def test_both_engines_have_the_same_runs(scenario):
         np.testing.assert_allclose(runs["native"][name], expected, rtol=0, atol=tolerance)
 
 
-def test_both_engines_have_the_same_batches(scenario):
+OVER = {
+    "plant.load.mass2": np.linspace(0.4, 0.6, 11),
+    "reference.angle.amplitude": np.linspace(0.02, 0.1, 11),
+    "controller.model.muscle1.law.a1": np.linspace(-250.0, -240.0, 11),
+}
+
+
+def batch(scenario, **options):
     plant = scenario.plant()
-    over = {
-        "plant.load.mass2": np.linspace(0.4, 0.6, 11),
-        "reference.angle.amplitude": np.linspace(0.02, 0.1, 11),
-        "controller.model.muscle1.law.a1": np.linspace(-250.0, -240.0, 11),
-    }
-    batches = {
-        engine: mk.simulate_many(
-            plant, scenario.control(), scenario.reference(), over=over, keep=["angle"], every=0.01, engine=engine,
-            initial=scenario.initial(plant), chunk=8, **timing(scenario),
-        )
-        for engine in ("native", "xla")
-    }  # fmt: skip
+    return mk.simulate_many(
+        plant, scenario.control(), scenario.reference(), over=OVER, keep=["angle", "command1"], every=0.01, chunk=8,
+        initial=scenario.initial(plant), **timing(scenario), **options,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def in_64_bits(scenario):
+    return batch(scenario, engine="native")
+
+
+def test_both_engines_have_the_same_batches(scenario, in_64_bits):
+    batches = {"native": in_64_bits, "xla": batch(scenario, engine="xla")}
     assert [batch.table.attrs["engine"] for batch in batches.values()] == ["native", "xla"]
     np.testing.assert_allclose(batches["native"]["angle"], batches["xla"]["angle"], rtol=0, atol=1e-8)
     np.testing.assert_array_equal(batches["native"]["outcome"], batches["xla"]["outcome"])
@@ -101,21 +108,9 @@ def test_both_engines_have_the_same_batches(scenario):
         np.testing.assert_allclose(batches["native"][name], expected, rtol=0, atol=tolerance, err_msg=name)
 
 
-def test_batches_in_32_bits_are_near_those_in_64(scenario):
-    plant = scenario.plant()
-    over = {
-        "plant.load.mass2": np.linspace(0.4, 0.6, 11),
-        "controller.model.muscle1.law.a1": np.linspace(-250, -240, 11),
-    }
-    batches = {
-        bits: mk.simulate_many(
-            plant, scenario.control(), scenario.reference(), over=over, keep=["angle", "command1"], every=0.01,
-            engine="native", precision=bits, initial=scenario.initial(plant), chunk=16, **timing(scenario),
-        )
-        for bits in (32, 64)
-    }  # fmt: skip
-    assert [batch.table.attrs["engine"] for batch in batches.values()] == ["native", "native"]
-    near, right = batches[32], batches[64]
+def test_batches_in_32_bits_are_near_those_in_64(scenario, in_64_bits):
+    near, right = batch(scenario, engine="native", precision=32), in_64_bits
+    assert [batch.table.attrs["engine"] for batch in (near, right)] == ["native", "native"]
     assert near["angle"].dtype == np.float32
     for name, tolerance in (("angle", 5e-6), ("command1", 4e-4 * 8e5)):
         errors = np.abs(near[name] - right[name]).max(axis=1)

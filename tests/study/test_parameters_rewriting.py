@@ -1,5 +1,6 @@
 """A scenario's text with other numbers: what was not asked for stays, to the character."""
 
+import functools
 import re
 from pathlib import Path
 
@@ -115,12 +116,19 @@ def test_stranger_forms_of_yaml_still_read_as_what_was_asked_for(strange):
         assert Scenario.parse(edit_scenario(strange, {name: value})) == with_values(before, {name: value})
 
 
+@functools.cache
+def known(text):
+    """A scenario of ours, and what can be varied in it."""
+    scenario = Scenario.parse(text, folder=EXAMPLES)
+    return scenario, list_parameters(scenario)
+
+
 @settings(max_examples=40)
 @given(st.data())
 def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
     text = data.draw(st.sampled_from([*TEXTS.values(), BLOCK]))
-    scenario = Scenario.parse(text, folder=EXAMPLES)
-    chosen = data.draw(st.lists(st.sampled_from(list_parameters(scenario)), min_size=1, max_size=8, unique=True))
+    scenario, parameters = known(text)
+    chosen = data.draw(st.lists(st.sampled_from(parameters), min_size=1, max_size=8, unique=True))
     values = {}
     for address in chosen:
         if address.is_integer:
