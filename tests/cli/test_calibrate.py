@@ -71,6 +71,7 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
         ("--duration", "5 s"),
         ("--weighted", "w.csv"),
         ("--weight", "20 kg", "--distance", "200 mm"),
+        ("--weight=-0.5 kg", "--distance=-200 mm"),
         ("--plan",),
     ],
 )

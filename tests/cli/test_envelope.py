@@ -92,6 +92,24 @@ def test_a_design(cli, printed):
     assert (printed / "kept" / "design.svg").exists()
 
 
+def test_a_design_of_one_muscle_leaves_the_other(cli, printed):
+    target, vary = "stiffness 10..12 N*m/rad over -1..1 deg", ("--vary", "muscle2_length=175..178 mm")
+    found = cli("envelope", "s.yaml", "--design", target, *vary, "--out", "kept", "--force")
+    assert found.code == 0, found.err
+    (length,) = json.loads((printed / "kept" / "results.json").read_text(encoding="utf-8"))["lengths_mm"].values()
+    joint = Scenario.read(printed / "kept" / "design.yaml").plant().joint
+    assert float(joint.muscle1.specimen.initial_length) == 0.18
+    assert float(joint.muscle2.specimen.initial_length) * 1e3 == pytest.approx(length)
+    assert 175 <= length <= 178
+
+
+def test_a_design_that_holds_nothing_is_drawn_too(cli, printed):
+    target, vary = "stiffness 14..18 N*m/rad over -10..10 deg", ("--vary", "muscle_length=1e-9..40 mm")
+    found = cli("envelope", "s.yaml", "--design", target, *vary, "--out", "kept", "--force")
+    assert found.code in (0, 1), found.err
+    assert "infeasible" in found.out
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

@@ -121,6 +121,20 @@ def test_a_search_over_conditions_has_their_margin(cli, scenario, tmp_path):
     assert 1 <= margin <= 10
 
 
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--draws", "4"), "--conditions"),
+        (("--percentile", "50"), "--conditions"),
+        (("--conditions", "load.mass2=0.5 kg"), "does not vary"),
+        (("--conditions", "load.mass2=+-20 %", "--percentile", "101"), "the percentile is 101"),
+    ],
+)
+def test_conditions_that_mean_nothing_are_refused(cli, scenario, arguments, named):
+    found = cli("tune", "s.yaml", "--parameters", "controller.position.kp=1..4 bar/rad", *arguments, "--out", "kept")
+    assert (found.code, named in found.err) == (2, True), found.err
+
+
 def test_json_alone_on_standard_output(cli, scenario, tmp_path):
     found = cli("tune", "s.yaml", *SMALL, "--method", "cma", "--json")
     assert found.code == 0

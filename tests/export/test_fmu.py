@@ -244,6 +244,12 @@ def test_series_springs(scenario, tmp_path, opened):
         assert tension == pytest.approx(float(law.force(contraction, pressures[0])), rel=1e-9)
 
 
+def test_a_return_spring_has_infinite_limits(tmp_path):
+    made = export(Scenario.read("examples/linear-axis.yaml"), "fmu", tmp_path, name="axis")
+    assert not any("binary" in one for one in made.left_out)
+    assert fmpy.validation.validate_fmu(str(tmp_path / "axis.fmu")) == []
+
+
 def test_nothing_is_written_for_numbers_of_32_bits(scenario, tmp_path):
     with pytest.raises(ExportError) as caught:
         export(scenario, "fmu", tmp_path / "out", single=True)

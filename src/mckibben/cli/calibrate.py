@@ -24,7 +24,7 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.cli.rig import run_line
-from mckibben.errors import ParameterError, StoppedError
+from mckibben.errors import ParameterError, StoppedError, quoted
 from mckibben.storage.files import to_json, write_json
 from mckibben.units import show
 
@@ -73,12 +73,16 @@ def calibrate(
     """
     mass = parse_optional_quantity("--weight", weight, "kg") or 0.0
     at = parse_optional_quantity("--distance", distance, "m") or 0.0
-    if (mass > 0) != (at > 0):
+    if (weight is None) != (distance is None):
         raise ParameterError("--weight and --distance go together", remedy="give both, such as '0.5 kg' and '200 mm'")
+    for name, given, text in (("--weight", mass, weight), ("--distance", at, distance)):
+        if text is not None and not given > 0:
+            raise ParameterError(f"{name} is {quoted(text)}", value=given, remedy="give it above 0")
     low, high = parse_limits("--angles", angles, "rad")
     seconds = parse_quantity("--duration", duration, "s")
     if not _LEAST <= seconds <= _MOST:
-        raise ParameterError(f"--duration {duration}", value=seconds, unit="s", lower=_LEAST, upper=_MOST)
+        remedy = f"give {_LEAST:g} to {_MOST:g} s"
+        raise ParameterError(f"--duration is {quoted(duration)}", value=seconds, unit="s", remedy=remedy)
     if weighted and not mass:
         raise ParameterError("--weighted without a weight", remedy="add --weight and --distance")
     if held_out and not (recording or weighted):

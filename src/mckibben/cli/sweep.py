@@ -20,7 +20,7 @@ from mckibben.cli.options import (
     required_folder,
     table,
 )
-from mckibben.errors import McKibbenError, ScenarioError
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, to_json, write_json
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def tune(
             help="Parameter, such as 'load.mass2=+-50 %', whose draws all are simulated for each point; repeatable.",
         ),
     ] = None,
-    draws: Annotated[int, Option(metavar="N", help="Draws of the conditions.")] = 16,
+    draws: Annotated[int | None, Option(metavar="N", min=1, help="Draws of the conditions; default: 16.")] = None,
     percentile: Annotated[
         float | None, Option(metavar="PERCENT", help="Minimise the cost that so many conditions do not exceed.")
     ] = None,
@@ -182,7 +182,12 @@ def tune(
 
     ranges = parse_ranges(parameters or [], read[0])
     asked = parse_cost(cost, gain_margin=margin, worst=worst, percentile=percentile)
-    drawn = sample(parse_sweeps(conditions, read[0]), samples=draws, seed=seed) if conditions else {}
+    if not conditions and (draws is not None or (percentile is not None and len(read) == 1)):
+        raise ParameterError("--draws and --percentile are for conditions", remedy="add --conditions 'NAME=RANGE'")
+    drawn = sample(parse_sweeps(conditions, read[0]), samples=draws or 16, seed=seed) if conditions else {}
+    for name, values in drawn.items():
+        if len(values) > 1 and values.min() == values.max():
+            raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
     history = out / "history.journal"
     if not resume and not history.exists():  # an existing search is reported by `run`
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
@@ -241,7 +246,8 @@ def _show_tuned(
         for run in runs:
             pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]
-            table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
+            title = f"{run['scenario']}{', without the conditions' if drawn else ''}"
+            table(title, ("metric", "before", "tuned", "unit"), rows)
         for name, factor in margins.items():
             least = f"{factor:.2g} times" if factor < _LARGEST else f"{_LARGEST:g} times and more"
             echo(f"{name}: in all conditions the tuned gains may rise to {least} before the error does by half")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import os
 import platform
 import re
@@ -22,6 +23,8 @@ from xml.etree import ElementTree as ET
 
 import mckibben
 from mckibben.codegen.c import write_c
+from mckibben.codegen.graph import Kind
+from mckibben.codegen.languages import c_language
 from mckibben.codegen.source_module import Function, SourceModule, element, is_scalar
 from mckibben.units import deg, dimensions
 
@@ -168,9 +171,10 @@ def _wrapper(unit: FunctionalUnit, variables: list[_Variable]) -> str:
         unused = [one for one in ("self", "duration") if one in signature and not any(one in line for line in lines)]
         body = [*(f"(void){one};" for one in unused), *lines]
         text.append("\n".join([f"static void {signature}", "{", *(f"    {line}" for line in body), "}\n"]))
+    starts = [c_language().literal(one.start or 0.0, Kind.REAL) for one in variables]
     table = [
-        f"    {{offsetof(content, {one.place}), '{one.kind}', {one.start or 0.0!r}, {_NOMINAL.get(one.unit, 1.0)!r}}},"
-        for one in variables
+        f"    {{offsetof(content, {one.place}), '{one.kind}', {start}, {_NOMINAL.get(one.unit, 1.0)!r}}},"
+        for one, start in zip(variables, starts, strict=True)
     ]
     references = {
         "state_references": ", ".join(map(str, states)) or "0",
@@ -273,7 +277,7 @@ def _add_variable(parent: ET.Element, reference: int, one: _Variable, states: li
     if one.unit in _NOMINAL:
         real["nominal"] = repr(_NOMINAL[one.unit])
     if one.start is not None:
-        real["start"] = repr(float(one.start))
+        real["start"] = repr(float(one.start)).upper() if math.isinf(one.start) else repr(float(one.start))
     if one.rate_of is not None:
         real["derivative"] = str(states[one.rate_of])
     ET.SubElement(scalar, "Real", real)

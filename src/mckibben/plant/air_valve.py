@@ -256,7 +256,7 @@ class FlowValve(AirValve):
     spool_lag: PositiveTime = eqx.field(kw_only=True, default=2 * ms)
     dead_zone: DeadZone = eqx.field(kw_only=True, default=0.0)
     compensation: Compensation = eqx.field(kw_only=True, default=0.9)
-    direct: bool = eqx.field(kw_only=True, default=False)
+    direct: bool = eqx.field(kw_only=True, default=False, static=True)
 
     def __check_init__(self) -> None:
         super().__check_init__()

@@ -184,8 +184,14 @@ def save_design(scenario: Scenario, found: Design, path: Path) -> bool:
     The initial stiffness is dropped where it is no longer attainable.
     """
     known = design_lengths(found.plant)
+    places = {place: value for name, value in found.lengths.items() for place in known[name]}
+    joint = scenario.joint
+    own = [{place[1:]: value for place, value in places.items() if place[0] == name} for name in ("muscle1", "muscle2")]
+    if joint.muscle is not None and True not in found.plant.joint.springs and own[0] != own[1]:
+        each = {"muscle": None, "muscle1": joint.muscle, "muscle2": joint.muscle}
+        scenario = scenario.model_copy(update={"joint": joint.model_copy(update=each)})
     try:
-        values = {_address(scenario, place): value for name, value in found.lengths.items() for place in known[name]}
+        values = {_address(scenario, place): value for place, value in places.items()}
         changed = with_values(scenario, values)
     except ParameterError:
         return False

@@ -262,6 +262,8 @@ def minus(value: float, form: str = ".1f") -> str:
 def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look: Any) -> None:
     """Shade the area between two curves in the background, with a limited number of vertices."""
     x, low, high = (np.asarray(values, float) for values in (x, low, high))
+    if not len(x):
+        return
     every = max(len(x) // _MOST_VERTICES, 1)
     kept = np.unique(np.append(np.arange(0, len(x), every), len(x) - 1))
     style = {"color": BAND, "linewidth": 0.0, "zorder": 0} | look

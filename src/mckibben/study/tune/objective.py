@@ -105,7 +105,9 @@ class Cost:
             )
         if self.percentile is not None:
             if not 0 < self.percentile <= 100:
-                raise ParameterError("no percentile", value=self.percentile, lower=0.0, upper=100.0)
+                raise ParameterError(
+                    f"the percentile is {self.percentile:g}", value=self.percentile, remedy="give above 0, up to 100"
+                )
             if self.worst:
                 raise ParameterError("the worst is the percentile 100", remedy="give one of the two")
 
@@ -297,9 +299,10 @@ class TuningProblem:
         else:
             rank = math.ceil(percentile / 100 * count) - 1
             shares[np.argsort(costs, axis=0)[rank], np.arange(rows)] = 1.0
-        total = np.where(np.any(costs >= FAILED_COST, axis=0), FAILED_COST, np.sum(shares * costs, axis=0)).reshape(
-            -1, sets
-        )
+        total = np.sum(shares * costs, axis=0)
+        if percentile is None:
+            total[np.any(costs >= FAILED_COST, axis=0)] = FAILED_COST
+        total = total.reshape(-1, sets)
         worse = np.argmax(total, axis=0)
         chosen = np.arange(total.shape[0])[:, None] == worse
         return total[worse, np.arange(sets)], shares * chosen.reshape(-1)
