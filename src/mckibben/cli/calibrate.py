@@ -73,10 +73,10 @@ def calibrate(
     """
     mass = parse_optional_quantity("--weight", weight, "kg") or 0.0
     at = parse_optional_quantity("--distance", distance, "m") or 0.0
-    if (weight is None) != (distance is None):
+    if bool(weight) != bool(distance):
         raise ParameterError("--weight and --distance go together", remedy="give both, such as '0.5 kg' and '200 mm'")
     for name, given, text in (("--weight", mass, weight), ("--distance", at, distance)):
-        if text is not None and not given > 0:
+        if text and not given > 0:
             raise ParameterError(f"{name} is {quoted(text)}", value=given, remedy="give it above 0")
     low, high = parse_limits("--angles", angles, "rad")
     seconds = parse_quantity("--duration", duration, "s")

@@ -1,4 +1,4 @@
-"""What the server keeps of a browser, computations in threads, and long jobs with progress."""
+"""State of a browser on the server, computations in threads, and long jobs with progress."""
 
 from __future__ import annotations
 
