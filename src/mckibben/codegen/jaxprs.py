@@ -1,4 +1,4 @@
-"""Questions about a jaxpr: its size, where an equation was written, and what differs between runs."""
+"""Analysis of a jaxpr: its size, the source line of an equation, and values that vary over lanes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def source(equation: Any) -> str:
 
 
 def varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], columns: Sequence[bool]) -> list[bool]:
-    """Which variables of a loop differ between runs, given which constants, first values and columns do."""
+    """Loop-carried variables that vary over lanes, by those constants, initial values and columns that do."""
     carry = list(carry)
     while True:
         results = _varying(body.jaxpr, [*constants, *carry, *columns])[: len(carry)]
@@ -44,7 +44,7 @@ def varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], c
 
 
 def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
-    """Which results of a jaxpr differ between runs, given which inputs do; branches and stored rows count as such."""
+    """Results that vary over lanes, by the inputs that do; those of branches and of stored rows always."""
     known = dict(zip(jaxpr.invars, inputs, strict=True))
 
     def read(variable: Any) -> bool:

@@ -62,7 +62,7 @@ def width(single: bool) -> int:
 
 
 def prelude(single: bool) -> str:
-    """What programs for many runs begin with: `V` are W real numbers, `I` integers, `D` and `L` those of 64 bits."""
+    """Definitions of vector types: `V` of W real numbers, `I` of integers, `D` and `L` of those of 64 bits."""
     real, suffix, bits = ("float", "f", 32) if single else ("double", "", 64)
     names = {"ROOT": "sqrt", "NEAREST": "rint", "FLOOR": "floor", "CEIL": "ceil"}
     vectors = {"V": real, "I": f"int{bits}_t", "U": f"uint{bits}_t", "D": "double", "L": "int64_t"}

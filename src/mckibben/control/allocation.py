@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import computed_once
+from mckibben.numerics.compiled import computed_once
 
 Scalar = Float[Array, ""]
 

@@ -22,8 +22,8 @@ from mckibben.control.observer import Observer, PressureObserver
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import computed_once
 from mckibben.numerics.checks import check_kind
+from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
 
 Scalar = Float[Array, ""]

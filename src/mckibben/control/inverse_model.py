@@ -17,8 +17,8 @@ from mckibben.control.reference import ReferenceDerivatives
 from mckibben.joint import Load
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import computed_once
 from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import (
     AngleScale,

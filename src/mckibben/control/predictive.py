@@ -19,9 +19,9 @@ from mckibben.control.observer import ExtendedStateObserver, Observer, PressureO
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
 from mckibben.units import AngleScale, Bandwidth, Count, Iterations, PoleDamping, PositiveTime, StiffnessScale, bar, deg
 

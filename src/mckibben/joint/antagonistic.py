@@ -16,10 +16,9 @@ from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.muscle import warn_outside
 from mckibben.notebook import Displayed
-from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_positive, check_within
-from mckibben.numerics.compiled import compiled_alone
+from mckibben.numerics.compiled import compiled_alone, computed_once
 from mckibben.numerics.elementary import floating
 
 MuscleStates = tuple[MuscleState, MuscleState]

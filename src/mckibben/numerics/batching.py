@@ -15,7 +15,6 @@ from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -247,29 +246,3 @@ def compute_once(function: Callable[..., R], *args: object) -> R:
     zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
     # The barrier keeps XLA from removing the branch.
     return lax.cond(lax.optimization_barrier(jnp.asarray(1.0)) > 0, call, lambda: zeros)
-
-
-def computed_once(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator for functions and methods that are always called by `compute_once`, and traced once a structure."""
-
-    @functools.partial(jax.jit, static_argnums=(0, 1, 2), inline=True)
-    def traced(structure: Any, static: tuple[Any, ...], mode: Any, arrays: Sequence[Any]) -> R:
-        rest = iter(arrays)
-        given: Any = jax.tree.unflatten(structure, [next(rest) if leaf is _TRACED else leaf for leaf in static])
-        call: Callable[..., R] = function
-        return call(*given[0], **given[1])
-
-    @functools.wraps(function)
-    def once(*args: P.args, **kwargs: P.kwargs) -> R:
-        leaves, structure = jax.tree.flatten((args, kwargs))
-        arrays = [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
-        if not any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):
-            return compute_once(lambda: function(*args, **kwargs))
-        static = tuple(_TRACED if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
-        return compute_once(lambda: traced(structure, static, trace_mode(), arrays))
-
-    return once
-
-
-_ARRAYS = (jax.Array, np.ndarray, np.generic)
-_TRACED = "traced"  # in place of an array

@@ -12,7 +12,7 @@ import jax
 import jax.core
 import numpy as np
 
-from mckibben.numerics.batching import trace_mode
+from mckibben.numerics.batching import compute_once, trace_mode
 from mckibben.numerics.program_cache import ARRAY, load_or_compile
 from mckibben.numerics.runtime import batch_options, programs_folder
 
@@ -53,10 +53,26 @@ def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs)))
-        return (function if traced else alone)(*args, **kwargs)
+        return (function if _is_traced((args, kwargs)) else alone)(*args, **kwargs)
 
     return call
+
+
+def computed_once(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for functions and methods that are always called by `compute_once`, and traced once a structure."""
+    program = Program(function)
+
+    @functools.wraps(function)
+    def once(*args: P.args, **kwargs: P.kwargs) -> R:
+        call = program if _is_traced((args, kwargs)) else function
+        return compute_once(lambda: call(*args, **kwargs))
+
+    return once
+
+
+def _is_traced(tree: Any) -> bool:
+    """Whether another program is being traced with a tree."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def compiled_as_given(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
@@ -82,14 +98,18 @@ class Program:
         self._function = function
         self._options = options
         self._programs: dict[Any, Callable[..., Any]] = {}
+        self._parts: dict[Any, Callable[..., Any]] = {}
         self._locks: dict[Any, threading.RLock] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         leaves, structure = jax.tree.flatten((args, kwargs))
         arrays = [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
         static = tuple(ARRAY if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):  # part of another program
-            return self._jitted(structure, static)(*arrays)
+        if _is_traced(arrays):  # part of another program
+            known = (structure, static, tuple(map(type, static)), trace_mode())
+            if (program := self._parts.get(known)) is None:
+                program = self._parts[known] = self._jitted(structure, static, inline=True)
+            return program(*arrays)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in arrays)
         folder = programs_folder()
         key = (structure, static, tuple(map(type, static)), kinds, trace_mode(), folder)
@@ -105,7 +125,7 @@ class Program:
                     return answer
         return program(*arrays)
 
-    def _jitted(self, structure: Any, static: tuple[Any, ...]) -> Any:
+    def _jitted(self, structure: Any, static: tuple[Any, ...], *, inline: bool = False) -> Any:
         """`jax.jit` of the function over its array leaves."""
 
         def call(*arrays: Any) -> Any:
@@ -113,4 +133,6 @@ class Program:
             args, kwargs = jax.tree.unflatten(structure, [next(rest) if leaf is ARRAY else leaf for leaf in static])
             return self._function(*args, **kwargs)
 
+        if inline:
+            return jax.jit(call, inline=True)
         return jax.jit(call, compiler_options=self._options() or None)

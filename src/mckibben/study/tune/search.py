@@ -187,7 +187,7 @@ _MIN_POPULATION = {Method.EVOLUTION: 5, Method.CMA: 4}
 
 
 def check_method(method: Method, *, numbers: int, population: int) -> None:
-    """Check that the package of a method is there, and that it can search so many parameters."""
+    """Check that a method can search so many parameters with a population."""
     if method is Method.CMA and numbers < 2:
         raise ParameterError("CMA-ES needs at least two parameters", remedy="use gradient or evolution")
     least = _MIN_POPULATION.get(method, 1)
