@@ -13,19 +13,19 @@ import jax.core
 import numpy as np
 
 from mckibben.numerics.batching import compute_once, trace_mode
-from mckibben.numerics.program_cache import ARRAY, load_or_compile
+from mckibben.numerics.program_cache import ARRAY, ARRAYS, load_or_compile
 from mckibben.numerics.runtime import batch_options, programs_folder
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-_ARRAYS = (jax.Array, np.ndarray, np.generic)
 
 
 def numeric(tree: Any) -> Any:
     """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one)."""
 
     def convert(leaf: Any) -> Any:
+        if isinstance(leaf, float):  # most are, and the rest is slower to ask
+            return np.asarray(leaf, float)
         if isinstance(leaf, Integral) and not isinstance(leaf, bool):
             return np.asarray(leaf)
         if isinstance(leaf, Real) and not isinstance(leaf, bool):
@@ -103,8 +103,8 @@ class Program:
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         leaves, structure = jax.tree.flatten((args, kwargs))
-        arrays = [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
-        static = tuple(ARRAY if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
+        static = tuple(ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves)
+        arrays = [leaf for leaf, kept in zip(leaves, static, strict=True) if kept is ARRAY]
         if _is_traced(arrays):  # part of another program
             known = (structure, static, tuple(map(type, static)), trace_mode())
             if (program := self._parts.get(known)) is None:

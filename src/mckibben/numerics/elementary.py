@@ -26,7 +26,6 @@ class _Constants(NamedTuple):
 
     integer: Any
     mantissa_bits: int
-    exponent_bias: int
     integer_magic: float  # added to an integral float, it leaves the integer in the low bits of the mantissa
     lowest_exp: float  # below it exp is 0 (subnormal results are flushed)
     highest_exp: float  # above it exp overflows
@@ -40,7 +39,6 @@ class _Constants(NamedTuple):
 _F64 = _Constants(
     integer=jnp.int64,
     mantissa_bits=52,
-    exponent_bias=1023,
     integer_magic=6755399441055744.0,  # 1.5 * 2^52
     lowest_exp=-708.0,
     highest_exp=709.782712893384,
@@ -80,7 +78,6 @@ _F64 = _Constants(
 _F32 = _Constants(
     integer=jnp.int32,
     mantissa_bits=23,
-    exponent_bias=127,
     integer_magic=12582912.0,  # 1.5 * 2^23
     lowest_exp=-86.9,
     highest_exp=88.72283,
@@ -153,21 +150,18 @@ _sincos = jax.jit(_sincos_rule, inline=True)
 
 def _exp_polynomial(x: Array) -> Array:
     k = _constants(x)
-    n = lax.round(x * math.log2(math.e), lax.RoundingMethod.TO_NEAREST_EVEN)
+    n, bits = _rounded(x * math.log2(math.e), k)
     r = (x - n * k.ln2[0]) - n * k.ln2[1]
     value = 1 + (r + r * r * polynomial(r, k.exp))
-    # 2^n has no normal form where n = exponent_bias + 1, hence half of it, twice.
-    bits = _low_bits(n, k)
-    half_power = lax.bitcast_convert_type((bits + (k.exponent_bias - 1)) << k.mantissa_bits, x.dtype)
-    value = (2 * value) * half_power
+    # times 2^n: of the highest n, 2^n has no normal form, but `value` is below 1 there
+    value = _from_bits(_bits(value, k) + (bits << k.mantissa_bits), x.dtype)
     value = jnp.where(x < k.lowest_exp, 0.0, value)
     return jnp.where(x > k.highest_exp, jnp.inf, value)
 
 
 def _sincos_polynomial(x: Array) -> tuple[Array, Array]:
     k = _constants(x)
-    n = lax.round(x * (2 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
-    quadrant = _low_bits(n, k)
+    n, quadrant = _rounded(x * (2 / math.pi), k)
     r = (x - n * k.half_pi[0]) - n * k.half_pi[1]
     z = r * r
     sine = r + r * z * polynomial(z, k.sin)
@@ -177,10 +171,19 @@ def _sincos_polynomial(x: Array) -> tuple[Array, Array]:
     return (jnp.where((quadrant & 2) != 0, -sine, sine), jnp.where(((quadrant + 1) & 2) != 0, -cosine, cosine))
 
 
-def _low_bits(n: Array, k: _Constants) -> Array:
-    """Low bits of an integer stored in a float; conversion instructions do not vectorise everywhere."""
-    # Rounding by adding and subtracting `integer_magic` would save an instruction, but XLA cancels the two constants.
-    return lax.bitcast_convert_type(n + k.integer_magic, k.integer)
+def _rounded(x: Array, k: _Constants) -> tuple[Array, Array]:
+    """The nearest integer as a float, and an integer whose low bits are its; conversions do not vectorise everywhere."""
+    # `reduce_precision` changes nothing, but keeps XLA from cancelling the two constants.
+    shifted = lax.reduce_precision(x + k.integer_magic, jnp.finfo(x.dtype).nexp, k.mantissa_bits)
+    return shifted - k.integer_magic, _bits(shifted, k)
+
+
+def _bits(x: Array, k: _Constants) -> Array:
+    return lax.bitcast_convert_type(x, k.integer)
+
+
+def _from_bits(bits: Array, dtype: Any) -> Array:
+    return lax.bitcast_convert_type(bits, dtype)
 
 
 def polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:

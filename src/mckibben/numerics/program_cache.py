@@ -43,6 +43,7 @@ class _Array:
 
 
 ARRAY = _Array()
+ARRAYS = (np.ndarray, np.generic, jax.Array)  # in this order: it is slow to ask whether something is JAX's
 
 
 class FingerprintError(ValueError):

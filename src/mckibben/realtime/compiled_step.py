@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, PlantState
 
 _FURTHEST = np.pi / 2  # rad
@@ -51,7 +52,7 @@ def _torque(plant: JointPlant, angles: ArrayLike) -> Array:
     return plant.joint.torque(angles, (0.0, 0.0)) + plant.load.gravity_torque(angles)
 
 
-_ARRAYS = (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)
+_ARRAYS = (*ARRAYS, jax.ShapeDtypeStruct)
 
 
 class FlatTree:
