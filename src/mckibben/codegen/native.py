@@ -258,7 +258,8 @@ def _compiler_state() -> str:
     if name is None:
         return ""
     status = Path(name).resolve().stat()
-    return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {_FLAGS} {_ALONE} {_FOR_LANES} {_FOR_SHORT} {_own_flags()}"
+    options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, _own_flags()
+    return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 
 def _input(x: Any) -> Any:

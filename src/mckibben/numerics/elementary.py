@@ -172,8 +172,9 @@ def _sincos_polynomial(x: Array) -> tuple[Array, Array]:
 
 
 def _rounded(x: Array, k: _Constants) -> tuple[Array, Array]:
-    """The nearest integer as a float, and an integer whose low bits are its; conversions do not vectorise everywhere."""
-    # `reduce_precision` changes nothing, but keeps XLA from cancelling the two constants.
+    """The nearest integer as a float, and the integer in the low bits of another."""
+    # Conversions to integers do not vectorise everywhere. `reduce_precision` changes nothing, but keeps XLA from
+    # cancelling the two constants.
     shifted = lax.reduce_precision(x + k.integer_magic, jnp.finfo(x.dtype).nexp, k.mantissa_bits)
     return shifted - k.integer_magic, _bits(shifted, k)
 

@@ -15,7 +15,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.control.base import Controller, Reference
+from mckibben.codegen.native import NativeFunction
+from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import (
     batched_program,
@@ -27,8 +28,9 @@ from mckibben.numerics.batching import (
 )
 from mckibben.numerics.compiled import compiled_as_given, compiled_batch
 from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.engine import compute_with
 from mckibben.simulation.loop import streaming_episode
-from mckibben.simulation.metrics import Metrics, last_change
+from mckibben.simulation.metrics import Change, Metrics, last_change
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -38,6 +40,7 @@ from mckibben.simulation.problem import (
     split_problem,
 )
 
+_Begun = tuple[PlantState, Setpoint, Change]  # the last of the stiffness; some of their leaves
 _FEW = 10  # up to so many parameters forward differentiation is faster
 _LANES = 8  # runs computed together: one vector of 64-bit numbers
 
@@ -80,7 +83,8 @@ def differentiate(
 ) -> Derivatives:
     """Derivatives of metrics with respect to named numbers: sensitivities, or gradients for tuning.
 
-    They include the dependence of an initial state at rest. Metrics that count or search (times, settling) have
+    With a C compiler, forward derivatives of one run are emitted as C, as runs are (`simulate`). They include the
+    dependence of an initial state at rest. Metrics that count or search (times, settling) have
     derivatives that are zero or jump; that of the largest error is taken at the moment of the largest error.
 
     Parameters
@@ -117,7 +121,10 @@ def differentiate(
     asked = _Asked(substeps, tuple(metrics), tuple(parameters), mode, count is not None)
     period = jnp.asarray(control_period, float)
     if count is None:
-        return _in_order(asked, *jax.tree.map(np.asarray, _single(lanes, shared, times, period, asked)))
+        native = lambda: _natively(shared, numbers, times, period, asked)  # noqa: E731
+        by_xla = lambda: jax.tree.map(np.asarray, _single(lanes, shared, times, period, asked))  # noqa: E731
+        engine = "auto" if mode is Mode.FORWARD else "xla"
+        return _in_order(asked, *compute_with(engine, np.float64, native, by_xla)[0])
 
     def answers(piece: slice) -> Any:
         found = _many(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
@@ -196,13 +203,73 @@ def _derivatives(
 _single, _many = compiled_as_given(_derivatives), compiled_batch(_derivatives)  # wide vectors slow a single run down
 
 
+def _natively(
+    shared: SimulationProblem, numbers: dict[str, Any], times: ArrayLike, period: ArrayLike, asked: _Asked
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """`_single` forwards: the directions are runs side by side, in a program of the C compiler."""
+    leaves, structure = jax.tree.flatten(numbers)
+    flat: Any = np.concatenate([np.ravel(leaf) for leaf in leaves])
+    varying, tangents, (rest, exists, split) = _begun(shared, flat, times, asked)
+    values, slopes = _along((shared, flat, varying, rest, split, period, asked), (np.eye(flat.size), tangents))
+    ends = np.cumsum([np.size(leaf) for leaf in leaves])[:-1]
+
+    def shaped(slope: Any) -> dict[str, Any]:
+        parts = zip(np.split(slope, ends), leaves, strict=True)
+        return jax.tree.unflatten(structure, [part.reshape(np.shape(leaf)) for part, leaf in parts])
+
+    return (
+        {name: np.where(exists, value[..., 0], np.nan) for name, value in values.items()},
+        {name: shaped(slope) for name, slope in slopes.items()},
+    )
+
+
+@compiled_as_given
+def _begun(
+    shared: SimulationProblem, flat: Array, times: ArrayLike, asked: _Asked
+) -> tuple[_Begun, _Begun, tuple[_Begun, Array, Array | None]]:
+    """What varies with the parameters at the beginning, its derivatives; the rest, and whether the state exists."""
+    of_reference = eqx.is_inexact_array if any(name.startswith("reference.") for name in asked.parameters) else False
+
+    def begin(flat: Array) -> tuple[_Begun, tuple[_Begun, Array, Array | None]]:
+        run = _restored(shared, flat, asked)
+        setpoints = sample_reference(run.reference, times)
+        start, exists = run.start(setpoints)
+        change = last_change(setpoints.stiffness)
+        kinds = eqx.is_inexact_array, of_reference, of_reference
+        varying, rest = eqx.partition((start, setpoints, change), kinds)
+        return varying, (rest, exists, _split(change, times, asked))
+
+    def along(direction: Array) -> Any:
+        return jax.jvp(begin, (flat,), (direction,), has_aux=True)
+
+    return jax.vmap(along, out_axes=(None, -1, None))(jnp.eye(flat.size))
+
+
+@NativeFunction
+def _along(parts: Any, lane: Any) -> Any:
+    """Metrics, and their derivatives in one direction."""
+    shared, flat, varying, rest, split, period, asked = parts
+
+    def measured(flat: Array, varying: _Begun) -> dict[str, Array]:
+        run, (start, setpoints, change) = _restored(shared, flat, asked), eqx.combine(varying, rest)
+        found = streaming_episode(
+            run.plant, run.controller, setpoints, start, period, asked.substeps, change=change, split=split
+        )
+        return {name: getattr(found.metrics, name) for name in asked.metrics}
+
+    return jax.jvp(measured, (flat, varying), lane)
+
+
+def _restored(shared: SimulationProblem, flat: Array, asked: _Asked) -> SimulationProblem:
+    """The problem with other numbers."""
+    _, restored = ravel_pytree(select_leaves(shared._asdict(), asked.parameters))
+    return SimulationProblem(**replace_leaves(shared._asdict(), restored(flat)))
+
+
 def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:
     setpoints = sample_reference(run.reference, times)
     start, exists = run.start(setpoints)
-    split = None
-    if "coupling" in asked.metrics:
-        change = last_change(setpoints.stiffness)
-        split = jnp.where(change.ends, change.at, jnp.size(times))
+    split = _split(last_change(setpoints.stiffness), times, asked)
     with batched_program(rolled=asked.many):
         found = streaming_episode(
             run.plant,
@@ -215,3 +282,8 @@ def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked:
             checkpoint=asked.mode is Mode.REVERSE,
         )
     return {name: jnp.where(exists, getattr(found.metrics, name), jnp.nan) for name in asked.metrics}
+
+
+def _split(change: Change, times: ArrayLike, asked: _Asked) -> Array | None:
+    """Period from which the run without the last change of the stiffness is computed too, where that is asked for."""
+    return jnp.where(change.ends, change.at, jnp.size(times)) if "coupling" in asked.metrics else None
