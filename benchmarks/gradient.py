@@ -43,7 +43,7 @@ def gradient(problem: Problem, folder: Path, *, quick: bool) -> Table:
         def run() -> object:
             return jax.block_until_ready(compiled_episode(*traced, SUBSTEPS))
 
-        return Candidate(OWN, run, base=OWN, note="the compiled loop of the first table, PID")
+        return Candidate(OWN, run, base=OWN, note="the loop by XLA of the first table, PID")
 
     def by_c() -> Candidate:
         run = differences()

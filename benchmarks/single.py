@@ -17,6 +17,7 @@ from timing import Bench
 from mckibben import simulate
 from mckibben.control import Controller
 from mckibben.numerics.compiled import numeric
+from mckibben.simulation.engine import run_alone
 from mckibben.simulation.loop import compiled_episode
 
 SAME = 1e-9  # rad
@@ -50,8 +51,17 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
 
     def compiled(controller: Controller, base: str) -> Candidate:
         loop = _loop(problem, controller)
-        name, note = f"ours, compiled loop, {_loops(base)}", "all records kept"
+        name, note = f"ours, loop by XLA, {_loops(base)}", "all records kept"
         return replace(candidate(name, _angle_of(loop), base=base, note=note), run=loop)
+
+    def native(controller: Controller, base: str) -> Candidate:
+        parts = numeric((problem.plant, controller, problem.setpoints, problem.start))
+        kind = np.float64(PERIOD)
+
+        def run() -> Angles:
+            return run_alone("native", *parts, kind, SUBSTEPS)[0].state.angle
+
+        return candidate(f"ours, native loop, {_loops(base)}", run, base=base, note="all records kept")
 
     def simulated(controller: Controller, base: str) -> Candidate:
         def run() -> Angles:
@@ -122,11 +132,13 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
         return candidate("python-control", python_control.angles(part), part, note=note)
 
     bench.add("plain C", plain_c)
-    bench.add("ours, compiled loop, PID", lambda: compiled(problem.pid, PID_BASE))
+    bench.add("ours, native loop, PID", lambda: native(problem.pid, PID_BASE))
+    bench.add("ours, loop by XLA, PID", lambda: compiled(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate, PID", lambda: simulated(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate, engine='xla', PID", lambda: by_xla(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate and metrics, PID", lambda: measured(problem.pid, PID_BASE))
-    bench.add("ours, compiled loop, BP", lambda: compiled(problem.bp, BP_BASE))
+    bench.add("ours, native loop, BP", lambda: native(problem.bp, BP_BASE))
+    bench.add("ours, loop by XLA, BP", lambda: compiled(problem.bp, BP_BASE))
     bench.add("ours, mk.simulate, BP", lambda: simulated(problem.bp, BP_BASE))
     bench.add("CasADi, generated C", casadi_c, install="casadi")
     bench.add("CasADi, virtual machine", casadi, install="casadi")

@@ -1,4 +1,4 @@
-"""How long a step of each controller takes in the compiled loop, on one core.
+"""How long a step of each controller takes in the loop by XLA, on one core.
 
     python benchmarks/steps.py [SUITE.yaml]
 

@@ -11,6 +11,7 @@ from jax import lax
 from mckibben.codegen import SourceModule, write_c
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.errors import ExportError
+from mckibben.numerics import elementary
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 X = np.random.default_rng(1).normal(size=21)
@@ -172,3 +173,20 @@ def test_remainders_of_integers_in_lanes():
     found = NativeFunction(lambda _, x: (x % 4, jnp.asarray(x) * 1.5 % 1.0))(None, numbers)
     assert np.array_equal(found[0], numbers % 4)
     assert np.allclose(found[1], numbers * 1.5 % 1.0)
+
+
+def test_functions_of_one_run_are_right_to_about_an_ulp():
+    @NativeFunction
+    def values(x, _):
+        return lax.map(lambda x: jnp.stack([elementary.exp(x), *elementary.sincos(x), jnp.tanh(x)]), x)
+
+    ends = [-np.inf, -708.1, 0.0, 709.7827, 709.79, np.inf]
+    x = np.concatenate([np.linspace(-708, 709.7, 20001), np.random.default_rng(2).uniform(-30, 30, 20000), ends])
+    with np.errstate(over="ignore", invalid="ignore"):
+        exact = [f(x.astype(np.longdouble)).astype(float) for f in (np.exp, np.sin, np.cos, np.tanh)]
+        exp, sine, cosine, tanh = values(x).T
+        np.testing.assert_allclose(exp[:-6], exact[0][:-6], rtol=4e-16)
+    for found, right in zip((sine, cosine, tanh), exact[1:], strict=True):
+        np.testing.assert_allclose(found[1:-1], right[1:-1], rtol=0, atol=3e-16)
+    assert exp[-6:].tolist() == [0.0, 0.0, 1.0, pytest.approx(exact[0][-3], rel=4e-16), np.inf, np.inf]
+    assert np.isnan(values(np.array([np.nan]))).all()

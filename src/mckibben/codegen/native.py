@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from mckibben.codegen.functions import definitions, native_language
 from mckibben.codegen.graph import Graph, Kind, StoredArray
-from mckibben.codegen.languages import c_language
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.source_module import inputs_of
 from mckibben.codegen.vectors import HEADERS, SUFFIX, VectorWriter, prelude, width
@@ -118,7 +118,7 @@ class _Split:
     @property
     def key(self) -> tuple[Any, ...]:
         """Cache key: structure, static leaves, shapes and types, without the number of runs."""
-        kinds = tuple((x.shape[:-1] if self.lanes else x.shape, x.dtype.str) for x in self.arrays)
+        kinds = tuple((x.shape[:-1] if self.lanes else x.shape, x.dtype.char) for x in self.arrays)
         return self.structure, self.static, tuple(map(type, self.static)), kinds
 
     def filled(self, arrays: Sequence[Any]) -> Any:
@@ -140,9 +140,12 @@ class _Compiled:
         """Results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
-        inputs = [_input(x) for x in given] + [_padded(_input(x), size) for x in varying]
+        scalars, inputs = _inputs(given)
+        inputs += [_padded(_input(x), size) for x in varying]
         outputs = [np.empty((*shape, size), _DTYPES[kind_of(np.dtype(kind))]) for shape, kind in self.leaves]
-        pointers = [(ctypes.c_void_p * len(xs))(*(x.ctypes.data for x in xs)) for xs in (inputs, outputs)]
+        first = scalars.ctypes.data
+        places = [first + 8 * x if isinstance(x, int) else x.ctypes.data for x in inputs]
+        pointers = [(ctypes.c_void_p * len(xs))(*xs) for xs in (places, [x.ctypes.data for x in outputs])]
         self.run(*pointers, size, 0, size)
         here = (..., slice(count)) if varying else (..., 0)
         values = [out[here].astype(kind, copy=False) for out, (_, kind) in zip(outputs, self.leaves, strict=True)]
@@ -167,7 +170,9 @@ def write_native(
     results, shape = Lowering(graph).function(function, (given, varying), inputs)
     values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
     writer = (
-        VectorWriter([graph.scope], values, single=single) if varying else Writer([graph.scope], c_language(), values)
+        VectorWriter([graph.scope], values, single=single)
+        if varying
+        else Writer([graph.scope], native_language(), values)
     )
     leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
     kinds = [kind_of(x.dtype) for x in (*given, *varying)], [kind_of(np.dtype(kind)) for _, kind in leaves]
@@ -181,7 +186,7 @@ def write_native(
         "    }",
         "}",
     ]
-    source = "\n".join([prelude(single) if varying else HEADERS, *sorted(writer.helpers), *lines, ""])
+    source = "\n".join([prelude(single) if varying else HEADERS + definitions(), *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
     return Written(source, leaves, jax.tree.structure(shape))
@@ -260,6 +265,20 @@ def _compiler_state() -> str:
     status = Path(name).resolve().stat()
     options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, _own_flags()
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
+
+
+def _inputs(arrays: Sequence[Any]) -> tuple[Any, list[Any]]:
+    """Scalars side by side, as asking for the address of each takes long; the arrays, or places of the scalars."""
+    reals = np.empty(len(arrays))
+    integers = reals.view(np.int64)
+    inputs = []
+    for place, x in enumerate(arrays):
+        if x.ndim:
+            inputs.append(_input(x))
+            continue
+        (reals if x.dtype.kind == "f" else integers)[place] = x
+        inputs.append(place)
+    return reals, inputs
 
 
 def _input(x: Any) -> Any:

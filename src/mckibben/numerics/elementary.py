@@ -36,7 +36,7 @@ class _Constants(NamedTuple):
     cos: tuple[float, ...]
 
 
-_F64 = _Constants(
+DOUBLE = _Constants(
     integer=jnp.int64,
     mantissa_bits=52,
     integer_magic=6755399441055744.0,  # 1.5 * 2^52
@@ -200,7 +200,7 @@ def polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
 
 def _constants(x: Array) -> _Constants:
     if x.dtype == jnp.float64:
-        return _F64
+        return DOUBLE
     if x.dtype == jnp.float32:
         return _F32
     raise TypeError(f"fast elementary functions take float32 and float64, not {x.dtype}")
