@@ -274,14 +274,12 @@ def _mjcf(
 """
 
 
-def mjcf_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The plant of a scenario as MJCF, and the plugin for its muscles."""
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.substeps
     model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))
     left_out = ("controller and reference of the scenario: data.ctrl is yours", *model.left_out)
-    if single:
-        left_out = (*left_out, "32-bit numbers: MuJoCo has 64")
     files = plugin_files(
         model.module, model.muscles, model.xml, f"the joint of the scenario {scenario.name!r}", left_out
     )
