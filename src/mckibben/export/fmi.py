@@ -21,7 +21,7 @@ from mckibben.codegen.c import write_c
 from mckibben.codegen.graph import Kind
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.source_module import Function, SourceModule, is_scalar
-from mckibben.export.functional_unit import FunctionalUnit, Variable, variables_of
+from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, variables_of
 from mckibben.export.model_description import NOMINAL, build_description, model_description
 
 _PLATFORM = {2: "linux64", 3: "x86_64-linux"}  # folder of the binary
@@ -73,7 +73,7 @@ def _archive(contents: Mapping[str, str | bytes]) -> bytes:
     return archive.getvalue()
 
 
-def _values(unit: FunctionalUnit, variables: Sequence[Variable]) -> dict[str, object]:
+def _values(unit: FunctionalUnit, variables: Sequence[ScalarVariable]) -> dict[str, object]:
     """What the templates of the sources leave open, but for the token."""
     module = unit.module
     functions = {one.name: one for one in module.functions}

@@ -32,7 +32,7 @@ class FunctionalUnit:
     model_exchange: bool = False
 
 
-class Variable(NamedTuple):
+class ScalarVariable(NamedTuple):
     """A number of an FMU; its index in the list of all is its value reference."""
 
     name: str
@@ -43,9 +43,9 @@ class Variable(NamedTuple):
     rate_of: int | None = None  # index among the states
 
 
-def variables_of(unit: FunctionalUnit) -> tuple[list[Variable], list[str]]:
+def variables_of(unit: FunctionalUnit) -> tuple[list[ScalarVariable], list[str]]:
     """Variables of an FMU, and the names of parameters that are none, as no description may hold what is not finite."""
-    variables, fixed = list[Variable](), list[str]()
+    variables, fixed = list[ScalarVariable](), list[str]()
     for one in _variables(unit):
         if one.start is None or math.isfinite(one.start):
             variables.append(one)
@@ -57,12 +57,12 @@ def variables_of(unit: FunctionalUnit) -> tuple[list[Variable], list[str]]:
     return variables, fixed
 
 
-def _variables(unit: FunctionalUnit) -> Iterator[Variable]:
+def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
     """Inputs, states with their rates, results, parameters, time."""
     module, functions = unit.module, {one.name: one for one in unit.module.functions}
     results = functions["evaluate"]
     for name, place, path in _elements(module, "inputs", results.arguments["inputs"]):
-        yield Variable(name, place, "i", unit.units.get(f"inputs.{path}", ""), unit.start[path])
+        yield ScalarVariable(name, place, "i", unit.units.get(f"inputs.{path}", ""), unit.start[path])
     rates = functions["differentiate"].results["rates"] if "differentiate" in functions else []
     paths = {member.path: name for member in rates for name in [unit.names.get(member.path, member.path)]}
     states = {}
@@ -70,20 +70,20 @@ def _variables(unit: FunctionalUnit) -> Iterator[Variable]:
         if path in unit.start or path in paths:
             states[path] = unit.names.get(path, name)
             kind = "s" if path in unit.start else "c"
-            yield Variable(states[path], place, kind, unit.units.get(f"state.{path}", ""), unit.start.get(path))
+            yield ScalarVariable(states[path], place, kind, unit.units.get(f"state.{path}", ""), unit.start.get(path))
     for _, place, path in _elements(module, "rates", rates):
         held = unit.units.get(f"state.{path}", "")
-        yield Variable(f"der({states[path]})", place, "o", _per_second(held), None, list(states).index(path))
+        yield ScalarVariable(f"der({states[path]})", place, "o", _per_second(held), None, list(states).index(path))
     for name, place, path in _elements(module, "results", results.results["results"]):
-        yield Variable(name, place, "o", unit.units.get(f"results.{path}", ""))
+        yield ScalarVariable(name, place, "o", unit.units.get(f"results.{path}", ""))
     for member in module.members:
         if member.path not in unit.fixed:
             given = unit.units.get(f"parameters.{member.path}", "")
             for number, value in enumerate(member.value.flat):
                 place = f"model.{element('parameters', member, number)}"
                 short = member.path.removeprefix(module.prefix)
-                yield Variable(_named(short, number if member.shape else None), place, "p", given, value.item())
-    yield Variable("time", "time", "t")
+                yield ScalarVariable(_named(short, number if member.shape else None), place, "p", given, value.item())
+    yield ScalarVariable("time", "time", "t")
 
 
 def _per_second(unit: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 import mckibben
-from mckibben.export.functional_unit import FunctionalUnit, Variable
+from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable
 from mckibben.units import deg, dimensions
 
 NOMINAL = {"Pa": 1e5, "N": 100.0}
@@ -24,7 +24,7 @@ _ATTRIBUTES = {  # causality, variability and initial of each kind
 
 
 def model_description(
-    unit: FunctionalUnit, variables: Sequence[Variable], token: str, sources: Sequence[str], version: int
+    unit: FunctionalUnit, variables: Sequence[ScalarVariable], token: str, sources: Sequence[str], version: int
 ) -> str:
     """Text of modelDescription.xml."""
     root = ET.Element(
@@ -86,7 +86,7 @@ def _add_interfaces(root: ET.Element, unit: FunctionalUnit, sources: Sequence[st
                     ET.SubElement(listed, "File", name=source)
 
 
-def _add_units(root: ET.Element, variables: Sequence[Variable]) -> None:
+def _add_units(root: ET.Element, variables: Sequence[ScalarVariable]) -> None:
     """Units of the variables in those of SI, and those to show."""
     units = dict.fromkeys(one.unit for one in variables if one.unit)
     if units:
@@ -101,7 +101,7 @@ def _add_units(root: ET.Element, variables: Sequence[Variable]) -> None:
 
 
 def _add_variable(
-    parent: ET.Element, reference: int, one: Variable, variables: Sequence[Variable], version: int
+    parent: ET.Element, reference: int, one: ScalarVariable, variables: Sequence[ScalarVariable], version: int
 ) -> None:
     """A ScalarVariable with a Real (2.0), or a Float64 (3.0)."""
     causality, variability, initial = _ATTRIBUTES[one.kind]
@@ -129,7 +129,7 @@ def _add_variable(
         ET.SubElement(parent, "Float64", attributes | real)
 
 
-def _add_structure(parent: ET.Element, variables: Sequence[Variable], version: int) -> None:
+def _add_structure(parent: ET.Element, variables: Sequence[ScalarVariable], version: int) -> None:
     """Outputs, derivatives, and what is computed in the beginning."""
     numbered = list(enumerate(variables))
     outputs = [number for number, one in numbered if one.kind == "s" or (one.kind == "o" and one.rate_of is None)]
