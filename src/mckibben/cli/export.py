@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _FORMATS = (
     "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
-    "fmu-muscle: FMI 2.0, the joint with load and valves, the controller, or a muscle. mjcf, osim: joint and "
+    "fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle. mjcf, osim: joint and "
     "muscles for MuJoCo and OpenSim."
 )
 
@@ -27,6 +27,9 @@ def export(
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
     name: Annotated[str, Option(metavar="NAME", help="Of the program or model.")] = "",
     single: Annotated[bool, Option("--single", help="Numbers of 32 bits, of c: for processors without 64.")] = False,
+    fmi: Annotated[
+        float | None, Option(metavar="VERSION", help="Version of FMI, 2 or 3, of FMUs. Default: 2.", show_default=False)
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -37,12 +40,12 @@ def export(
 
     with keeping(out):
         if "leg" in (read_document(read_text(scenario)).data or ()):
-            made = _export_leg(scenario, to, out, name, single, force)
+            made = _export_leg(scenario, to, out, name, single, fmi, force)
         else:
             from mckibben.export import export as write
             from mckibben.study.scenario import Scenario
 
-            made = write(Scenario.read(scenario), to, out, name=name, single=single, overwrite=force)
+            made = write(Scenario.read(scenario), to, out, name=name, single=single, fmi=fmi, overwrite=force)
     if json:
         echo(to_json({"files": list(made.files), "left_out": list(made.left_out)}))
         return
@@ -51,7 +54,7 @@ def export(
         echo(f"left out: {one}")
 
 
-def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, force: bool) -> Exported:
+def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: float | None, force: bool) -> Exported:
     """A leg, which MuJoCo alone can hold."""
     if to != "mjcf" or single:
         raise ParameterError(
@@ -60,6 +63,8 @@ def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, force: 
             value=to,
             remedy="give --to mjcf, or a scenario of a joint",
         )
+    if fmi is not None:
+        raise ParameterError("a leg is no FMU", field="fmi", value=fmi, remedy="leave it out")
     from mckibben.export.leg_mjcf import export_leg
     from mckibben.leg import LegScenario
 

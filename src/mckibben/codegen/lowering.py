@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,11 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
+from mckibben.codegen.array_rules import ArrayRules, array_of
 from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
-from mckibben.codegen.jaxprs import CALLS, equations, source, varying_carry
 from mckibben.codegen.polynomials import erf_inv, log1p, log1p_single, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
-from mckibben.codegen.shapes import ShapeRules
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
@@ -35,7 +34,8 @@ _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "rando
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier", "reduce_precision"}
 _RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`: the libraries' are called
-_TAKE_STORED = CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
+_CALLS = {"jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call"}
+_TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
 _LARGEST = 50_000  # elements of an array that is not in memory
 Array = Any  # an array of values, or `Stored`
 
@@ -78,10 +78,10 @@ class _UnsupportedError(Exception):
     def __init__(self, equation: Any) -> None:
         super().__init__(equation.primitive.name)
         self.name = equation.primitive.name
-        self.place = source(equation)
+        self.place = _source(equation)
 
 
-class Lowering(ShapeRules):
+class Lowering(ArrayRules):
     """Adds the equations of jaxprs to a graph."""
 
     def __init__(self, graph: Graph) -> None:
@@ -124,7 +124,7 @@ class Lowering(ShapeRules):
             try:
                 results = self._equation(equation, given)
             except _UnsupportedError as error:
-                error.place = error.place or source(equation)
+                error.place = error.place or _source(equation)
                 raise
             known.update(zip(equation.outvars, results, strict=True))
         return [read(one) for one in jaxpr.outvars]
@@ -149,7 +149,7 @@ class Lowering(ShapeRules):
         """Constants of the shape of a number or array."""
         number = np.asarray(number)
         kind = kind_of(number.dtype)
-        return _array(number.shape, lambda at: self._graph.constant(number[at], kind))
+        return array_of(number.shape, lambda at: self._graph.constant(number[at], kind))
 
     def _equation(self, equation: Any, arguments: list[Array]) -> Sequence[Array]:
         """Results of one equation."""
@@ -172,7 +172,7 @@ class Lowering(ShapeRules):
             return [self._elementwise(lambda *xs: self._operation(name, aval.dtype, *xs), *arguments)]
         if name in _SAME:
             return arguments
-        if name in CALLS:
+        if name in _CALLS:
             inner = parameters.get("jaxpr") or parameters["call_jaxpr"]
             if rule := self._rule(name, inner, arguments):
                 return [
@@ -211,95 +211,15 @@ class Lowering(ShapeRules):
         if name != "random_bits" or parameters["bit_width"] not in (32, 64):
             return [first]
         places = np.arange(math.prod(aval.shape)).reshape(aval.shape)
-        return [_array(aval.shape, lambda at: random_bits(self._graph, key, int(places[at]), parameters["bit_width"]))]
+        return [
+            array_of(aval.shape, lambda at: random_bits(self._graph, key, int(places[at]), parameters["bit_width"]))
+        ]
 
     def _rule(self, name: str, inner: Any, arguments: list[Array]) -> tuple[str, ...]:
         """Operations in place of a polynomial of the project, but where all lanes are computed side by side."""
         if name != "custom_jvp_call" or not all(map(_is_uniform, arguments)):
             return ()
         return _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
-
-    def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
-        if not any(one.ndim for one in arrays):  # nearly always
-            result = np.empty((), object)
-            result[()] = function(*(one[()] for one in arrays))
-            return result
-        arrays = np.broadcast_arrays(*arrays)
-        return _array(arrays[0].shape, lambda at: function(*(one[at] for one in arrays)))
-
-    # Elementwise, with parameters
-
-    def _square(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._elementwise(lambda x: self._graph.power(x, 2), x)
-
-    def _integer_pow(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._elementwise(lambda x: self._graph.power(x, parameters["y"]), x)
-
-    def _rsqrt(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        one = self._graph.constant(1.0, kind)
-        root = lambda x: self._graph.operation("sqrt", kind, x)  # noqa: E731
-        return self._elementwise(lambda x: self._graph.operation("div", kind, one, root(x)), x)
-
-    def _logistic(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        one, operation = self._graph.constant(1.0, kind), self._graph.operation
-
-        def logistic(x: Value) -> Value:
-            power = operation("exp", kind, operation("neg", kind, x))
-            return operation("div", kind, one, operation("add", kind, one, power))
-
-        return self._elementwise(logistic, x)
-
-    def _round(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
-        if parameters["rounding_method"] is not jax.lax.RoundingMethod.TO_NEAREST_EVEN:
-            return None
-        return self._elementwise(lambda x: self._graph.operation("round", kind, x), x)
-
-    def _select_n(self, parameters: Any, kind: Kind, shape: Any, which: Array, *cases: Array) -> Array:
-        result = cases[0]
-        for number, case in enumerate(cases[1:], 1):
-            chosen = which
-            if len(cases) > 2 or (which.size and which.flat[0].kind is Kind.INTEGER):
-                at_least = self._graph.constant(number, Kind.INTEGER)
-                compare = lambda x, n=at_least: self._graph.operation("ge", Kind.BOOLEAN, x, n)  # noqa: E731
-                chosen = self._elementwise(compare, which)
-            select = lambda c, yes, no: self._graph.operation("select", kind, c, yes, no)  # noqa: E731
-            result = self._elementwise(select, chosen, case, result)
-        return result
-
-    def _clamp(self, parameters: Any, kind: Kind, shape: Any, low: Array, x: Array, high: Array) -> Array:
-        operation = self._graph.operation
-        within = lambda low, x, high: operation("min", kind, operation("max", kind, x, low), high)  # noqa: E731
-        return self._elementwise(within, low, x, high)
-
-    def _convert_element_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        def convert(x: Value) -> Value:
-            result = self._graph.operation(kind.value, kind, x)
-            if np.dtype(parameters["new_dtype"]) == np.uint32 and x.kind is not Kind.BOOLEAN:
-                result = self._graph.operation("and", kind, result, self._graph.constant(MASK, kind))
-            return result
-
-        return self._elementwise(convert, x)
-
-    def _bitcast_convert_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
-        names = {"f8": "from_bits", "f4": "from_bits_32", "i8": "bits"}
-        if self._graph.single:
-            names = {"f4": "from_bits_32", "i4": "bits"}
-        name = names.get(np.dtype(parameters["new_dtype"]).str[1:])
-        if name is None or (self._graph.single and x.flat[0].uniform):
-            return None
-        return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
-
-    def _shift_right_logical(self, parameters: Any, kind: Kind, shape: Any, x: Array, places: Array) -> Array:
-        def shifted(x: Value, places: Value) -> Value:
-            result = self._graph.operation("shift_right", kind, x, places)
-            if places.constant is None:
-                return result
-            rest = self._graph.constant((1 << (64 - places.constant)) - 1, kind)  # of a word of 64 bits
-            return self._graph.operation("and", kind, result, rest)
-
-        return self._elementwise(shifted, x, places)
-
-    # Shapes
 
     def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
@@ -310,43 +230,6 @@ class Lowering(ShapeRules):
         if len(shape) == 1:
             return Stored(tuple(shape), kind)
         return self.literal(jax.lax.broadcasted_iota(parameters["dtype"], shape, parameters["dimension"]))
-
-    # Reductions
-
-    def _reduce(self, name: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
-        rest = [axis for axis in range(x.ndim) if axis not in axes]
-        rows = x.transpose([*axes, *rest]).reshape(-1, *(x.shape[axis] for axis in rest))
-        result, *others = (np.asarray(row, object) for row in rows)
-        for row in others:
-            result = self._elementwise(lambda x, y: self._graph.operation(name, kind, x, y), result, row)
-        return result
-
-    def _reduce_sum(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("add", parameters["axes"], kind, x)
-
-    def _reduce_max(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("max", parameters["axes"], kind, x)
-
-    def _reduce_min(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("min", parameters["axes"], kind, x)
-
-    def _reduce_and(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("and", parameters["axes"], kind, x)
-
-    def _reduce_or(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("or", parameters["axes"], kind, x)
-
-    def _dot_general(self, parameters: Any, kind: Kind, shape: Any, x: Array, y: Array) -> Array | None:
-        (over_x, over_y), (batch, _) = parameters["dimension_numbers"]
-        if batch:
-            return None
-        left = np.moveaxis(x, over_x, range(len(over_x)))
-        right = np.moveaxis(y, over_y, range(len(over_y)))
-        count = len(over_x)
-        left = left.reshape(*left.shape, *[1] * (right.ndim - count))
-        right = right.reshape(*right.shape[:count], *[1] * (x.ndim - count), *right.shape[count:])
-        terms = self._elementwise(lambda x, y: self._graph.operation("mul", kind, x, y), left, right)
-        return self._reduce("add", range(count), kind, terms) if count else terms
 
     # Control flow
 
@@ -364,7 +247,7 @@ class Lowering(ShapeRules):
                 return [value for one in found[-1] for value in one.flat]
 
             chosen = iter(self._graph.branch(condition, [lambda one=one: body(one) for one in reversed(branches)]))
-            return [_array(one.shape, lambda _: next(chosen)) for one in found[0]]
+            return [array_of(one.shape, lambda _: next(chosen)) for one in found[0]]
         cases = [list(map(self.plain, self._closed(branch, arguments))) for branch in branches]
         return [
             self._select_n(None, kind_of_values(results[0]), None, which, *results)
@@ -380,17 +263,17 @@ class Lowering(ShapeRules):
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
         carry = [self.plain(one) for one in arguments[count : count + carries]]
-        if length * equations(body.jaxpr) <= _UNROLLED or length <= 1:
+        if length * _equations(body.jaxpr) <= _UNROLLED or length <= 1:
             return self._unrolled(body, length, reverse, constants, carry, list(map(self.plain, columns)))
         columns = [one if isinstance(one, Stored) else self._stored(one) for one in columns]
         inner: list[Array] = []
         varying = [False] * len(carry)
         if self._graph.lanes:
-            varying = varying_carry(body, *([not _is_uniform(x) for x in xs] for xs in (constants, carry, columns)))
+            varying = _varying_carry(body, *([not _is_uniform(x) for x in xs] for xs in (constants, carry, columns)))
 
         def passes(loop: ForLoop) -> list[list[Value]]:
             for one, varies in zip(carry, varying, strict=True):
-                inner.append(_array(one.shape, lambda at, one=one, u=not varies: self._graph.carry(loop, one[at], u)))
+                inner.append(array_of(one.shape, lambda at, one=one, u=not varies: self._graph.carry(loop, one[at], u)))
             rows = [self._row(loop, column) for column in columns]
             results = list(map(self.plain, self._closed(body, [*constants, *inner, *rows])))
             following = [value for one in results[:carries] for value in one.flat]
@@ -401,7 +284,7 @@ class Lowering(ShapeRules):
 
         loop = self._graph.loop(length, passes, reverse=reverse)
         last = iter([self._graph.after(one) for one in loop.carried])
-        results = [_array(one.shape, lambda _: next(last)) for one in carry]
+        results = [array_of(one.shape, lambda _: next(last)) for one in carry]
         rows = inner[carries:]
         return results + [
             Stored((length, *row.shape), array.kind, array) for array, row in zip(loop.arrays, rows, strict=True)
@@ -421,7 +304,7 @@ class Lowering(ShapeRules):
         first = condition(carry)
 
         def passes(loop: ForLoop) -> list[list[Value]]:
-            inner = [_array(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry]
+            inner = [array_of(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry]
             results = list(map(self.plain, self._closed(parameters["body_jaxpr"], [*constants, *inner])))
             self._graph.carry(loop, first)
             loop.going = loop.carried[-1]
@@ -431,7 +314,7 @@ class Lowering(ShapeRules):
             return []
 
         last = iter([self._graph.after(one) for one in self._graph.loop(0, passes).carried])
-        return [_array(one.shape, lambda _: next(last)) for one in carry]
+        return [array_of(one.shape, lambda _: next(last)) for one in carry]
 
     def _custom_linear_solve(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
         counts = parameters["const_lengths"]
@@ -449,14 +332,14 @@ class Lowering(ShapeRules):
         size = math.prod(shape)
         places = iter(range(column.begin, column.begin + size))
         if array is not None:
-            return _array(shape, lambda _: self._graph.element(array, loop.row, size, next(places), loop.scope))
+            return array_of(shape, lambda _: self._graph.element(array, loop.row, size, next(places), loop.scope))
         operation, integer = self._graph.operation, Kind.INTEGER
         start = operation("mul", integer, loop.row, self._graph.constant(size, integer))
 
         def number(place: int) -> Value:
             return operation("add", integer, start, self._graph.constant(place, integer))
 
-        return _array(shape, lambda _: operation(column.kind.value, column.kind, number(next(places))))
+        return array_of(shape, lambda _: operation(column.kind.value, column.kind, number(next(places))))
 
     def _unrolled(
         self, body: Any, length: int, reverse: bool, constants: Any, carry: Sequence[Array], columns: Any
@@ -489,9 +372,58 @@ def kind_of_values(array: Array) -> Kind:
     return array.flat[0].kind if array.size else Kind.REAL
 
 
-def _array(shape: tuple[int, ...], value: Callable[[tuple[int, ...]], Value]) -> Array:
-    """Array of values, by their place."""
-    result = np.empty(shape, object)
-    for at in np.ndindex(*shape):
-        result[at] = value(at)
-    return result
+def _equations(jaxpr: Any) -> int:
+    """Equations of a jaxpr, with those of inner ones."""
+    return sum(1 + sum(map(_equations, _inner(equation))) for equation in jaxpr.eqns)
+
+
+def _inner(equation: Any) -> Iterator[Any]:
+    for value in equation.params.values():
+        for one in value if isinstance(value, tuple) else (value,):
+            inner = getattr(one, "jaxpr", one)
+            if hasattr(inner, "eqns"):
+                yield inner
+
+
+def _source(equation: Any) -> str:
+    """Where an equation was written."""
+    traceback = equation.source_info.traceback
+    for frame in traceback.frames if traceback is not None else ():
+        if "/jax/" not in frame.file_name and "/equinox/" not in frame.file_name:
+            return f"{frame.file_name.rpartition('/')[2]}, line {frame.line_num}, in {frame.function_name}"
+    return ""
+
+
+def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], columns: Sequence[bool]) -> list[bool]:
+    """Loop-carried variables that vary over lanes, by those constants, initial values and columns that do."""
+    carry = list(carry)
+    while True:
+        results = _varying(body.jaxpr, [*constants, *carry, *columns])[: len(carry)]
+        following = [before or after for before, after in zip(carry, results, strict=True)]
+        if following == carry:
+            return carry
+        carry = following
+
+
+def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
+    """Results that vary over lanes, by the inputs that do; those of branches and of stored rows always."""
+    known = dict(zip(jaxpr.invars, inputs, strict=True))
+
+    def read(variable: Any) -> bool:
+        return not isinstance(variable, core.Literal) and known.get(variable, False)
+
+    for equation in jaxpr.eqns:
+        given, parameters = list(map(read, equation.invars)), equation.params
+        results = [any(given)] * len(equation.outvars)
+        if equation.primitive.name in _CALLS:
+            inner = parameters.get("jaxpr") or parameters["call_jaxpr"]
+            results = _varying(getattr(inner, "jaxpr", inner), given)
+        elif equation.primitive.name == "scan":
+            begin = parameters["num_consts"]
+            end = begin + parameters["num_carry"]
+            carry = _varying_carry(parameters["jaxpr"], given[:begin], given[begin:end], given[end:])
+            results = carry + [True] * (len(results) - len(carry))
+        elif equation.primitive.name == "cond":
+            results = [True] * len(results)
+        known.update(zip(equation.outvars, results, strict=True))
+    return list(map(read, jaxpr.outvars))

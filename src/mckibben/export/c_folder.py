@@ -16,7 +16,7 @@ from mckibben.study.scenario import Scenario
 _TOLERANCES = "1e-9", "1e-4"  # in 64 and 32 bits, of a command, relative to the largest one
 
 
-def c_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False) -> Exported:
     """The controller of a scenario as C99, with a program that checks it and a sketch for microcontrollers."""
     made = controller_module(scenario, name)
     module, text = made.module, scenario.dumps(folder=folder)

@@ -13,7 +13,8 @@ import numpy as np
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.controller import controller_functions, is_real, units_of
-from mckibben.export.fmi2 import FunctionalUnit, fmu
+from mckibben.export.fmi import fmu
+from mckibben.export.functional_unit import FunctionalUnit
 from mckibben.export.targets import Exported
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import derivative
@@ -51,7 +52,7 @@ _CONTROLLER_INPUTS = {
 }
 
 
-def plant_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def plant_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
     given = scenario.plant()
     plant = dataclasses.replace(given, sensors=PerfectSensors(), disturbance=NoDisturbance())
@@ -59,8 +60,8 @@ def plant_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Expo
     unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.substeps)
     if not given.has_ideal_io:
         left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
-    content, missing = fmu(unit, scenario.dumps(folder=folder))
-    return Exported({f"{name}.fmu": content}, (*left_out, *filter(None, [missing])))
+    content, missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+    return Exported({f"{name}.fmu": content}, (*left_out, *missing))
 
 
 def plant_unit(
@@ -156,7 +157,7 @@ def plant_unit(
     return unit, why
 
 
-def muscle_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def muscle_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
     """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ."""
     joint = numeric(scenario.plant().joint)
     muscles = {name: joint.muscle1}
@@ -164,9 +165,9 @@ def muscle_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exp
         muscles = {f"{name}1": joint.muscle1, f"{name}2": joint.muscle2}
     made, left_out = {}, list[str]()
     for each, muscle in muscles.items():
-        content, missing = fmu(_muscle_unit(muscle, each, scenario.control_period), scenario.dumps(folder=folder))
-        made[f"{each}.fmu"] = content
-        left_out += [missing] if missing else []
+        unit = _muscle_unit(muscle, each, scenario.control_period)
+        made[f"{each}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+        left_out += missing
         if muscle.has_creep or getattr(muscle.friction, "viscous", 0.0):
             left_out.append(f"{each}: creep and viscous friction, which follow the rate of the contraction")
     return Exported(made, tuple(dict.fromkeys(left_out)))
@@ -203,7 +204,7 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     return FunctionalUnit(module, title, period, start, units | units_of(muscle, "parameters"), model_exchange=True)
 
 
-def controller_fmu(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def controller_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
     """The controller for co-simulation with steps of the control period."""
     source = controller_functions(scenario)
     module = SourceModule(name, source.parameters, "controller.")
@@ -251,5 +252,5 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path, single: bool) ->
         fixed=("control_period",),
         sampled=True,
     )
-    content, missing = fmu(unit, scenario.dumps(folder=folder))
-    return Exported({f"{name}.fmu": content}, tuple(filter(None, [missing])))
+    content, missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+    return Exported({f"{name}.fmu": content}, tuple(missing))

@@ -11,7 +11,7 @@ from mckibben.export.targets import Exported
 from mckibben.study.scenario import Scenario
 
 
-def js_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The controller of a scenario as a script for pages and Node."""
     module, left_out = controller_program(controller_functions(scenario), name)
     period = f"{scenario.control_period * 1e3:g} ms"

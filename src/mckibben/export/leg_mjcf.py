@@ -14,7 +14,6 @@ from xml.sax.saxutils import quoteattr
 import equinox as eqx
 import jax.numpy as jnp
 
-import mckibben
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
@@ -23,8 +22,10 @@ from mckibben.export.mjcf import (
     check_tendon,
     check_valve,
     command_range,
-    numbers_text,
+    keyframe,
+    mjcf_document,
     path_transmission,
+    plugin_actuator,
     transmissions,
 )
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
@@ -386,17 +387,11 @@ def _mjcf(
     leg, contact, friction = plant.leg, found["ground"], found["friction"]
     actuators, controls, acts = [], [], []
     for number, (one, made) in enumerate(zip(driven, functions, strict=False), 1):  # a scene has no functions
-        low, high = command_range(plant.valve, one.limits)
-        limited = f'ctrllimited="true" ctrlrange="{numbers_text((low, high))}"' if low < high else 'ctrllimited="false"'
-        actuators.append(
-            f'<plugin name={_name(one.name)} {one.target} plugin="mckibben.{name}" '
-            f'{made.summary.dynamics(plant.valve)} {limited}><config key="muscle" value="{number}"/></plugin>'
-        )
+        dynamics, limits = made.summary.dynamics(plant.valve), command_range(plant.valve, one.limits)
+        actuators.append(plugin_actuator(name, number, one.name, one.target, dynamics, limits))
         controls.append(0.0 if getattr(plant.valve, "direct", False) else made.pressure)
         acts += list(made.activations)
-    posture, velocity = (numbers_text(coordinates(plant, of)) for of in (start.posture, start.velocity))
-    act = f' act="{numbers_text(acts)}"' if acts else ""
-    control = f'ctrl="{numbers_text(controls)}"' if controls else ""
+    posture, velocity = (coordinates(plant, of) for of in (start.posture, start.velocity))
     fixed = leg.trunk.freedom == "fixed"
     body = f'<body name="trunk" pos="0 0 {float(start.posture.z) if fixed else 0.0!r}">{_TRUNK[leg.trunk.freedom]}'
     top = max(_height(bodies[0]), 0.1)
@@ -406,16 +401,10 @@ def _mjcf(
         assert frame.joint is not None
         body += "\n    " + frame.opened(found.get(frame.joint.name)) + "".join(frame.inside)
     body += "</body>" * len(bodies)
-    tendons = "\n    ".join(one.tendon for one in driven if one.tendon)
     joints = [frame.joint.name for frame in bodies[1:] if frame.joint is not None and frame.joint.locked is None]
     sensors = "".join(f"<jointpos name={_name(one)} joint={_name(one)}/>" for one in joints)
     mu = float(plant.ground.friction)
-    return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
-<mujoco model="{name}">
-  <extension>{f'<plugin plugin="mckibben.{name}"/>' if functions else ""}</extension>
-  <compiler angle="radian" autolimits="true"/>
-  <option timestep="{timestep!r}" integrator="RK4" gravity="0 0 {-float(plant.gravity)!r}"
-    cone="elliptic" impratio="{FRICTION_RATIO!r}"/>
+    scene = f"""<option cone="elliptic" impratio="{FRICTION_RATIO!r}"/>
   <visual>
     <global offwidth="1280" offheight="1280"/><map znear="0.01"/><quality shadowsize="4096" offsamples="8"/>
     <headlight ambient="0.55 0.55 0.55" diffuse="0.25 0.25 0.25" specular="0.1 0.1 0.1"/><rgba haze="1 1 1 1"/>
@@ -442,17 +431,17 @@ def _mjcf(
   <contact>
     <pair geom1="floor" geom2="foot" condim="3" friction="{mu!r} {mu!r} 0 0 0" solref="{contact.reference}"
       solreffriction="{friction.reference}" solimp="{contact.impedance}"/>
-  </contact>
-  <tendon>
-    {tendons}
-  </tendon>
-  <actuator>
-    {"".join(actuators)}
-  </actuator>
-  <sensor>{sensors}</sensor>
-  <keyframe><key name="start" qpos="{posture}" qvel="{velocity}"{act} {control}/></keyframe>
-</mujoco>
-"""
+  </contact>"""
+    return mjcf_document(
+        name,
+        timestep=timestep,
+        gravity=float(plant.gravity),
+        scene=scene,
+        tendons=[one.tendon for one in driven if one.tendon],
+        actuators=actuators,
+        sensors=sensors,
+        start=keyframe(qpos=posture, qvel=velocity, act=acts, ctrl=controls),
+    )
 
 
 def _height(trunk: _Frame) -> float:

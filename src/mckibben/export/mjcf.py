@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
 import numpy as np
@@ -115,7 +117,7 @@ def joint_model(
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
     module, muscles, acts = muscle_module(plant, moved, start, name)
     point = mass_point(plant.load)
-    xml = _mjcf(plant, name, timestep, moved, muscles, point, _keyframe(plant, start, acts))
+    xml = _mjcf(plant, name, timestep, moved, muscles, point, start, [number for each in acts for number in each])
     return JointModel(xml, module, muscles, (*left_out, *point.chosen))
 
 
@@ -200,18 +202,57 @@ def command_range(valve: ValveModel, muscle: Muscle) -> tuple[float, float]:
     return float(np.asarray(low)), float(np.asarray(high))
 
 
-def _keyframe(plant: JointPlant, start: PlantState, acts: list[Any]) -> str:
-    numbers = [float(one) for each in acts for one in each]
-    act = f' act="{numbers_text(numbers)}"' if numbers else ""
-    direct = getattr(plant.valve, "direct", False)
-    control = [0.0, 0.0] if direct else [float(one) for one in start.pressures]
-    position, velocity = float(start.angle), float(start.velocity)
-    return f'<key name="start" qpos="{position!r}" qvel="{velocity!r}"{act} ctrl="{numbers_text(control)}"/>'
-
-
 def numbers_text(numbers: Any) -> str:
     """Numbers of an attribute of MJCF."""
     return " ".join(repr(float(one)) for one in numbers)
+
+
+def plugin_actuator(
+    module: str, number: int, name: str, target: str, dynamics: str, limits: tuple[float, float]
+) -> str:
+    """Actuator of a muscle; one without a range of commands, such as a return spring, has no limits."""
+    limited = f'"true" ctrlrange="{numbers_text(limits)}"' if limits[0] < limits[1] else '"false"'
+    return (
+        f'<plugin name={quoteattr(name)} {target} plugin="mckibben.{module}" {dynamics} ctrllimited={limited}>'
+        f'<config key="muscle" value="{number}"/></plugin>'
+    )
+
+
+def keyframe(**numbers: Any) -> str:
+    """The state at the start, from numbers by the names of MuJoCo; of none, nothing is written."""
+    given = " ".join(f'{key}="{numbers_text(one)}"' for key, one in numbers.items() if len(one))
+    return f'<key name="start" {given}/>'
+
+
+def mjcf_document(
+    name: str,
+    *,
+    timestep: float,
+    gravity: float,
+    scene: str,
+    tendons: Sequence[str],
+    actuators: Sequence[str],
+    sensors: str,
+    start: str,
+) -> str:
+    """MJCF of a scene with muscles and the plugin for their forces, if there are actuators."""
+    separator = "\n    "
+    return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
+<mujoco model="{name}">
+  <extension>{f'<plugin plugin="mckibben.{name}"/>' if actuators else ""}</extension>
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="{timestep!r}" integrator="RK4" gravity="0 0 {-gravity!r}"/>
+  {scene}
+  <tendon>
+    {separator.join(tendons)}
+  </tendon>
+  <actuator>
+    {separator.join(actuators)}
+  </actuator>
+  <sensor>{sensors}</sensor>
+  <keyframe>{start}</keyframe>
+</mujoco>
+"""
 
 
 def _mjcf(
@@ -221,35 +262,24 @@ def _mjcf(
     moved: tuple[Transmission, Transmission],
     muscles: tuple[PluginMuscle, ...],
     point: MassPoint,
-    keyframe: str,
+    start: PlantState,
+    acts: list[Any],
 ) -> str:
     """MJCF of the joint in a vertical plane: its x and y are turned so that gravity points to the hanging angle."""
     sine, cosine = math.sin(float(plant.load.hanging_angle)), math.cos(float(plant.load.hanging_angle))
     mass, distance, rest, _ = point
     inertial = f'pos="0 {-distance!r} 0" mass="{mass!r}" diaginertia="{rest!r} {rest!r} {rest!r}"'
     actuators = []
-    ranges = [command_range(plant.valve, one) for one in (plant.joint.muscle1, plant.joint.muscle2)]
-    for number, (one, muscle, limits) in enumerate(zip(moved, muscles, ranges, strict=True), 1):
+    both = plant.joint.muscle1, plant.joint.muscle2
+    for number, (one, summary, muscle) in enumerate(zip(moved, muscles, both, strict=True), 1):
         target = f'tendon="muscle{number}"' if one.tendon else 'joint="joint"'
-        limited = 'ctrllimited="false"'  # a return spring has no pressure
-        if limits[0] < limits[1]:
-            limited = f'ctrllimited="true" ctrlrange="{numbers_text(limits)}"'
-        actuators.append(
-            f'<plugin name="muscle{number}" {target} plugin="mckibben.{name}" {muscle.dynamics(plant.valve)} {limited}>'
-            f'<config key="muscle" value="{number}"/></plugin>'
-        )
-    fixed, moving, tendons = (
-        "\n    ".join(filter(None, (getattr(one, part) for one in moved)))
-        for part in ("fixed_sites", "moving_sites", "tendon")
+        dynamics, limits = summary.dynamics(plant.valve), command_range(plant.valve, muscle)
+        actuators.append(plugin_actuator(name, number, f"muscle{number}", target, dynamics, limits))
+    fixed, moving = (
+        "\n    ".join(filter(None, (getattr(one, part) for one in moved))) for part in ("fixed_sites", "moving_sites")
     )
     lost = "" if plant.friction is None else f' frictionloss="{float(plant.friction.torque)!r}"'
-    return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
-<mujoco model="{name}">
-  <extension><plugin plugin="mckibben.{name}"/></extension>
-  <compiler angle="radian" autolimits="true"/>
-  <option timestep="{timestep!r}" integrator="RK4" gravity="0 0 {-gravity_of(plant.load)!r}">
-    <flag contact="disable"/>
-  </option>
+    scene = f"""<option><flag contact="disable"/></option>
   <default><geom contype="0" conaffinity="0"/><site size="0.006"/></default>
   <worldbody>
     <body name="base" xyaxes="{cosine!r} 0 {-sine!r} {sine!r} 0 {cosine!r}">
@@ -261,27 +291,26 @@ def _mjcf(
     {moving}
       </body>
     </body>
-  </worldbody>
-  <tendon>
-    {tendons}
-  </tendon>
-  <actuator>
-    {"".join(actuators)}
-  </actuator>
-  <sensor><jointpos name="angle" joint="joint"/><jointvel name="velocity" joint="joint"/></sensor>
-  <keyframe>{keyframe}</keyframe>
-</mujoco>
-"""
+  </worldbody>"""
+    commands = [0.0, 0.0] if getattr(plant.valve, "direct", False) else start.pressures
+    return mjcf_document(
+        name,
+        timestep=timestep,
+        gravity=gravity_of(plant.load),
+        scene=scene,
+        tendons=[one.tendon for one in moved if one.tendon],
+        actuators=actuators,
+        sensors='<jointpos name="angle" joint="joint"/><jointvel name="velocity" joint="joint"/>',
+        start=keyframe(qpos=[start.angle], qvel=[start.velocity], act=acts, ctrl=commands),
+    )
 
 
-def mjcf_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The plant of a scenario as MJCF, and the plugin for its muscles."""
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.substeps
     model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))
     left_out = ("controller and reference of the scenario: data.ctrl is yours", *model.left_out)
-    if single:
-        left_out = (*left_out, "32-bit numbers: MuJoCo has 64")
     files = plugin_files(
         model.module, model.muscles, model.xml, f"the joint of the scenario {scenario.name!r}", left_out
     )

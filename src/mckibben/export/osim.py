@@ -223,7 +223,7 @@ def _osim(plant: JointPlant, name: str, point: MassPoint, forces: str) -> str:
 """
 
 
-def osim_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+def osim_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The joint of a scenario at the pressures of its start."""
     plant = scenario.plant()
     pressure1, pressure2 = (float(one) for one in scenario.initial(plant).pressures)

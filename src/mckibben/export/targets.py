@@ -21,16 +21,17 @@ class Exported(NamedTuple):
     left_out: tuple[str, ...] = ()
 
 
+_FMI = ("fmi",)
 TARGETS = {
-    "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers"),
-    "js": ("mckibben.export.javascript:js_files", "controller as JavaScript, for pages"),
-    "fmu": ("mckibben.export.fmu:plant_fmu", "joint with load and valves as an FMU (FMI 2.0)"),
-    "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller as an FMU, for co-simulation"),
-    "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "force of a muscle as an FMU"),
-    "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint and muscles for MuJoCo, with the C of a plugin"),
-    "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures"),
+    "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers", ("single",)),
+    "js": ("mckibben.export.javascript:js_files", "controller as JavaScript, for pages", ()),
+    "fmu": ("mckibben.export.fmu:plant_fmu", "joint with load and valves as an FMU (FMI 2.0 or 3.0)", _FMI),
+    "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller as an FMU, for co-simulation", _FMI),
+    "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "force of a muscle as an FMU", _FMI),
+    "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint and muscles for MuJoCo, with the C of a plugin", ()),
+    "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures", ()),
 }
-"""Function of each format, ``(scenario, name, folder, single) -> Exported``, and what it is."""
+"""Function of each format, ``(scenario, name, folder, **options) -> Exported``, what it is, and its options."""
 _NAMES = {"fmu": "plant", "fmu-muscle": "muscle", "mjcf": "joint", "osim": "joint"}  # of what is not a controller
 
 
@@ -41,6 +42,7 @@ def export(
     *,
     name: str = "",
     single: bool = False,
+    fmi: float | None = None,
     overwrite: bool = False,
 ) -> Exported:
     """Write a scenario, or its controller, in another format into a folder.
@@ -53,6 +55,8 @@ def export(
         Of the program or model in the format, an identifier; else ``controller``, ``plant``, ``joint`` or ``muscle``.
     single
         Numbers of 32 bits in place of 64, of the format ``c``.
+    fmi
+        Version of the standard of an FMU, 2 (unless given) or 3.
 
     Raises
     ------
@@ -65,13 +69,20 @@ def export(
         raise ParameterError(
             f"{quoted(target)} is no format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
         )
-    if single and target != "c":
-        remedy = "leave it out, or write the format c"
-        raise ExportError(f"{target} has numbers of 64 bits only", field="single", value=single, remedy=remedy)
+    if fmi not in (None, 2, 3):
+        raise ParameterError(f"FMI {fmi:g} cannot be written", field="fmi", value=fmi, remedy="give 2 or 3")
+    options = {"single": single or None, "fmi": fmi and int(fmi)}
+    options = {option: value for option, value in options.items() if value is not None}
+    for option in options:
+        if option not in TARGETS[target][2]:
+            remedy = f"leave it out, or write {' or '.join(one for one in TARGETS if option in TARGETS[one][2])}"
+            raise ExportError(
+                f"{option} does not apply to {target}", field=option, value=options[option], remedy=remedy
+            )
     name = check_name(name or _NAMES.get(target, "controller"))
     module, function = TARGETS[target][0].split(":")
     make: Callable[..., Exported] = getattr(import_module(module), function)
-    made = make(scenario, name, Path(out), single)
+    made = make(scenario, name, Path(out), **options)
     write_exported(made, out, overwrite=overwrite)
     return made
 

@@ -1,0 +1,185 @@
+"""Rules of the primitives that compute, reduce or move the elements of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from mckibben.codegen.graph import Graph, Kind, Value
+from mckibben.codegen.random_bits import MASK
+
+Array = Any  # an array of values
+
+
+class ArrayRules:
+    """A rule for each primitive: its parameters, the kind and shape of the result, and the arguments."""
+
+    _graph: Graph
+
+    def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
+        if not any(one.ndim for one in arrays):  # nearly always
+            result = np.empty((), object)
+            result[()] = function(*(one[()] for one in arrays))
+            return result
+        arrays = np.broadcast_arrays(*arrays)
+        return array_of(arrays[0].shape, lambda at: function(*(one[at] for one in arrays)))
+
+    # Elementwise, with parameters
+
+    def _square(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._elementwise(lambda x: self._graph.power(x, 2), x)
+
+    def _integer_pow(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._elementwise(lambda x: self._graph.power(x, parameters["y"]), x)
+
+    def _rsqrt(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        one = self._graph.constant(1.0, kind)
+        root = lambda x: self._graph.operation("sqrt", kind, x)  # noqa: E731
+        return self._elementwise(lambda x: self._graph.operation("div", kind, one, root(x)), x)
+
+    def _logistic(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        one, operation = self._graph.constant(1.0, kind), self._graph.operation
+
+        def logistic(x: Value) -> Value:
+            power = operation("exp", kind, operation("neg", kind, x))
+            return operation("div", kind, one, operation("add", kind, one, power))
+
+        return self._elementwise(logistic, x)
+
+    def _round(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
+        if parameters["rounding_method"] is not jax.lax.RoundingMethod.TO_NEAREST_EVEN:
+            return None
+        return self._elementwise(lambda x: self._graph.operation("round", kind, x), x)
+
+    def _select_n(self, parameters: Any, kind: Kind, shape: Any, which: Array, *cases: Array) -> Array:
+        result = cases[0]
+        for number, case in enumerate(cases[1:], 1):
+            chosen = which
+            if len(cases) > 2 or (which.size and which.flat[0].kind is Kind.INTEGER):
+                at_least = self._graph.constant(number, Kind.INTEGER)
+                compare = lambda x, n=at_least: self._graph.operation("ge", Kind.BOOLEAN, x, n)  # noqa: E731
+                chosen = self._elementwise(compare, which)
+            select = lambda c, yes, no: self._graph.operation("select", kind, c, yes, no)  # noqa: E731
+            result = self._elementwise(select, chosen, case, result)
+        return result
+
+    def _clamp(self, parameters: Any, kind: Kind, shape: Any, low: Array, x: Array, high: Array) -> Array:
+        operation = self._graph.operation
+        within = lambda low, x, high: operation("min", kind, operation("max", kind, x, low), high)  # noqa: E731
+        return self._elementwise(within, low, x, high)
+
+    def _convert_element_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        def convert(x: Value) -> Value:
+            result = self._graph.operation(kind.value, kind, x)
+            if np.dtype(parameters["new_dtype"]) == np.uint32 and x.kind is not Kind.BOOLEAN:
+                result = self._graph.operation("and", kind, result, self._graph.constant(MASK, kind))
+            return result
+
+        return self._elementwise(convert, x)
+
+    def _bitcast_convert_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
+        names = {"f8": "from_bits", "f4": "from_bits_32", "i8": "bits"}
+        if self._graph.single:
+            names = {"f4": "from_bits_32", "i4": "bits"}
+        name = names.get(np.dtype(parameters["new_dtype"]).str[1:])
+        if name is None or (self._graph.single and x.flat[0].uniform):
+            return None
+        return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
+
+    def _shift_right_logical(self, parameters: Any, kind: Kind, shape: Any, x: Array, places: Array) -> Array:
+        def shifted(x: Value, places: Value) -> Value:
+            result = self._graph.operation("shift_right", kind, x, places)
+            if places.constant is None:
+                return result
+            rest = self._graph.constant((1 << (64 - places.constant)) - 1, kind)  # of a word of 64 bits
+            return self._graph.operation("and", kind, result, rest)
+
+        return self._elementwise(shifted, x, places)
+
+    # Reductions
+
+    def _reduce(self, name: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
+        rest = [axis for axis in range(x.ndim) if axis not in axes]
+        rows = x.transpose([*axes, *rest]).reshape(-1, *(x.shape[axis] for axis in rest))
+        result, *others = (np.asarray(row, object) for row in rows)
+        for row in others:
+            result = self._elementwise(lambda x, y: self._graph.operation(name, kind, x, y), result, row)
+        return result
+
+    def _reduce_sum(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._reduce("add", parameters["axes"], kind, x)
+
+    def _reduce_max(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._reduce("max", parameters["axes"], kind, x)
+
+    def _reduce_min(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._reduce("min", parameters["axes"], kind, x)
+
+    def _reduce_and(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._reduce("and", parameters["axes"], kind, x)
+
+    def _reduce_or(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._reduce("or", parameters["axes"], kind, x)
+
+    def _dot_general(self, parameters: Any, kind: Kind, shape: Any, x: Array, y: Array) -> Array | None:
+        (over_x, over_y), (batch, _) = parameters["dimension_numbers"]
+        if batch:
+            return None
+        left = np.moveaxis(x, over_x, range(len(over_x)))
+        right = np.moveaxis(y, over_y, range(len(over_y)))
+        count = len(over_x)
+        left = left.reshape(*left.shape, *[1] * (right.ndim - count))
+        right = right.reshape(*right.shape[:count], *[1] * (x.ndim - count), *right.shape[count:])
+        terms = self._elementwise(lambda x, y: self._graph.operation("mul", kind, x, y), left, right)
+        return self._reduce("add", range(count), kind, terms) if count else terms
+
+    # Moves
+
+    def _broadcast_in_dim(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        axes = [1] * len(shape)
+        for axis, size in zip(parameters["broadcast_dimensions"], x.shape, strict=True):
+            axes[axis] = size
+        return np.broadcast_to(x.reshape(axes), shape)
+
+    def _transpose(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return x.transpose(parameters["permutation"])
+
+    def _rev(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return np.flip(x, parameters["dimensions"])
+
+    def _concatenate(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
+        return np.concatenate(arrays, parameters["dimension"])
+
+    def _stack(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
+        return np.stack(arrays, parameters.get("axis", 0))
+
+    def _split(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
+        return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
+
+    def _slice(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        strides = parameters["strides"] or [1] * x.ndim
+        ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
+        return x[tuple(slice(*one) for one in ends)]
+
+    def _pad(self, parameters: Any, kind: Kind, shape: Any, x: Array, value: Array) -> Array | None:
+        config = parameters["padding_config"]
+        if any(min(one) < 0 for one in config):
+            return None
+        result = np.broadcast_to(value, shape).copy()
+        result[
+            tuple(
+                slice(low, size - high, between + 1) for (low, high, between), size in zip(config, shape, strict=True)
+            )
+        ] = x
+        return result
+
+
+def array_of(shape: tuple[int, ...], value: Callable[[tuple[int, ...]], Value]) -> Array:
+    """Array of values, by their place."""
+    result = np.empty(shape, object)
+    for at in np.ndindex(*shape):
+        result[at] = value(at)
+    return result

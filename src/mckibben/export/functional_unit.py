@@ -1,0 +1,104 @@
+"""A program with what an FMU adds to it, and its variables."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from mckibben.codegen.source_module import SourceModule, element
+from mckibben.errors import ExportError
+
+
+@dataclass(frozen=True)
+class FunctionalUnit:
+    """A program with what an FMU adds to it.
+
+    Its functions are `init`, of `start` and `inputs`, members of `start` being those of the state; `evaluate`, of state
+    and inputs, with `results`; `differentiate`, of the same, with the `rates` of members of the state; `advance`, of
+    state, inputs and `duration` [s]; and `project`, after a step of an integrator. All but `evaluate` may be missing.
+    """
+
+    module: SourceModule
+    title: str
+    longest: float  # step [s] of `advance`
+    start: Mapping[str, float]  # by the path of a state or input
+    units: Mapping[str, str]  # of variables, by structure and path
+    names: Mapping[str, str] = field(default_factory=dict)  # of states in place of their paths
+    fixed: tuple[str, ...] = ()  # parameters that are none of the FMU
+    sampled: bool = False  # whether a step is a whole number of periods `longest`
+    model_exchange: bool = False
+
+
+class ScalarVariable(NamedTuple):
+    """A number of an FMU; its index in the list of all is its value reference."""
+
+    name: str
+    place: str  # in the C structure
+    kind: str  # p, s, c, i, o, t as in the template
+    unit: str = ""
+    start: float | None = None
+    rate_of: int | None = None  # index among the states
+
+
+def variables_of(unit: FunctionalUnit) -> tuple[list[ScalarVariable], list[str]]:
+    """Variables of an FMU, and the names of parameters that are none, as no description may hold what is not finite."""
+    variables, fixed = list[ScalarVariable](), list[str]()
+    for one in _variables(unit):
+        if one.start is None or math.isfinite(one.start):
+            variables.append(one)
+        elif one.kind == "p":
+            fixed.append(one.name)
+        else:
+            remedy = "give a finite one in the scenario"
+            raise ExportError(f"the start of {one.name} is not finite", field=one.name, value=one.start, remedy=remedy)
+    return variables, fixed
+
+
+def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
+    """Inputs, states with their rates, results, parameters, time."""
+    module, functions = unit.module, {one.name: one for one in unit.module.functions}
+    results = functions["evaluate"]
+    for name, place, path in _elements(module, "inputs", results.arguments["inputs"]):
+        yield ScalarVariable(name, place, "i", unit.units.get(f"inputs.{path}", ""), unit.start[path])
+    rates = functions["differentiate"].results["rates"] if "differentiate" in functions else []
+    paths = {member.path: name for member in rates for name in [unit.names.get(member.path, member.path)]}
+    states = {}
+    for name, place, path in _elements(module, "model.state", module.state):
+        if path in unit.start or path in paths:
+            states[path] = unit.names.get(path, name)
+            kind = "s" if path in unit.start else "c"
+            yield ScalarVariable(states[path], place, kind, unit.units.get(f"state.{path}", ""), unit.start.get(path))
+    for _, place, path in _elements(module, "rates", rates):
+        held = unit.units.get(f"state.{path}", "")
+        yield ScalarVariable(f"der({states[path]})", place, "o", _per_second(held), None, list(states).index(path))
+    for name, place, path in _elements(module, "results", results.results["results"]):
+        yield ScalarVariable(name, place, "o", unit.units.get(f"results.{path}", ""))
+    for member in module.members:
+        if member.path not in unit.fixed:
+            given = unit.units.get(f"parameters.{member.path}", "")
+            for number, value in enumerate(member.value.flat):
+                place = f"model.{element('parameters', member, number)}"
+                short = member.path.removeprefix(module.prefix)
+                yield ScalarVariable(_named(short, number if member.shape else None), place, "p", given, value.item())
+    yield ScalarVariable("time", "time", "t")
+
+
+def _per_second(unit: str) -> str:
+    return f"{unit}^2" if unit.endswith("/s") else f"{unit}/s" if unit else ""
+
+
+def _elements(module: SourceModule, structure: str, members: Any) -> Iterator[tuple[str, str, str]]:
+    """Name, place and path of each number in a structure."""
+    for member in members:
+        for number in range(member.size):
+            place = element(structure, member, number)
+            yield _named(member.path, number if member.shape else None), place, member.path
+
+
+def _named(path: str, number: int | None) -> str:
+    """A structured name from a path, such as muscles[1].creep[1]."""
+    text = path if number is None else f"{path}.{number}"
+    return re.sub(r"\.(\d+)", lambda match: f"[{int(match[1]) + 1}]", text)
