@@ -31,6 +31,7 @@ def elementwise(x):
         jnp.where((x > 0) & ~(y < 1) | (x == y), x, -y) + jnp.clip(x, -0.5, 0.5) + jax.nn.sigmoid(x),
         (x > 0) ^ (y > 1),
         (x * 4).astype(int) + jnp.where(x > 0, 2, 3),
+        lax.reduce_precision(x, 8, 23) + lax.reduce_precision(y, 11, 52),
     )
 
 

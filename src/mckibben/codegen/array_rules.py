@@ -54,6 +54,13 @@ class ArrayRules:
             return None
         return self._elementwise(lambda x: self._graph.operation("round", kind, x), x)
 
+    def _reduce_precision(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
+        bits = parameters["exponent_bits"], parameters["mantissa_bits"]
+        if bits == (11, 52) or (bits == (8, 23) and self._graph.single):
+            return x
+        single = lambda x: x if x.operation == "single" else self._graph.operation("single", kind, x)  # noqa: E731
+        return self._elementwise(single, x) if bits == (8, 23) else None
+
     def _select_n(self, parameters: Any, kind: Kind, shape: Any, which: Array, *cases: Array) -> Array:
         result = cases[0]
         for number, case in enumerate(cases[1:], 1):

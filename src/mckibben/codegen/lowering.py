@@ -32,7 +32,7 @@ _BINARY = {
 }  # fmt: skip
 _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
-_SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier", "reduce_precision"}
+_SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
 _RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`: the libraries' are called
 _CALLS = {"jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call"}
 _TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}

@@ -19,7 +19,8 @@ _FAR = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.005739
 def tanh(x: Any) -> Any:
     """Hyperbolic tangent, right to an absolute 2e-16."""
     power = elementary.exp(-2 * jnp.abs(x))
-    return jnp.sign(x) * ((1 - power) / (1 + power))
+    value = (1 - power) / (1 + power)
+    return jnp.where(x < 0, -value, value)
 
 
 def log1p(x: Any) -> Any:
