@@ -13,7 +13,7 @@ from mckibben.export.mjcf import joint_model
 from mckibben.export.plant import plant_module
 from mckibben.plant import FlowValve
 from mckibben.realtime import PERFECT, SimulatedJoint
-from mckibben.simulation import run_episode
+from mckibben.simulation import differentiate, run_episode
 from mckibben.study.parameters import batched, find_parameter
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, litre, ms
@@ -79,6 +79,17 @@ def test_runs_of_a_batch_are_those_alone(late, engine):
     assert batch["angle"][0] == pytest.approx(at_once["angle"], abs=1e-12)
     early, between, last = batch["angle"]
     assert 0 < np.abs(between - early).max() < np.abs(last - early).max()
+
+
+def test_the_derivative_is_that_of_differences(late):
+    scenario, by = Scenario.parse(SCENARIO), 1e-6
+    parts, times = (scenario.control(), scenario.reference()), {"duration": 0.1, "control_period": PERIOD}
+    name, metrics = "plant.command_delay", ["angle_rmse"]
+    found = differentiate(late(3.4 * PERIOD), *parts, [name], metrics=metrics, **times).gradients["angle_rmse"][name]
+    ends = mk.simulate_many(
+        late(0.0), *parts, over={name: [3.4 * PERIOD - by, 3.4 * PERIOD + by]}, metrics=metrics, **times
+    )
+    assert float(found) == pytest.approx(float(np.diff(ends["angle_rmse"])[0]) / (2 * by), rel=1e-4)
 
 
 def test_without_a_delay_there_is_no_state(late):
