@@ -9,8 +9,9 @@ one direction than in the other, and the muscles creep: a Maxwell arm each of 15
 The weight is clipped on for half of the duration.
 Then the runs of the suite's evaluation are computed with PID, and with the decoupling controller with the model before
 and after; errors are those of the plant's true stiffness. "Covered": part of the time along the sweeps that the 95 %
-intervals hold the true stiffness, mean over plants, and the part of plants where they hold it for at least half of the
-time. With load cells (gains 1 % wrong) there is no weight.
+intervals hold the true stiffness, mean over plants with its standard error, and the part of plants where they hold it
+for at least half of the time, with the median half width of the intervals. With load cells (gains 1 % wrong) there is
+no weight.
 """
 
 import argparse
@@ -140,7 +141,7 @@ def main():
         mass = 0.0 if cells else given.mass
         sweeps = Sweeps(-10 * deg, 10 * deg, given.duration / (1 if cells else 2), mass, given.distance)
         sets = recordings(plant, nominal, sweeps, zeros, rng, cells)
-        begun, found, covered = time.monotonic(), [], []
+        begun, found, covered, widths = time.monotonic(), [], [], []
         for one in sets:
             found.append(calibrate_joint(control.model, control.load, [each for each, _ in one], JointPrior()))
             angle, first, second, true = (
@@ -149,13 +150,15 @@ def main():
             )
             value, deviation = found[-1].stiffness(angle, (first, second))
             covered.append(np.mean(np.abs(value - true) < 1.96 * deviation))
+            widths.append(np.median(1.96 * deviation))
         seconds = (time.monotonic() - begun) / given.runs
         models = stacked([each.joint for each in found])
         loads = stacked([each.load for each in found])
         rows[name] = errors(dataclasses.replace(control, model=models, load=loads))
         half = np.mean(np.asarray(covered) >= 0.5)
-        share = f"covered {np.mean(covered):.3f} of the time, at least half of it in {half:.3f} of plants"
-        print(f"{name}: {share}; {seconds:.1f} s each")
+        share = f"covered {np.mean(covered):.3f} +- {np.std(covered) / given.runs**0.5:.3f} of the time"
+        share += f", at least half of it in {half:.3f} of plants, +-{np.median(widths):.2f} N*m/rad"
+        print(f"{name}: {share}; {seconds:.1f} s each", flush=True)
     stiffness0 = rows["PID"][1]
     print("| | angle RMSE, median [deg] | stiffness RMSE, median (95 %) [N*m/rad] | against PID |")
     print("|---|---|---|---|")

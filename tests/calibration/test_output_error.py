@@ -48,17 +48,17 @@ def recorded(seed, *, seconds=12.0, friction=None):
         for one, by in zip((joint.muscle1, joint.muscle2), STRENGTHS, strict=True)
     ]
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    plant = JointPlant(joint, dataclasses.replace(LOAD, inertia=0.024), FirstOrderValve(LAG), friction=friction)
-    fine, every = 2 * ms, 5
+    load, fine, every = dataclasses.replace(LOAD, inertia=0.024), 2 * ms, 5
+    plant = JointPlant(joint, load, FirstOrderValve(LAG), friction=friction, command_delay=DELAY).with_period(fine)
     time = np.arange(0.0, seconds, fine)
-    late = jnp.asarray(commands(np.maximum(time - DELAY, 0.0), seed))
-    first = plant.init_state(0.0, tuple(late[0]))
+    sent = jnp.asarray(commands(time, seed))
+    first = plant.init_state(0.0, tuple(sent[0]))
 
     @jax.jit
-    def run(first, late):
-        return lax.scan(lambda s, c: (plant.advance(s, (c[0], c[1]), fine, 1), s.angle), first, late)[1]
+    def run(first, sent):
+        return lax.scan(lambda s, c: (plant.follow(s, (c[0], c[1]), fine, 1), s.angle), first, sent)[1]
 
-    angle = np.asarray(run(first, late))[::every]
+    angle = np.asarray(run(first, sent))[::every]
     at = time[::every]
     noise = np.random.default_rng(seed).standard_normal(angle.size)
     times = at + 0.5 * ms * np.sin(np.arange(at.size))
@@ -108,7 +108,9 @@ def test_the_joints_own_friction_is_told_apart_or_said_not_to_be():
     assert after < 0.2 * before
     example = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
     scenario = Scenario.parse(example + "friction: {torque: 0.3 N*m}\n")
-    assert calibrated_scenario(scenario, found).plant().friction == found.friction
+    calibrated = calibrated_scenario(scenario, found).plant()
+    assert calibrated.friction == found.friction
+    assert calibrated.command_delay == pytest.approx(found.quantities["delay"].value)
 
 
 def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):

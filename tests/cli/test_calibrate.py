@@ -154,6 +154,7 @@ def test_recordings_of_commands(cli, stepped, tmp_path):
     assert kept.valve.time_constant == pytest.approx(lag["value"])
     assert kept.load.inertia == pytest.approx(numbers["quantities"]["load.inertia"]["value"])
     assert kept.controller.model == kept.joint
+    assert kept.command_delay == pytest.approx(numbers["quantities"]["delay"]["value"])
 
 
 @pytest.mark.parametrize(

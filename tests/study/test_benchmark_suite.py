@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ScenarioError
-from mckibben.study.benchmark import NOMINAL_JOINT, Suite
+from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
 from mckibben.study.scenario import Scenario
-from mckibben.units import deg
+from mckibben.units import deg, ms
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "tests" / "small-suite.yaml").read_text(encoding="utf-8")
@@ -50,6 +50,15 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     assert len(example.references) == 5
     assert example.evaluation.runs >= 500
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve is None
+
+
+def test_the_delay_of_the_commands_is_a_condition():
+    late = Suite.parse(TEXT.replace("conditions:", "conditions:\n  - command_delay=0..20 ms", 1))
+    (delay,) = [one for one in late.conditions_over() if one.parameter.name == "command_delay"]
+    assert delay.parameter.shown == "ms"
+    (drawn,) = draw(late, 16, 3).groups
+    assert np.ptp(drawn.plant.command_delay) > 5 * ms
+    assert Suite.parse(TEXT + "command_delay: 5 ms\n").example().plant().command_delay == 5 * ms
 
 
 def test_a_run_starts_at_rest_where_its_reference_begins(suite):

@@ -354,11 +354,15 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
     start = joint.init_state(angle[0], (samples.pressures[0][0], samples.pressures[1][0]))
     torque, tensions = lax.scan(step, start, (angle, samples.velocity, samples.pressures))[1]
     creep, (arm1, arm2) = _creep(problem, joint, z, angle).T, joint.geometry.moment_arms(angle)
-    torque = torque + arm2 * creep[1] - arm1 * creep[0]
     loaded = load.with_weight(added * samples.added_mass, samples.distance)
-    errors = [loaded.required_torque(angle, samples.velocity, samples.acceleration) - torque]
-    rows = zip(samples.tensions, cells, tensions, creep, strict=True) if samples.tensions else ()
-    return jnp.stack([*errors, *(measured - gain * (law + more) for measured, gain, law, more in rows)], axis=1)
+    required = loaded.required_torque(angle, samples.velocity, samples.acceleration)
+    if not samples.tensions:
+        return (required - (torque + arm2 * creep[1] - arm1 * creep[0]))[:, None]
+    # Measured tensions in the equation of motion: the laws' errors are in those of the tensions alone.
+    true1, true2 = (measured / gain for measured, gain in zip(samples.tensions, cells, strict=True))
+    rows = zip(samples.tensions, cells, tensions, creep, strict=True)
+    errors = [measured - gain * (law + more) for measured, gain, law, more in rows]
+    return jnp.stack([required - (arm2 * true2 - arm1 * true1), *errors], axis=1)
 
 
 @compiled

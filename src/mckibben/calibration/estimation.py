@@ -119,11 +119,13 @@ def calibrate_joint(
 
     Each muscle's law gets a `ForceCorrection` and creep, Maxwell arms of 1, 3 and 10 s whose stiffnesses are estimated:
     the slope of a law is that of slower motion. Parameters have Gaussian priors. Under a single load the forces are
-    known up to a factor; a known weight, or load cells, give the factor.
+    known up to a factor; a known weight, or load cells, give the factor. With load cells the torque in the equation of
+    motion is that of the measured tensions, and the laws are fitted to these: an imperfect law is then wrong once.
 
     Noise of the pressures is in the regressors as well, which biases least squares. So the estimates are those of
     instrumental variables, begun at least squares: even samples are the instruments of the odd ones, and the other way
-    round. The variance of the torque is that of the residuals times their correlation time.
+    round. The variance of the torque is that of the residuals times their correlation time; the covariance of the
+    estimates is the robust one for correlated errors of unequal variance (Newey and West).
 
     Parameters
     ----------
@@ -142,8 +144,8 @@ def calibrate_joint(
 
     References
     ----------
-    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (instrumental variables); the procedure is
-    this project's, docs/calibrate.md.
+    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (instrumental variables); W. K. Newey and K. D.
+    West, Econometrica 55 (1987), 703-708 (covariance); the procedure is this project's, docs/calibrate.md.
     """
     prior = prior or JointPrior()
     halves = [halves_of(one) for one in recordings]
@@ -237,23 +239,21 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         found = [[linearised(problem, z, one[half]) for one in recordings] for half in (0, 1)]
         return [[(filtered(r, n), filtered(j, n)) for (r, j), n in zip(one, starts, strict=True)] for one in found]
 
-    def data(z: Floats) -> tuple[float, Floats, Floats]:
-        """Objective without the prior, its gradient, and its second derivatives without those of the errors."""
+    def data(z: Floats) -> tuple[float, list[Floats], Floats]:
+        """Objective without the prior, its gradients at each sample, and its second derivatives but for the errors'."""
         scale = 1 / np.sqrt(variances)
-        (r0, J0), (r1, J1) = (
-            (
-                np.concatenate([(r * scale).ravel() for r, _ in one]),
-                np.concatenate([(j * scale[:, None]).reshape(-1, count) for _, j in one]),
-            )
-            for one in raw(z)
-        )
-        cross = J0.T @ J1
-        return float(r0 @ r1) / 2, (J0.T @ r1 + J1.T @ r0) / 2, (cross + cross.T) / 2
+        objective, gradients, curvature = 0.0, [], np.zeros((count, count))
+        for (r0, J0), (r1, J1) in zip(*raw(z), strict=True):
+            r0, r1, J0, J1 = r0 * scale, r1 * scale, J0 * scale[:, None], J1 * scale[:, None]
+            cross = np.tensordot(J0, J1, ((0, 1), (0, 1)))
+            objective, curvature = objective + float(np.vdot(r0, r1)) / 2, curvature + (cross + cross.T) / 2
+            gradients.append((np.einsum("tgi,tg->ti", J0, r1) + np.einsum("tgi,tg->ti", J1, r0)) / 2)
+        return objective, gradients, curvature
 
     def terms(z: Floats) -> tuple[float, Floats, Floats]:
         """The same with the prior."""
-        objective, gradient, curvature = data(z)
-        return objective + float(z @ z) / 2, gradient + z, curvature + np.eye(count)
+        objective, gradients, curvature = data(z)
+        return objective + float(z @ z) / 2, np.concatenate(gradients).sum(axis=0) + z, curvature + np.eye(count)
 
     means: list[Floats] = []
     begun = [minimised(terms, start(problem, strength), _FIRST) for strength in STARTS]
@@ -266,8 +266,27 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
     torque = np.concatenate([one[:, 0] for one in means])
     bands = friction_places(problem)  # least ones have no derivative; the covariance is that at its edge
     z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
-    covariance: Any = np.linalg.inv(terms(z)[2])
+    _, gradients, curvature = data(z)
+    inverse: Any = np.linalg.inv(curvature + np.eye(count))
+    time = float(np.mean([correlation_time(one[:, i]) for one in means for i in range(groups)]))
+    covariance = inverse @ (_long_run(gradients, time) + np.eye(count)) @ inverse
     return z, covariance, float(np.sqrt(np.mean(torque**2)))
+
+
+def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:
+    """Covariance of the sum of gradients whose samples are correlated: Newey and West, bandwidth by Andrews for AR(1).
+
+    W. K. Newey and K. D. West, Econometrica 55 (1987); D. W. K. Andrews, Econometrica 59 (1991), Eqs. 6.2 and 6.4.
+    """
+    total = np.zeros((gradients[0].shape[1],) * 2)
+    rho = (correlation_time - 1) / (correlation_time + 1)
+    for one in gradients:
+        bandwidth = 1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * len(one)) ** (1 / 3)
+        total += one.T @ one
+        for lag in range(1, min(int(bandwidth) + 1, len(one))):
+            cross = (1 - lag / (int(bandwidth) + 1)) * one[lag:].T @ one[:-lag]
+            total += cross + cross.T
+    return total
 
 
 def start(problem: CalibrationProblem, strength: float) -> Floats:
@@ -297,12 +316,14 @@ def minimised(
 
 def variance_of(parts: list[Floats]) -> float:
     """Variance of residuals times the number of samples that are as good as one independent sample."""
-    total, times = 0.0, []
-    for one in parts:
-        spectrum = np.abs(np.fft.rfft(one, 2 * one.size)) ** 2
-        correlation = np.fft.irfft(spectrum)[: one.size]
-        correlation /= max(correlation[0], 1e-300)
-        negative = np.flatnonzero(correlation < 0)
-        times.append(1 + 2 * correlation[1 : negative[0] if negative.size else one.size].sum())
-        total += one @ one
+    total, times = sum(one @ one for one in parts), [correlation_time(one) for one in parts]
     return max(float(total / sum(one.size for one in parts) * np.mean(times)), _LEAST_VARIANCE)
+
+
+def correlation_time(one: Floats) -> float:
+    """Number of samples of residuals that are as good as one independent sample."""
+    spectrum = np.abs(np.fft.rfft(one, 2 * one.size)) ** 2
+    correlation = np.fft.irfft(spectrum)[: one.size]
+    correlation /= max(correlation[0], 1e-300)
+    negative = np.flatnonzero(correlation < 0)
+    return float(1 + 2 * correlation[1 : negative[0] if negative.size else one.size].sum())

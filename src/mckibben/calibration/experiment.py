@@ -248,7 +248,8 @@ def calibrate_scenario(
             remedy="give the scenario one that may be, such as `valve: {time_constant: 50 ms}`",
         )
     friction = None if scenario.friction is None else scenario.friction.build()
-    return calibrate_from_commands(joint, load, valve, recordings, prior, friction=friction)
+    delay = scenario.command_delay
+    return calibrate_from_commands(joint, load, valve, recordings, prior, friction=friction, delay=delay)
 
 
 def calibrated_model(scenario: Scenario, found: JointCalibration) -> JointSpec:
@@ -291,6 +292,7 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
         rows = {name: float(getattr(found.valve, name)) for name in ("time_constant", "rate")}
         valve = scenario.valve.model_copy(update=rows)
         update: dict[str, Any] = {"joint": joint, "load": load, "valve": valve, "controller": control}
+        update["command_delay"] = found.delay
         if found.friction is not None:
             rows = {name: float(getattr(found.friction, name)) for name in ("torque", "presliding")}
             update["friction"] = scenario.friction.model_copy(update=rows)  # type: ignore[union-attr]

@@ -139,14 +139,14 @@ class CommandedCalibration(JointCalibration):
 
     @property
     def plant(self) -> JointPlant:
-        """Joint, load, valve and friction with the estimates."""
-        return JointPlant(self.joint, self.load, self.valve, friction=self.friction)
+        """Joint, load, valve, friction and delay of the commands with the estimates."""
+        return JointPlant(self.joint, self.load, self.valve, friction=self.friction, command_delay=self.delay)
 
     def simulate(self, recording: JointRecording) -> SimulatedAngles:
         """Return angles simulated from the first angle and the commands of a recording, without its rests."""
         motion = _motion(recording, _highest(self.joint))
         zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
-        after = _Simulated(self.plant, self.delay, zero, added)
+        after = _Simulated(dataclasses.replace(self.plant, command_delay=None), self.delay, zero, added)
         substeps = _substeps([motion])
         before, found = (
             np.asarray(_angle(one, _padded(motion), substeps))[: motion.angle.size] for one in (self._before, after)
@@ -162,6 +162,7 @@ def calibrate_from_commands(
     prior: JointPrior | None = None,
     *,
     friction: JointFriction | None = None,
+    delay: float | None = None,
 ) -> CommandedCalibration:
     r"""Identify a joint, its load and valves from commanded pressures and angles (output-error method).
 
@@ -186,6 +187,8 @@ def calibrate_from_commands(
         Standard deviations before. Those of a joint whose muscles are little known are larger than the default ones.
     friction
         Dry friction of the joint itself, whose torque and presliding angle are then estimated.
+    delay
+        Of the commands in the model before [s]; without, its prior is about 20 ms.
 
     Raises
     ------
@@ -206,7 +209,7 @@ def calibrate_from_commands(
     base = problem_of(joint, rigid, [(one, one) for one in samples], prior)
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
-    medians = (valve.time_constant, rate, _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
+    medians = (valve.time_constant, rate, delay or _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
     medians += () if friction is None else (friction.torque, friction.presliding)
     problem = _Problem(base, valve, friction, tuple(map(float, medians)))
     z, covariance, residual = _solve(problem, motions)
@@ -227,7 +230,7 @@ def calibrate_from_commands(
         wide,
         plant.valve,
         found.delay,
-        _Simulated(JointPlant(joint, rigid, valve, friction=friction), 0.0, 0.0, 1.0),
+        _Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
         plant.friction,
     )
 

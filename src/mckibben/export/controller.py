@@ -65,7 +65,7 @@ class ControllerFunctions(NamedTuple):
 
 def controller_functions(scenario: Scenario) -> ControllerFunctions:
     """First step and steps of the controller of a scenario; all its real numbers are parameters."""
-    plant, controller = scenario.plant(), scenario.control()
+    plant, controller = scenario.plant().with_period(scenario.control_period), scenario.control()
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
     initial = plant.complete_state(initial)
     numbers, fixed = eqx.partition(controller, is_real)
@@ -163,7 +163,7 @@ def _recorded(
     def next_period(states: Any, setpoint: Setpoint) -> Any:
         plant_state, measurement = plant.sample(states[0], period)
         state, commands = controller.step(states[1], setpoint, measurement, period)
-        following = plant.advance(plant_state, plant.clip_commands(commands), period, substeps)
+        following = plant.follow(plant_state, plant.clip_commands(commands), period, substeps)
         return (following, state), (*setpoint, measurement.angle, *measurement.pressures, *commands)
 
     start = initial, controller.init(plant.sample(initial, 0.0)[1])

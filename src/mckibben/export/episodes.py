@@ -114,7 +114,8 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
         valid = valid_rows(scenario, table)
         table = {name: column[valid] for name, column in table.items()}
     varied = batched(scenario, table) if table and len(next(iter(table.values()))) else scenario
-    problem = numeric(SimulationProblem(varied.plant(), (), varied.reference(), initial_state(varied)))  # type: ignore
+    plant = varied.plant().with_period(scenario.control_period)
+    problem = numeric(SimulationProblem(plant, (), varied.reference(), initial_state(varied)))  # type: ignore
     lanes, flags = lanes_of(problem)
     if table and lanes is None:
         raise ExportError(
@@ -165,7 +166,7 @@ def advance(
 
     def one(_: Array, carry: tuple[Episode, Array, EpisodeStep]) -> tuple[Episode, Array, EpisodeStep]:
         episode, content, so_far = carry
-        state = plant.advance(episode.state, commands, period, substeps)
+        state = plant.follow(episode.state, commands, period, substeps)
         state, measured = plant.sample(state, period)
         velocity = (measured.angle - episode.measured.angle) / period
         following = Episode(episode.period + 1, state, measured)

@@ -55,11 +55,13 @@ _CONTROLLER_INPUTS = {
 def plant_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
     given = scenario.plant()
-    plant = dataclasses.replace(given, sensors=PerfectSensors(), disturbance=NoDisturbance())
+    plant = dataclasses.replace(given, sensors=PerfectSensors(), disturbance=NoDisturbance(), command_delay=None)
     plant, initial = numeric((plant, scenario.initial(given)))
     unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.substeps)
     if not given.has_ideal_io:
         left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
+    if given.command_delay is not None:
+        left_out.append("delay of the commands: give one to the signals of the inputs")
     content, missing = fmu(unit, scenario.dumps(folder=folder), fmi)
     return Exported({f"{name}.fmu": content}, (*left_out, *missing))
 

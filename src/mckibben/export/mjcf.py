@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -110,10 +111,12 @@ def joint_model(
     check_tendon(plant.joint)
     moved = transmissions(plant.joint.geometry)
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
+    left_out += [] if plant.command_delay is None else ["delay of the commands"]
     left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo's has its own"]
     for number, one in enumerate(moved, 1):
         if not one.tendon:
             left_out.append(f"tendon of muscle {number}: MuJoCo has none with such a path; its torque turns the joint")
+    plant = dataclasses.replace(plant, command_delay=None)
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
     module, muscles, acts = muscle_module(plant, moved, start, name)
     point = mass_point(plant.load)

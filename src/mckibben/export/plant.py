@@ -39,7 +39,10 @@ def plant_module(
     what cannot be lowered.
     """
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
-    plant = numeric(dataclasses.replace(plant, sensors=PerfectSensors(), disturbance=NoDisturbance()))
+    left_out += [] if plant.command_delay is None else ["delay of the commands"]
+    plant = numeric(
+        dataclasses.replace(plant, sensors=PerfectSensors(), disturbance=NoDisturbance(), command_delay=None)
+    )
     numbers, fixed = eqx.partition(plant, is_real)
     module = SourceModule(name, {"plant": numbers, "control_period": np.asarray(control_period or 0.0)}, "plant.")
     state = jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))

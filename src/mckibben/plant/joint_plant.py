@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
@@ -21,13 +24,17 @@ from mckibben.muscle.creep import CreepState
 from mckibben.muscle.friction import FrictionState
 from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import rk4, value_and_derivative
-from mckibben.numerics.checks import check_kind
+from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant.air_valve import AirState, AirValve, AirVolume
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.plant.valve import Valve, ValveModel
+from mckibben.units import ShortTime
+
+_MOST_PERIODS = 100  # of a command delay
+_ROUNDING = 1e-9  # periods
 
 Scalar = Float[Array, ""]
 
@@ -44,7 +51,7 @@ class PlantState(NamedTuple):
     """State of a `JointPlant`.
 
     `muscles` has no leaves without friction and creep, `io` none for ideal sensors, `air` none but for an `AirValve`,
-    `friction` none but for a `JointFriction`.
+    `friction` none but for a `JointFriction`, `sent` none without a delay: commands [Pa] on their way, the last first.
     """
 
     angle: Scalar
@@ -54,6 +61,7 @@ class PlantState(NamedTuple):
     io: IOState | tuple[()] = ()
     air: AirState | tuple[()] = ()
     friction: FrictionState = ()
+    sent: tuple[tuple[Scalar, Scalar], ...] = ()
 
 
 class Motion(NamedTuple):
@@ -80,13 +88,16 @@ class Motion(NamedTuple):
         (friction1, _), (friction2, _) = state.muscles
         muscles = MuscleState(friction1, self.creep[0]), MuscleState(friction2, self.creep[1])
         pressures = self.pressures or pressures
-        return PlantState(self.angle, self.velocity, pressures, muscles, state.io, self.air, state.friction)
+        return state._replace(
+            angle=self.angle, velocity=self.velocity, pressures=pressures, muscles=muscles, air=self.air
+        )
 
 
 class JointPlant(eqx.Module, Displayed):
     """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it.
 
-    `friction` is that of the joint itself, None for none; that of a muscle belongs to the muscle.
+    `friction` is that of the joint itself, None for none; that of a muscle belongs to the muscle. `command_delay` is
+    the time from a command to the valves [s]; `delay_periods`, its length in control periods, is set by `with_period`.
     """
 
     joint: AntagonisticJoint
@@ -95,6 +106,8 @@ class JointPlant(eqx.Module, Displayed):
     sensors: Sensors = PerfectSensors()
     disturbance: Disturbance = NoDisturbance()
     friction: JointFriction | None = None
+    command_delay: ShortTime | None = eqx.field(kw_only=True, default=None)
+    delay_periods: int = eqx.field(kw_only=True, default=0, static=True)
 
     def __check_init__(self) -> None:
         check_kind(
@@ -106,6 +119,8 @@ class JointPlant(eqx.Module, Displayed):
             disturbance=(self.disturbance, Disturbance),
             **({} if self.friction is None else {"friction": (self.friction, JointFriction)}),
         )
+        if self.command_delay is not None:
+            check_positive("JointPlant", "s", zero=True, command_delay=self.command_delay)
         if isinstance(self.valve, AirValve):
             for muscle in (self.joint.muscle1, self.joint.muscle2):
                 if not muscle.specimen.has_volume:
@@ -138,6 +153,26 @@ class JointPlant(eqx.Module, Displayed):
         limits = tuple(jnp.minimum(jnp.asarray(rated), supply) for rated in highest(self.joint))
         return eqx.tree_at(highest, self.joint, limits)
 
+    def with_period(self, period: float) -> JointPlant:
+        """Return the plant with states that hold the commands on their way, one each control period [s].
+
+        Raises `RangeError` for a delay of more than 100 periods.
+        """
+        if self.command_delay is None:
+            return self
+        longest = float(np.max(self.command_delay))
+        periods = math.ceil(longest / period - _ROUNDING)
+        if periods > _MOST_PERIODS:
+            raise RangeError(
+                f"a command delay of {longest:g} s is {periods} control periods of {period:g} s",
+                field="command_delay",
+                value=longest,
+                upper=_MOST_PERIODS * period,
+                unit="s",
+                remedy=f"give at most {_MOST_PERIODS} periods",
+            )
+        return dataclasses.replace(self, delay_periods=periods)
+
     def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Measurement]:
         """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
         true, io = Measurement(state.angle, state.pressures), state.io
@@ -165,6 +200,27 @@ class JointPlant(eqx.Module, Displayed):
             return state
         pressure1, pressure2 = map(self.valve.after_command, state.pressures, commands)
         return state._replace(pressures=(pressure1, pressure2))
+
+    def arriving(self, state: PlantState, commands: Pressures, period: ArrayLike) -> Pressures:
+        """Return the commands [Pa] that reach the valves in a control period [s], of which new ones are sent.
+
+        With a delay between two multiples of the period they are their mean over it.
+        """
+        if not state.sent:
+            return commands
+        late = jnp.minimum(jnp.asarray(self.command_delay) / period, len(state.sent))
+        shares = [jnp.maximum(1 - jnp.abs(late - number), 0.0) for number in range(len(state.sent) + 1)]
+        first, second = (
+            sum(share * jnp.asarray(command) for share, command in zip(shares, side, strict=True))
+            for side in zip(commands, *state.sent, strict=True)
+        )
+        return first, second
+
+    def follow(self, state: PlantState, commands: Pressures, period: ArrayLike, substeps: int) -> PlantState:
+        """Return the state after a control period [s] at whose start commands [Pa] are sent to the valves."""
+        sent = (commands, *state.sent)[: len(state.sent)]
+        after = self.advance(state._replace(sent=()), self.arriving(state, commands, period), period, substeps)
+        return after._replace(sent=sent)
 
     def advance(self, state: PlantState, commands: Pressures, duration: ArrayLike, substeps: int) -> PlantState:
         """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
@@ -245,7 +301,7 @@ class JointPlant(eqx.Module, Displayed):
 
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
-        angle, velocity, pressures, muscles, io, _, friction = state
+        angle, velocity, pressures, muscles, io, _, friction, _ = state
         creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity))
         if muscles == NO_STATES:
             torque = self.joint.torque(angle, pressures)
@@ -272,8 +328,8 @@ class JointPlant(eqx.Module, Displayed):
         return self.complete_state(PlantState(angle, jnp.zeros_like(angle), (pressure1, pressure2)))
 
     def complete_state(self, state: PlantState) -> PlantState:
-        """Return a state with initial values for the internal states and the io state that it leaves empty."""
-        angle, _, pressures, given, io, air, friction = state
+        """Return a state with initial values for the internal states, the io state and the commands that it lacks."""
+        angle, _, pressures, given, io, air, friction, sent = state
         initial = self.joint.init_state(angle, pressures)
         muscle1, muscle2 = (MuscleState(*map(_given_or, *pair)) for pair in zip(given, initial, strict=True))
         if io == () and not self.has_ideal_io:
@@ -283,7 +339,17 @@ class JointPlant(eqx.Module, Displayed):
             air = self.valve.init_air((floating(pressures[0]), floating(pressures[1])))
         if friction == () and self.friction is not None:
             friction = self.friction.initial(angle)
-        return state._replace(muscles=(muscle1, muscle2), io=io, air=air, friction=friction)
+        state = state._replace(muscles=(muscle1, muscle2), io=io, air=air, friction=friction)
+        if sent == () and self.delay_periods:
+            state = state._replace(sent=(self._holding(state),) * self.delay_periods)
+        return state
+
+    def _holding(self, state: PlantState) -> tuple[Scalar, Scalar]:
+        """Return the commands [Pa] at which the pressures stay; the opening 0 of valves with `direct` commands."""
+        zero = jnp.zeros_like(floating(state.angle))
+        if getattr(self.valve, "direct", False):
+            return zero, zero
+        return self.clip_commands(self.commands_for(state, (zero, zero)))
 
     def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """Return the state of `equilibrium` and whether it exists, for traced numbers; NaN for no given stiffness."""

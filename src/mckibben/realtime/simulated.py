@@ -62,8 +62,8 @@ class SimulatedJoint:
     """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, in volts.
 
     Samples are taken at multiples of the sampling period [s], the first when it is opened. Signals reach the valves
-    when they are set, in between. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps,
-    then spins.
+    when they are set, in between, or after the plant's delay of commands; the watchdog vents without one. Unpaced, its
+    time advances only in `read`; paced, it is real time, and `read` sleeps, then spins.
 
     Parameters
     ----------
@@ -116,6 +116,7 @@ class SimulatedJoint:
                 remedy=f"choose one of {', '.join(one.__name__ for one in supported)}",
             )
         self.rate, self.patience, self.paced = 1 / period, patience, paced
+        self._delay = float(plant.command_delay or 0.0)
         self._period, self._seed, self._faults = period, seed, tuple(faults)
         self._wiring, self._sensing = wiring or Wiring(), sensing or Sensing()
         self._program = program or PlantProgram(plant, substeps)
@@ -234,13 +235,15 @@ class SimulatedJoint:
         if not self.is_open:
             raise RigError("the simulated joint is not open", remedy="open it")
 
-    def _command(self, at: float, commands: tuple[float, float]) -> None:
-        self._pending.append((max(at, self._at), commands))
+    def _command(self, sent: float, commands: tuple[float, float]) -> None:
+        self._pending.append((max(sent + self._delay, self._at), commands))
 
     def _check_watchdog(self, now: float) -> None:
         """Vent at the time at which the watchdog expired, which may be before now [s]."""
         if self._watchdog.expires(now):
-            self._command(self._watchdog.deadline, (0.0, 0.0))
+            deadline = self._watchdog.deadline
+            self._pending = deque(one for one in self._pending if one[0] <= deadline)  # later ones have no effect
+            self._pending.append((max(deadline, self._at), (0.0, 0.0)))
 
     def _advance(self, until: float) -> None:
         """Integrate the plant, each command from its time."""

@@ -48,7 +48,7 @@ def control_period(
     commands = plant.clip_commands(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
     record = Record(plant_state, *commands, limited, controller.telemetry(controller_state))
-    return (plant.advance(plant_state, commands, period, substeps), controller_state), record
+    return (plant.follow(plant_state, commands, period, substeps), controller_state), record
 
 
 def episode(

@@ -248,6 +248,7 @@ def run_episode(
     substeps: int,
 ) -> Result:
     """The result of an episode from a start that exists, without the attainable stiffness."""
+    plant = plant.with_period(control_period)
     plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
     return _episode_result(plant, controller, setpoints, start, control_period, substeps)
 
@@ -273,7 +274,8 @@ def _episode_result(
     record, used = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)
     if isinstance(plant.valve, AirValve) and isinstance(state.air, AirState):
-        telemetry |= plant.valve.telemetry(state.air, (record.command1, record.command2), state.pressures)
+        commands = plant.arriving(state, (record.command1, record.command2), period)
+        telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
     if plant.friction is not None:

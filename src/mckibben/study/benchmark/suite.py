@@ -30,9 +30,9 @@ from mckibben.study.scenario.plant import (
 from mckibben.study.scenario.reference import ReferenceSpec
 from mckibben.study.scenario.scenario import RunSpec
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
-from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime
+from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime, ShortTime
 
-_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction")
+_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
 _LONGEST_NAME = 80
 
 
@@ -250,6 +250,7 @@ class Suite(RunSpec):
     sensors: AnySensors | None = None
     disturbance: AnyDisturbance | None = None
     friction: JointFrictionSpec | None = None
+    command_delay: ShortTime | None = None
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None
@@ -318,6 +319,7 @@ class Suite(RunSpec):
             sensors=self.sensors,
             disturbance=self.disturbance,
             friction=self.friction,
+            command_delay=self.command_delay,
             controller=control,
             reference=signals,
             start=start_of(signals),

@@ -29,6 +29,8 @@ def effective_value(scenario: Scenario, part: ConfigModel, place: Place) -> floa
         return value
     if key == "strength":  # of a muscle's law
         return 1.0
+    if key == "command_delay":
+        return 0.0
     if key == "valve_time_constant":  # of the controller's model
         from mckibben.study.scenario.building import valve_time_constant
 

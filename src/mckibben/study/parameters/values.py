@@ -107,8 +107,8 @@ def violations(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray])
 
 
 def _part_of(place: Place) -> Place:
-    """The part within which the validity of a parameter depends on others."""
-    return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[:1]
+    """The part within which the validity of a parameter depends on others; of a number of the scenario that itself."""
+    return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[: len(place) > 1]
 
 
 def _attempt(scenario: Scenario, place: Place, keys: list[Place]) -> _Attempt:

@@ -51,6 +51,7 @@ def build_plant(
     sensors: SensorsSpec | None = None,
     disturbance: DisturbanceSpec | None = None,
     friction: JointFrictionSpec | None = None,
+    command_delay: float | None = None,
 ) -> JointPlant:
     """The simulated plant."""
     return JointPlant(
@@ -60,6 +61,7 @@ def build_plant(
         PerfectSensors() if sensors is None else sensors.build(),
         NoDisturbance() if disturbance is None else disturbance.build(),
         None if friction is None else friction.build(),
+        command_delay=command_delay,
     )
 
 

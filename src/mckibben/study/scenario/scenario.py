@@ -25,7 +25,7 @@ from mckibben.study.scenario.plant import (
     StartSpec,
 )
 from mckibben.study.scenario.reference import ReferenceSpec
-from mckibben.units import BoundedInt, Duration, PositiveTime
+from mckibben.units import BoundedInt, Duration, PositiveTime, ShortTime
 
 if TYPE_CHECKING:
     from mckibben.control import Controller, Reference
@@ -86,6 +86,9 @@ class Scenario(RunSpec):
     ----------
     valve, sensors, disturbance, friction
         None for ideal valves and sensors, no disturbance torques, and no friction of the joint itself.
+    command_delay
+        Time from a command to the valves [s], None for none; in between two multiples of the control period a valve
+        gets the mean command over it.
     signals
         The references; ``reference`` in the text and as an argument.
     start
@@ -111,6 +114,7 @@ class Scenario(RunSpec):
     sensors: AnySensors | None = None
     disturbance: AnyDisturbance | None = None
     friction: JointFrictionSpec | None = None
+    command_delay: ShortTime | None = None
     controller: AnyController
     signals: ReferenceSpec = Field(alias="reference")
     start: StartSpec = StartSpec()
@@ -161,7 +165,8 @@ class Scenario(RunSpec):
         """The simulated plant."""
         from mckibben.study.scenario.building import build_plant
 
-        return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance, self.friction)
+        parts = self.joint, self.load, self.valve, self.sensors, self.disturbance, self.friction, self.command_delay
+        return build_plant(*parts)
 
     def control(self) -> Controller:
         """The controller, with its own model of the joint."""

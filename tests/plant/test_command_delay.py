@@ -1,0 +1,164 @@
+"""Delay of the commands: runs against those of late commands, batches, both engines, scenarios and a joint rig."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.control import Setpoint
+from mckibben.errors import RangeError, ScenarioError
+from mckibben.export.mjcf import joint_model
+from mckibben.export.plant import plant_module
+from mckibben.plant import FlowValve
+from mckibben.realtime import PERFECT, SimulatedJoint
+from mckibben.simulation import differentiate, run_episode
+from mckibben.study.parameters import batched, find_parameter
+from mckibben.study.scenario import Scenario
+from mckibben.units import bar, litre, ms
+
+PERIOD, LAG = 1 * ms, 20 * ms
+SCENARIO = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+
+
+@pytest.fixture(scope="module")
+def late(plant):
+    return lambda delay: dataclasses.replace(plant, command_delay=delay)
+
+
+@pytest.fixture(scope="module")
+def start(plant):
+    return plant.equilibrium(0.0)
+
+
+@pytest.fixture(scope="module")
+def commands(start):
+    """Random commands of both muscles about the pressures at the start, shape (2, periods)."""
+    draws = np.random.default_rng(2).uniform(-0.3, 0.3, (2, 60)) * bar
+    return np.array(start.pressures)[:, None] + draws
+
+
+def test_the_motion_is_that_of_late_commands(plant, late, playback, start, commands):
+    delay = 4
+    run = run_episode(late(delay * PERIOD), playback, Setpoint(*commands), start, PERIOD, 4)
+    held = np.repeat(np.array(start.pressures)[:, None], delay, axis=1)
+    shifted = np.concatenate([held, commands[:, :-delay]], axis=1)
+    expected = run_episode(plant, playback, Setpoint(*shifted), start, PERIOD, 4)
+    assert np.ptp(expected["angle"]) > 1e-4
+    for name in ("angle", "pressure1", "pressure2"):
+        assert run[name] == pytest.approx(expected[name], rel=1e-12, abs=1e-12)
+    assert run["command1"] == pytest.approx(commands[0])  # those that are sent
+
+
+def test_between_two_periods_it_is_their_mean(late, playback, start):
+    """A step of the command: closed form of a first-order lag under it, whose error is of second order."""
+    delay, low, high = 3.4 * PERIOD, float(start.pressures[0]), float(start.pressures[0]) + 0.5 * bar
+    steps = np.full((2, 40), high)
+    steps[1] = float(start.pressures[1])
+    found = run_episode(late(delay), playback, Setpoint(*steps), start, PERIOD, 4)["pressure1"]
+    since = np.maximum(np.arange(40) * PERIOD - delay, 0.0)
+    expected = high + (low - high) * np.exp(-since / LAG)
+    assert np.all(found[:4] == low)
+    assert np.abs(found - expected).max() < 0.4 * 0.6 / 2 * (PERIOD / LAG) ** 2 * (high - low) * 1.01
+    assert np.abs(found - expected).max() > 0
+
+
+@pytest.mark.parametrize("engine", ["xla", "native"])
+def test_runs_of_a_batch_are_those_alone(late, engine):
+    scenario = Scenario.parse(SCENARIO)
+    parts = {"controller": scenario.control(), "reference": scenario.reference()}
+    times = {"duration": 0.1, "control_period": PERIOD, "engine": engine}
+    delays = [0.0, 2.4 * PERIOD, 4 * PERIOD]
+    if engine == "native" and mk.codegen.native.compiler() is None:
+        pytest.skip("there is no C compiler")
+    batch = mk.simulate_many(late(0.0), **parts, over={"plant.command_delay": delays}, keep=["angle"], **times)
+    alone = mk.simulate(late(delays[-1]), **parts, **times)
+    at_once = mk.simulate(late(None), **parts, **times)
+    assert batch["angle"][2] == pytest.approx(alone["angle"], abs=1e-12)
+    assert batch["angle"][0] == pytest.approx(at_once["angle"], abs=1e-12)
+    early, between, last = batch["angle"]
+    assert 0 < np.abs(between - early).max() < np.abs(last - early).max()
+
+
+def test_the_derivative_is_that_of_differences(late):
+    scenario, by = Scenario.parse(SCENARIO), 1e-6
+    parts, times = (scenario.control(), scenario.reference()), {"duration": 0.1, "control_period": PERIOD}
+    name, metrics = "plant.command_delay", ["angle_rmse"]
+    found = differentiate(late(3.4 * PERIOD), *parts, [name], metrics=metrics, **times).gradients["angle_rmse"][name]
+    ends = mk.simulate_many(
+        late(0.0), *parts, over={name: [3.4 * PERIOD - by, 3.4 * PERIOD + by]}, metrics=metrics, **times
+    )
+    assert float(found) == pytest.approx(float(np.diff(ends["angle_rmse"])[0]) / (2 * by), rel=1e-4)
+
+
+def test_without_a_delay_there_is_no_state(late):
+    for delay, count in ((None, 0), (0.0, 0), (0.3 * PERIOD, 1), (4 * PERIOD, 4), (np.array([0.0, 10 * ms]), 10)):
+        state = late(delay).with_period(PERIOD).init_state(0.0, (3 * bar, 4 * bar))
+        assert len(state.sent) == count
+        assert [list(map(float, one)) for one in state.sent] == count * [[3 * bar, 4 * bar]]
+
+
+def test_openings_are_zero_before_the_start(knee, load):
+    valve = FlowValve(conductance=0.4 * litre / bar, supply=7 * bar, direct=True)
+    plant = mk.JointPlant(knee, load, valve, command_delay=2 * PERIOD).with_period(PERIOD)
+    sent = plant.init_state(0.0, (3 * bar, 3 * bar)).sent
+    assert [list(map(float, one)) for one in sent] == [[0.0, 0.0], [0.0, 0.0]]
+
+
+def test_wrong_delays_are_refused(late):
+    with pytest.raises(RangeError) as caught:
+        late(101 * PERIOD).with_period(PERIOD)
+    assert (caught.value.field, caught.value.upper) == ("command_delay", pytest.approx(100 * PERIOD))
+    with pytest.raises(RangeError) as caught:
+        late(-PERIOD)
+    assert caught.value.field == "command_delay"
+
+
+def test_a_scenario_has_it():
+    scenario = Scenario.parse(SCENARIO + "command_delay: 12 ms\n")
+    assert scenario.plant().command_delay == 12 * ms
+    assert Scenario.parse(scenario.dumps()) == scenario
+    assert find_parameter(scenario, "command_delay").show(5 * ms) == "5 ms"
+    assert batched(scenario, {"command_delay": [5 * ms, 10 * ms]}).plant().command_delay.tolist() == [5 * ms, 10 * ms]
+    without = Scenario.parse(SCENARIO)
+    assert without.plant().command_delay is None
+    assert find_parameter(without, "command_delay").nominal == 0
+    with pytest.raises(ScenarioError) as caught:
+        Scenario.parse(SCENARIO + "command_delay: -1 ms\n")
+    assert caught.value.problems[0].field == "command_delay"
+
+
+def test_programs_without_it_say_so(late):
+    plant = late(5 * ms)
+    assert any("delay" in one for one in plant_module(plant).left_out)
+    assert any("delay" in one for one in joint_model(plant).left_out)
+
+
+class Valves:
+    """In place of a `PlantProgram`: the joint stands still, its pressures are their commands. Nothing is compiled."""
+
+    def state(self, state):
+        return np.array([0.0, 0.0, *map(float, state.pressures)])
+
+    def advance(self, state, command1, command2, time):
+        return np.array([0.0, 0.0, command1, command2])
+
+
+def test_signals_reach_simulated_valves_late_and_the_watchdog_does_not_wait(late, start):
+    joint = SimulatedJoint(
+        late(8 * ms), period=PERIOD, start=start, sensing=PERFECT, patience=20 * ms, program=Valves()
+    )
+    volts = [(3 * bar) / valve.gain + valve.offset for valve in joint._wiring.valves]
+    joint.open()
+    joint.set_valves(volts)
+    joint.pass_time(7.5 * ms)
+    assert joint.truth[2:] == pytest.approx(tuple(map(float, start.pressures)))
+    joint.pass_time(1 * ms)
+    assert joint.truth[2:] == pytest.approx((3 * bar, 3 * bar))
+    joint.pass_time(8 * ms)
+    joint.set_valves(volts)  # on its way when the watchdog expires
+    joint.pass_time(4.5 * ms)
+    assert joint.truth[2:] == (0.0, 0.0)
+    joint.pass_time(20 * ms)
+    assert joint.truth[2:] == (0.0, 0.0)
