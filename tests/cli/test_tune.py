@@ -117,8 +117,12 @@ def test_a_search_over_conditions_has_their_margin(cli, scenario, tmp_path):
     assert found.code == 0, found.err
     numbers = json.loads(found.out)
     assert len(numbers["conditions"]["load.mass2"]) == 4
-    (margin,) = numbers["margins"].values()
-    assert 1 <= margin <= 10
+    (run,) = numbers["runs"]
+    found = run["in_conditions"]
+    assert 1 <= found["gain_margin"] <= 10
+    assert (found["percentile"], found["diverged"], found["unstable"]) == (75, 0, 0)
+    errors = found["angle_rmse_deg"]
+    assert 0 < errors["median"] <= errors["percentile"] <= errors["worst"]
 
 
 @pytest.mark.parametrize(
