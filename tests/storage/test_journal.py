@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.errors import FileError
+from mckibben.errors import DatasetError, FileError
+from mckibben.rig.record import read_header as read_record_header
 from mckibben.storage import journal as module
 from mckibben.storage.journal import HEADER, Journal, JournalReader, header_differences, pack, pack_json, read_header
 
@@ -81,6 +82,22 @@ def test_a_damaged_header_is_read_from_its_copy(filled):
         read_header(filled, "test journal", 1)
 
 
+def test_a_journal_without_its_header_is_told_from_another_file(filled, tmp_path):
+    content, size = filled.read_bytes(), len(pack_json(HEADER, 0, ABOUT))
+    for kept in (b"", content[:5], content[:40], content[: size - 1], content[2 * size :]):
+        filled.write_bytes(kept)
+        with pytest.raises(FileError) as caught:
+            read_header(filled, "test journal", 1)
+        assert caught.value.problems[0].field == "header" and caught.value.problems[0].remedy
+        with pytest.raises(DatasetError) as record:
+            read_record_header(filled)
+        assert record.value.problems[0].field == "header"
+    filled.write_text("angle,force\n1,2\n", encoding="utf-8")
+    with pytest.raises(FileError) as caught:
+        read_header(filled, "test journal", 1)
+    assert caught.value.problems[0].field == ""
+
+
 @pytest.mark.parametrize("lose", [Path.unlink, lambda path: path.rename(path.with_name("elsewhere"))])
 def test_a_journal_that_was_removed_or_moved_is_not_written_on_in_silence(filled, lose):
     reader = JournalReader(filled)
@@ -125,7 +142,7 @@ def test_an_existing_file_is_not_taken(filled):
     assert numbers(filled) == list(range(20))
 
 
-@pytest.mark.parametrize("content", [b"", b"text", pack(ITEM, 0, b"{}"), pack_json(HEADER, 0, {"format": "other"})])
+@pytest.mark.parametrize("content", [b"text", pack_json(HEADER, 0, {"format": "other"})])
 def test_another_file_has_no_header_of_ours(tmp_path, content):
     (tmp_path / "a").write_bytes(content)
     with pytest.raises(FileError) as refused:

@@ -103,6 +103,15 @@ class JournalReader:
         content = json.loads(record.payload)
         return content if isinstance(content, dict) else None
 
+    def raise_without_header(self, error: type[FileError] = FileError) -> None:
+        """Raise where the file is a journal whose header is damaged, cut or not written."""
+        with self.path.open("rb") as file:
+            begun = _MAGIC.startswith(file.read(len(_MAGIC))) or _find_magic(file, 0) is not None
+        if begun and self.header() is None:
+            message = "is damaged or incomplete, so that it is not known what the file is of"
+            remedy = "restore the file from a copy, or begin anew: choose another folder, or remove the file"
+            raise error(str(self.path), [Problem(message, field="header", remedy=remedy)])
+
 
 def _read(file: BinaryIO, position: int) -> JournalRecord | None:
     """The record at a position; None if it is incomplete or damaged."""
@@ -210,7 +219,11 @@ def _write_at(file: int, position: int, content: bytes) -> None:
 def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
     """Header of a journal of a kind ("format") and version; `FileError` if it is another file."""
     try:
-        header = JournalReader(path).header()
+        reader = JournalReader(path)
+        reader.raise_without_header()
+        header = reader.header()
+    except FileError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
         raise FileError(str(path), [Problem(f"it cannot be read: {error}")]) from None
     if header is None or header.get("format") != kind:
