@@ -63,6 +63,28 @@ def test_bad_files_name_line_and_remedy(text: str, line: int | None, word: str) 
     assert line is None or problem.line == line
 
 
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        (
+            "leg: {from: lei-leg, trunk: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
+            ["leg.trunk", "landing.time_constants", "landing.drop[0]"],
+        ),
+        ("leg: {from: lei-leg, joints: {knee: {muscle1: null}}}\n", ["leg.joints.knee.muscle1"]),
+        ("leg: null\n", ["leg"]),
+        (
+            "leg: lei-leg\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
+            ["landing.drop[0]", "landing.drop[1]"],
+        ),
+        ("leg: lei-leg\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n", ["landing.stiffness"]),
+    ],
+)
+def test_what_follows_from_another_mistake_is_not_said(text: str, fields: list[str]) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse("name: x\n" + text)
+    assert [problem.field for problem in caught.value.problems] == fields
+
+
 def test_stiffness_that_is_not_attainable(scenario: LegScenario) -> None:
     assert scenario.landing is not None
     beyond = scenario.landing.model_copy(update={"stiffness": (40.0,)})
