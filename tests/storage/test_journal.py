@@ -161,10 +161,19 @@ def test_differences_name_the_item_that_differs():
     assert [(problem.field, problem.message) for problem in found] == [
         ("seed", "the job was begun with 1, not 2"),
         ("over", "the job was begun with b too"),
-        ("numpy", "the job was begun with 2, not 3"),
+        ("software numpy", "the job was begun with 2, not 3"),
         ("text", "the job was begun with 'b: 2', not 'b: 3'"),
     ]
     assert not header_differences(kept, kept, "the job", remedy="")
+
+
+def test_draws_are_not_listed():
+    kept, wanted = {"conditions": {"mass": [0.25, 0.5, 0.75], "lag": [1.5]}}, {"conditions": {"mass": [0.3, 0.5, 0.7]}}
+    found = header_differences(kept, wanted, "the job", remedy="start anew")
+    assert [problem.field for problem in found] == ["conditions mass", "conditions lag"]
+    assert found[0].message == "the job was begun with 3 values from 0.25 to 0.75, not 3 values from 0.3 to 0.7"
+    (none,) = header_differences(kept, {}, "the job", remedy="start anew")
+    assert (none.field, "0.5" in none.message) == ("conditions", False)
 
 
 JOB = """

@@ -252,7 +252,9 @@ def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]
     """Field, old and new value of each difference between two values."""
     if isinstance(before, dict) and isinstance(now, dict):
         yield from (
-            (key, before.get(key), now.get(key)) for key in {**before, **now} if before.get(key) != now.get(key)
+            (f"{name} {key}", before.get(key), now.get(key))
+            for key in {**before, **now}
+            if before.get(key) != now.get(key)
         )
     elif isinstance(before, list) and isinstance(now, list):
         yield from ((name, old, new) for old, new in zip_longest(before, now) if old != new)
@@ -265,7 +267,16 @@ def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]
 
 
 def _begun_with(job: str, before: Any, now: Any) -> str:
-    old, new = (text if len(text := str(value)) <= 160 else f"{text[:156]}..." for value in (before, now))
+    old, new = (text if len(text := _in_words(value)) <= 160 else f"{text[:156]}..." for value in (before, now))
     if before is None:
         return f"{job} was begun without {new}"
     return f"{job} was begun with {old} too" if now is None else f"{job} was begun with {old}, not {new}"
+
+
+def _in_words(value: Any) -> str:
+    """A value of a header, of numbers only how many there are, and from where to where."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} ({_in_words(one)})" for name, one in value.items())
+    if isinstance(value, list) and value and all(isinstance(one, int | float) for one in value):
+        return f"{len(value)} values from {min(value):.6g} to {max(value):.6g}"
+    return str(value)
