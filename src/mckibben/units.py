@@ -20,6 +20,8 @@ import functools
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from typing import Annotated, Any, NoReturn
 
 from mckibben.errors import LONGEST_VALUE, RangeError, UnitError, quoted
@@ -191,6 +193,9 @@ def quantity(text: str, unit: str) -> float:
         )
     rest = f"1{rest}" if rest.startswith("/") else rest
     value = float(number.group()) * factor(rest or "1", unit)
+    mantissa = number.group().lower().partition("e")[0]
+    if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # written by `written`
+        value = float(Fraction(number.group()) * Fraction(factor(rest or "1", unit)))
     if not math.isfinite(value):
         raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
     return value
@@ -228,6 +233,19 @@ def show(value: float, unit: str, digits: int = 6) -> str:
     """
     number = f"{value / factor(unit):.{digits}g}"
     return number if unit == "1" else f"{number} {unit}"
+
+
+def written(value: float, shown: str, unit: str) -> str:
+    """An SI value as text in the unit `shown`, which `quantity` reads back to the same float.
+
+    Some floats are no float times a factor. They are written with 20 digits, whose product `quantity` rounds once.
+    """
+    for digits in (15, 16, 17):
+        text = show(value, shown, digits)
+        if quantity(text, unit) == value:
+            return text
+    text = f"{Decimal(value) / Decimal(factor(shown, unit)):.20g} {shown}"
+    return text if quantity(text, unit) == value else show(value, unit, 17)
 
 
 @dataclass(frozen=True)
@@ -283,14 +301,10 @@ class Quantity:
         return number
 
     def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in the unit shown wherever that is possible."""
+        """Text that `read` takes back to the same float, in the unit shown."""
         if self.unit == "1":
             return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
-        for digits in (15, 16, 17):
-            text = show(value, self.shown, digits)
-            if quantity(text, self.unit) == value:
-                return text
-        return show(value, self.unit, 17)  # some floats are no float times a factor; in SI the factor is 1
+        return written(value, self.shown, self.unit)
 
     @functools.cached_property
     def limits(self) -> tuple[float, float]:
@@ -388,9 +402,8 @@ class Percent(Quantity):
         return super().read(value)
 
     def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in percent wherever that is possible."""
-        texts = (show(value, "%", digits) for digits in (15, 16, 17))
-        return next((text for text in texts if quantity(text, "1") == value), super().write(value))
+        """Text that `read` takes back to the same float, in percent."""
+        return written(value, "%", "1")
 
     @property
     def example(self) -> str:

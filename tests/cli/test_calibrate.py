@@ -51,6 +51,7 @@ def test_files_name_the_model(calibrated, tmp_path):
     read, kept = Scenario.read(tmp_path / "s.yaml"), Scenario.read(calibrated / "scenario.yaml")
     assert read.controller.model.arm_scale == kept.controller.model.arm_scale
     assert read.controller.model.muscle1.correction == kept.controller.model.muscle1.correction
+    assert "/Pa" not in (calibrated / "model.yaml").read_text(encoding="utf-8"), "one unit a quantity"
 
 
 def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
