@@ -48,6 +48,7 @@ def test_changes_of_the_catalog_name_the_joint() -> None:
         (HEAD + "  joints: {knee: {locked: 5 deg}}\nlanding: {joint: knee, time_constants: []}\n", 5, "locked"),
         (HEAD + "  joints: {knee: {locked: 50 deg}}\n", 2, "locked"),
         (HEAD + "landing: {joint: knee, drop: [], time_constants: []}\n", 4, "drop"),
+        (HEAD + "ground: {stiffness: 20 N/m}\n", 4, "ground"),
         (HEAD + "jump: {high: 9 bar}\n", 4, "rating"),
         (HEAD + "jump: {low: 3 bar, high: 2 bar}\n", 4, "low"),
         (HEAD + "jump: {latest: 1 s}\n", 4, "latest"),

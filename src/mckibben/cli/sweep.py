@@ -260,10 +260,9 @@ def _show_tuned(
             title = f"{run['scenario']}{', without the conditions' if drawn else ''}"
             table(title, ("metric", "before", "tuned", "unit"), rows)
         if drawn:
-            title = (
-                f"angle RMSE [deg] in the {len(next(iter(drawn.values())))} conditions, and gain margin in all of them"
-            )
-            table(title, *_condition_rows(runs))
+            count = len(next(iter(drawn.values())))
+            title = f"angle RMSE [deg] in the {count} conditions, and gain margin in all of them"
+            table(title, *_condition_rows(runs, count))
             echo(
                 "gain margin: factor on all tuned gains up to which a step of 0.2 deg does not make the loop oscillate"
             )
@@ -294,9 +293,10 @@ def _in_conditions(
     }
 
 
-def _condition_rows(runs: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def _condition_rows(runs: list[dict[str, Any]], count: int) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     share = runs[0]["in_conditions"]["percentile"]
-    headers = ("scenario", "nominal", "median", f"{share:g} %", "worst", "diverged", "gain margin")
+    few = ", the worst of so few" if (1 - share / 100) * count < 1 and share < 100 else ""
+    headers = ("scenario", "nominal", "median", f"{share:g} %{few}", "worst", "diverged", "gain margin")
     rows = []
     for run in runs:
         found = run["in_conditions"]

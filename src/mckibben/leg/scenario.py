@@ -31,7 +31,11 @@ from mckibben.units import (
     Stiffness,
     bar,
     deg,
+    mm,
 )
+
+_DEEPEST = 50 * mm
+"""How far a leg may sink into the ground by its weight: a thick mat."""
 
 
 class TrunkSpec(model_of(Trunk)):
@@ -224,6 +228,21 @@ class LegScenario(RunSpec):
     jump: JumpSpec | None = None
     uncertainty: UncertaintySpec = UncertaintySpec()
     step: PositiveTime = 0.25e-3
+
+    @field_validator("ground", mode="after")
+    @classmethod
+    def _carries(cls, value: GroundSpec | None, info: ValidationInfo) -> GroundSpec | None:
+        leg = info.data.get("leg")
+        if value is None or leg is None:
+            return value
+        weight = float(leg.build().total_mass) * LegPlant.gravity
+        if (depth := weight / value.effective("stiffness")) > _DEEPEST:
+            fail_validation(
+                f"the leg would stand {depth / mm:.3g} mm deep in the ground",
+                f"give a stiffness of {weight / _DEEPEST:.2g} N/m or more",
+                value=value.effective("stiffness"),
+            )
+        return value
 
     @field_validator("landing", "jump", mode="after")
     @classmethod
