@@ -194,7 +194,7 @@ def quantity(text: str, unit: str) -> float:
     rest = f"1{rest}" if rest.startswith("/") else rest
     value = float(number.group()) * factor(rest or "1", unit)
     mantissa = number.group().lower().partition("e")[0]
-    if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # written by `written`
+    if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`
         value = float(Fraction(number.group()) * Fraction(factor(rest or "1", unit)))
     if not math.isfinite(value):
         raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
@@ -233,19 +233,6 @@ def show(value: float, unit: str, digits: int = 6) -> str:
     """
     number = f"{value / factor(unit):.{digits}g}"
     return number if unit == "1" else f"{number} {unit}"
-
-
-def written(value: float, shown: str, unit: str) -> str:
-    """An SI value as text in the unit `shown`, which `quantity` reads back to the same float.
-
-    Some floats are no float times a factor. They are written with 20 digits, whose product `quantity` rounds once.
-    """
-    for digits in (15, 16, 17):
-        text = show(value, shown, digits)
-        if quantity(text, unit) == value:
-            return text
-    text = f"{Decimal(value) / Decimal(factor(shown, unit)):.20g} {shown}"
-    return text if quantity(text, unit) == value else show(value, unit, 17)
 
 
 @dataclass(frozen=True)
@@ -301,10 +288,18 @@ class Quantity:
         return number
 
     def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in the unit shown."""
-        if self.unit == "1":
+        """Text that `read` takes back to the same float, in the unit shown.
+
+        Some floats are no float times a factor. They have 20 digits, and `quantity` rounds their product once.
+        """
+        if self.shown == "1":
             return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
-        return written(value, self.shown, self.unit)
+        for digits in (15, 16, 17):
+            text = show(value, self.shown, digits)
+            if quantity(text, self.unit) == value:
+                return text
+        text = f"{Decimal(value) / Decimal(factor(self.shown, self.unit)):.20g} {self.shown}"
+        return text if quantity(text, self.unit) == value else show(value, self.unit, 17)
 
     @functools.cached_property
     def limits(self) -> tuple[float, float]:
@@ -400,10 +395,6 @@ class Percent(Quantity):
             message = f"{quoted(value)} has no unit, and as a ratio is outside {self.range}"
             self._fail(message, value, f"write '{value.strip()} %'")
         return super().read(value)
-
-    def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in percent."""
-        return written(value, "%", "1")
 
     @property
     def example(self) -> str:
