@@ -22,7 +22,7 @@ _OF_STEP = ("start", "reference", "disturbance")  # what `on_small_step` replace
 
 
 def on_small_step(scenario: Scenario) -> Scenario:
-    """The scenario with a step of 0.2 deg from its start at constant stiffness, undisturbed: for `stability_margin`."""
+    """The scenario with a step of 0.2 deg from its start at constant stiffness, without disturbance torques."""
     start = scenario.start
     stiffness = float(scenario.reference().stiffness(0.0)) if start.stiffness is None else start.stiffness
     step = {"before": start.angle, "after": start.angle + SMALL_STEP, "at": _STEP_AT * scenario.duration}
