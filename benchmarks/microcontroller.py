@@ -21,8 +21,8 @@ from mckibben.study.benchmark import Suite
 from mckibben.study.scenario import Scenario
 
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
-CORTEX_M7 = ("-std=c99", "-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
-WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
+CORTEX_M7 = ("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 ROOT = Path(__file__).parents[1]
 STARTUP = """
 #include <stdint.h>
@@ -56,7 +56,7 @@ class Replayed(NamedTuple):
 
 def footprint(folder: Path, name: str = "controller") -> Footprint:
     """Compile an exported controller for a Cortex-M7, without libm; the stack is without that of libm too."""
-    command = (COMPILER, *CORTEX_M7, *WARNINGS, "-fstack-usage", "-c", f"{name}.c")
+    command = (COMPILER, *CORTEX_M7, *STRICT, "-fstack-usage", "-c", f"{name}.c")
     subprocess.run(command, cwd=folder, check=True)
     sizes = subprocess.run(
         ("arm-none-eabi-size", f"{name}.o"), cwd=folder, check=True, capture_output=True, text=True
@@ -73,7 +73,7 @@ def replayed(folder: Path, name: str = "controller", steps: int = 200_000) -> Re
     (folder / "startup.c").write_text(STARTUP)
     places = "-Wl,--section-start=.vectors=0,--section-start=.init=0x1000,-Ttext=0x2000,-Tdata=0x20000000"
     files = ("replay.c", f"{name}.c", "startup.c", "-o", "replay.elf", "-lm")
-    subprocess.run((COMPILER, *CORTEX_M7, "-specs=rdimon.specs", places, *files), cwd=folder, check=True)
+    subprocess.run((COMPILER, "-std=c99", *CORTEX_M7, "-specs=rdimon.specs", places, *files), cwd=folder, check=True)
     arguments = f"enable=on,target=native,arg=replay,arg=replay.csv,arg={steps}"
     command = (EMULATOR, "-M", "mps2-an500", "-nographic", "-monitor", "none", "-serial", "none", "-icount", "shift=0")
     done = subprocess.run(
@@ -85,16 +85,16 @@ def replayed(folder: Path, name: str = "controller", steps: int = 200_000) -> Re
     return Replayed(float(deviation), *map(int, timed[0] if timed else (0, 0)))
 
 
-def scenarios() -> dict[str, Scenario]:
-    """A run of a second of each controller of the comparison."""
+def scenarios(duration: float = 1.0) -> dict[str, Scenario]:
+    """A run [s] of each controller of the comparison."""
     suite = Suite.read(ROOT / "examples" / "comparison" / "knee.yaml")
     parts = {name: getattr(suite, name) for name in ("joint", "load", "valve", "sensors", "control_period", "substeps")}
     reference = {
         "angle": {"sine": {"amplitude": "5 deg", "frequency": "1 Hz", "phase": "90 deg"}},
-        "stiffness": {"step": {"before": "14 N*m/rad", "after": "15 N*m/rad", "at": "500 ms"}},
+        "stiffness": {"step": {"before": "14 N*m/rad", "after": "15 N*m/rad", "at": duration / 2}},
     }
     return {
-        name: Scenario(name=name, controller=spec, reference=reference, duration=1.0, **parts)
+        name: Scenario(name=name, controller=spec, reference=reference, duration=duration, **parts)
         for name, spec in suite.controllers.items()
     }
 

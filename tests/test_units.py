@@ -1,6 +1,7 @@
 import math
 import time
 
+import numpy as np
 import pint
 import pytest
 from hypothesis import given
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 
 from mckibben import units
 from mckibben.errors import UnitError
-from mckibben.units import UNITS, factor, quantity, show
+from mckibben.units import UNITS, Percent, Quantity, factor, quantity, show
 
 
 @pytest.mark.parametrize(
@@ -251,3 +252,13 @@ def test_every_unit_is_as_large_as_pint_has_it(unit):
     theirs = REGISTRY.parse_expression(unit.replace("percent", "(0.01)").replace("ratio", "(1.0)"))
     size = theirs.to_base_units().magnitude if hasattr(theirs, "to_base_units") else theirs
     assert factor(unit) == pytest.approx(float(size), rel=1e-12)
+
+
+@pytest.mark.parametrize("mark", [Quantity("N/Pa", "N/bar", -1e6, 1e6), Quantity("rad", "deg"), Percent("1", "%")])
+def test_every_float_is_written_in_the_unit_shown(mark):
+    """Also those that are no float times the factor of the unit."""
+    rng = np.random.default_rng(0)
+    for value in (rng.standard_normal(2000) * 10.0 ** rng.integers(-9, 3, 2000)).tolist():
+        text = mark.write(value)
+        assert text.endswith(f" {mark.shown}")
+        assert quantity(text, mark.unit) == value

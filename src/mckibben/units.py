@@ -20,6 +20,8 @@ import functools
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from typing import Annotated, Any, NoReturn
 
 from mckibben.errors import LONGEST_VALUE, RangeError, UnitError, quoted
@@ -191,6 +193,9 @@ def quantity(text: str, unit: str) -> float:
         )
     rest = f"1{rest}" if rest.startswith("/") else rest
     value = float(number.group()) * factor(rest or "1", unit)
+    mantissa = number.group().lower().partition("e")[0]
+    if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`
+        value = float(Fraction(number.group()) * Fraction(factor(rest or "1", unit)))
     if not math.isfinite(value):
         raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
     return value
@@ -283,14 +288,18 @@ class Quantity:
         return number
 
     def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in the unit shown wherever that is possible."""
-        if self.unit == "1":
+        """Text that `read` takes back to the same float, in the unit shown.
+
+        Some floats are no float times a factor. They have 20 digits, and `quantity` rounds their product once.
+        """
+        if self.shown == "1":
             return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
         for digits in (15, 16, 17):
             text = show(value, self.shown, digits)
             if quantity(text, self.unit) == value:
                 return text
-        return show(value, self.unit, 17)  # some floats are no float times a factor; in SI the factor is 1
+        text = f"{Decimal(value) / Decimal(factor(self.shown, self.unit)):.20g} {self.shown}"
+        return text if quantity(text, self.unit) == value else show(value, self.unit, 17)
 
     @functools.cached_property
     def limits(self) -> tuple[float, float]:
@@ -386,11 +395,6 @@ class Percent(Quantity):
             message = f"{quoted(value)} has no unit, and as a ratio is outside {self.range}"
             self._fail(message, value, f"write '{value.strip()} %'")
         return super().read(value)
-
-    def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in percent wherever that is possible."""
-        texts = (show(value, "%", digits) for digits in (15, 16, 17))
-        return next((text for text in texts if quantity(text, "1") == value), super().write(value))
 
     @property
     def example(self) -> str:

@@ -12,7 +12,7 @@ from mckibben.calibration import JointCalibration, JointPrior, JointRecording, c
 from mckibben.calibration.equations import halves_of, parameters, problem_of
 from mckibben.calibration.experiment import with_fits
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
@@ -150,6 +150,15 @@ def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
     assert caught.value.remedy
     if field is not None:
         assert caught.value.value == field
+
+
+@pytest.mark.parametrize(
+    "change", [lambda r: {"angle": -r.angle}, lambda r: {"pressures": r.pressures[:, ::-1]}], ids=["sign", "order"]
+)
+def test_recordings_that_contradict_the_model_are_told_from_others(recorded, change):
+    wrong = [dataclasses.replace(one, **change(one)) for one, _, _ in recorded]
+    with pytest.raises((IdentificationError, McKibbenWarning), match="contradict"):
+        calibrate_joint(knee(), LOAD, wrong)
 
 
 def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded, tmp_path):

@@ -51,6 +51,7 @@ def test_files_name_the_model(calibrated, tmp_path):
     read, kept = Scenario.read(tmp_path / "s.yaml"), Scenario.read(calibrated / "scenario.yaml")
     assert read.controller.model.arm_scale == kept.controller.model.arm_scale
     assert read.controller.model.muscle1.correction == kept.controller.model.muscle1.correction
+    assert "/Pa" not in (calibrated / "model.yaml").read_text(encoding="utf-8"), "one unit a quantity"
 
 
 def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
@@ -79,6 +80,19 @@ def test_mistakes_are_refused_before_anything_moves(cli, tmp_path, arguments):
     found = cli("calibrate", str(EXAMPLE), *arguments, "--out", "x")
     assert found.code == 2
     assert not list(tmp_path.glob("x/*/record*"))
+
+
+def test_a_muscle_against_a_return_spring_is_calibrated_on_sweeps_of_the_angle(cli, tmp_path):
+    text = EXAMPLE.parents[1] / "pre-contracted-step-pid.yaml"
+    spring = "return_spring1: {rate: 4 N/mm, free_length: 130 mm}\n  muscle: "
+    (tmp_path / "s.yaml").write_text(text.read_text(encoding="utf-8").replace("muscle: ", spring, 1), encoding="utf-8")
+    found = cli("calibrate", "s.yaml", "--duration", "20 s", "--out", "x")
+    assert found.code == 0, found.err
+    numbers = json.loads((tmp_path / "x" / "results.json").read_text(encoding="utf-8"))
+    force = numbers["quantities"]["muscle2.force"]
+    assert force["determined"]
+    assert force["value"] == pytest.approx(1.0, abs=3 * force["standard_deviation"])
+    assert "the weight" not in found.out, "there was none"
 
 
 def test_a_calibrated_model_is_not_calibrated_again(cli, calibrated):

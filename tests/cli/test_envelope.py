@@ -120,7 +120,7 @@ def test_a_design_that_holds_nothing_is_drawn_too(cli, printed):
         (("--torque-reserve", "1 N*m"), "are for a design; add --design"),
         (("--design", "stiffness 14..18 N*m/rad over 0..5 deg"), "varies nothing; add --vary"),
         (("--design", "much", "--vary", "joint_radius=20..50 mm"), "not a design target"),
-        (("--design", "14..18 N*m/rad over 0..5 deg", "--vary", "radius=20..50 mm"), "known are joint_length"),
+        (("--design", "14..18 N*m/rad over 0..5 deg", "--vary", "radius=20..50 mm"), "joint_radius"),
     ],
 )
 def test_a_mistake_is_one_error(cli, printed, arguments, named):

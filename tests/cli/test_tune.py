@@ -112,13 +112,18 @@ def test_a_search_over_conditions_has_their_margin(cli, scenario, tmp_path):
     found = cli(
         *("tune", "s.yaml", "--parameters", "controller.position.kp=1..4 bar/rad", "--method", "evolution"),
         *("--conditions", "load.mass2=+-20 %", "--draws", "4", "--percentile", "75", "--population", "8"),
-        *("--iterations", "1", "--out", "kept", "--json"),
+        *("--iterations", "1", "--out", "kept"),
     )
     assert found.code == 0, found.err
-    numbers = json.loads(found.out)
+    assert "angle RMSE [deg] in the 4 conditions" in found.out
+    numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
     assert len(numbers["conditions"]["load.mass2"]) == 4
-    (margin,) = numbers["margins"].values()
-    assert 1 <= margin <= 10
+    (run,) = numbers["runs"]
+    found = run["in_conditions"]
+    assert 1 <= found["gain_margin"] <= 10
+    assert (found["percentile"], found["diverged"], found["unstable"]) == (75, 0, 0)
+    errors = found["angle_rmse_deg"]
+    assert 0 < errors["median"] <= errors["percentile"] <= errors["worst"]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import group_pressures, nominal_pressures, passes, slack_force
-from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning
 from mckibben.units import bar, mm
 
 TRUTH = {"a1": -200.0, "a2": 95.0, "b1": 1.0, "b2": -3.0, "c1": 170.0, "c2": -4.0, "decay": 0.36}  # bar, percent
@@ -124,6 +124,23 @@ def test_levels_and_their_nominal_pressures():
     assert group_pressures(bars * bar) is None  # they are levels already
     many = rng.permutation(np.repeat([0.1, 0.2, 6.0], 2000) + rng.normal(0, 0.004, 6000).round(3)) * bar
     assert np.bincount(group_pressures(many)).tolist() == [2000, 2000, 2000]
+
+
+def test_scatter_about_one_pressure_is_one_level_and_determines_nothing_of_the_pressure(written):
+    pressure, contraction, force, _ = measured(bars=(3,), scatter=2e-3)
+    data = read(written(pressure, contraction, force))
+    assert len(data.pressures) == 1
+    with pytest.raises(IdentificationError) as caught:
+        identify(ExponentialLaw, data)
+    assert caught.value.value > caught.value.upper
+
+
+def test_rows_pasted_twice_are_warned_of(written):
+    pressure, contraction, force, _ = measured()
+    columns = [np.tile(column, 2) for column in (pressure, contraction, force)]
+    assert len(check_points(*columns, 1.0, LENGTH).warnings) == 1
+    columns[2][0] += 1.0
+    assert not check_points(*columns, 1.0, LENGTH).warnings
 
 
 def test_passes_need_reversals():

@@ -3,7 +3,6 @@
 import importlib
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
@@ -12,10 +11,7 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import ExportError, FileError, ParameterError
 from mckibben.export import export
 from mckibben.export.controller import controller_functions, controller_program
-from mckibben.study.benchmark import Suite
-from mckibben.study.scenario import Scenario
 
-SUITE = Path("examples/comparison/knee.yaml")
 pytestmark = pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
 REPLAYED = {
     "PID": {},
@@ -27,18 +23,17 @@ REPLAYED = {
 
 
 @pytest.fixture(scope="module")
-def scenarios():
-    """A short run of each controller of the suite."""
-    suite = Suite.read(SUITE)
-    parts = {name: getattr(suite, name) for name in ("joint", "load", "valve", "sensors", "control_period", "substeps")}
-    reference = {
-        "angle": {"sine": {"amplitude": "5 deg", "frequency": "2 Hz", "phase": "90 deg"}},
-        "stiffness": {"step": {"before": "14 N*m/rad", "after": "15 N*m/rad", "at": "100 ms"}},
-    }
-    return {
-        name: Scenario(name=name, controller=spec, reference=reference, duration=0.3, **parts)
-        for name, spec in suite.controllers.items()
-    }
+def board():
+    """The benchmark of microcontrollers."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend("benchmarks")
+        return importlib.import_module("microcontroller")
+
+
+@pytest.fixture(scope="module")
+def scenarios(board):
+    """A short run of each controller of the comparison."""
+    return board.scenarios(0.3)
 
 
 @pytest.mark.parametrize("name", REPLAYED)
@@ -49,13 +44,13 @@ def test_it_repeats_the_recorded_run(scenarios, name, tmp_path):
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if REPLAYED[name] else 1e-11)
 
 
-def test_all_compile_without_warnings(scenarios, tmp_path):
+def test_all_compile_without_warnings(board, scenarios, tmp_path):
     for name, scenario in scenarios.items():
         module, _ = controller_program(controller_functions(scenario), "knee")
         for file, text in zip(("knee.h", "knee.c"), write_c(module), strict=True):
             (tmp_path / file).write_text(text)
-        flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O0", "-c", "-o", "knee.o"]
-        done = subprocess.run([compiler(), *flags, "knee.c"], cwd=tmp_path, capture_output=True, text=True)
+        command = [compiler(), *board.STRICT, "-O0", "-c", "-o", "knee.o", "knee.c"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert (done.returncode, done.stderr) == (0, ""), name
         symbols = subprocess.run(
             ["nm", "-u", "knee.o"], cwd=tmp_path, capture_output=True, text=True, check=True
@@ -64,9 +59,7 @@ def test_all_compile_without_warnings(scenarios, tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
-def test_it_fits_a_cortex_m7_and_runs_there(scenarios, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend("benchmarks")
-    board = importlib.import_module("microcontroller")
+def test_it_fits_a_cortex_m7_and_runs_there(board, scenarios, tmp_path):
     export(scenarios["PID"], "c", tmp_path, name="knee")
     size = board.footprint(tmp_path, "knee")
     assert 1000 < size.code < 16_000

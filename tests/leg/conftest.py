@@ -16,7 +16,7 @@ FILE = "examples/leg/lei-leg.yaml"
 def scenario() -> LegScenario:
     """The example, small."""
     read = LegScenario.read(FILE)
-    few = read.uncertainty.model_copy(update={"draws": 3})
+    few = read.uncertainty.model_copy(update={"draws": 20})
     assert read.landing is not None and read.jump is not None
     landing = read.landing.model_copy(update={"levels": 4, "drop": (0.05,), "duration": 0.1})
     jump = read.jump.model_copy(update={"duration": 0.25, "latest": 0.05})

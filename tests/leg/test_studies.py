@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -47,6 +48,7 @@ def test_changes_of_the_catalog_name_the_joint() -> None:
         (HEAD + "  joints: {knee: {locked: 5 deg}}\nlanding: {joint: knee, time_constants: []}\n", 5, "locked"),
         (HEAD + "  joints: {knee: {locked: 50 deg}}\n", 2, "locked"),
         (HEAD + "landing: {joint: knee, drop: [], time_constants: []}\n", 4, "drop"),
+        (HEAD + "ground: {stiffness: 20 N/m}\n", 4, "ground"),
         (HEAD + "jump: {high: 9 bar}\n", 4, "rating"),
         (HEAD + "jump: {low: 3 bar, high: 2 bar}\n", 4, "low"),
         (HEAD + "jump: {latest: 1 s}\n", 4, "latest"),
@@ -60,6 +62,28 @@ def test_bad_files_name_line_and_remedy(text: str, line: int | None, word: str) 
     problem = caught.value.problems[0]
     assert word in str(problem) and problem.remedy
     assert line is None or problem.line == line
+
+
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        (
+            "leg: {from: lei-leg, trunk: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
+            ["leg.trunk", "landing.time_constants", "landing.drop[0]"],
+        ),
+        ("leg: {from: lei-leg, joints: {knee: {muscle1: null}}}\n", ["leg.joints.knee.muscle1"]),
+        ("leg: null\n", ["leg"]),
+        (
+            "leg: lei-leg\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
+            ["landing.drop[0]", "landing.drop[1]"],
+        ),
+        ("leg: lei-leg\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n", ["landing.stiffness"]),
+    ],
+)
+def test_what_follows_from_another_mistake_is_not_said(text: str, fields: list[str]) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse("name: x\n" + text)
+    assert [problem.field for problem in caught.value.problems] == fields
 
 
 def test_stiffness_that_is_not_attainable(scenario: LegScenario) -> None:
@@ -87,10 +111,10 @@ def test_supply_that_is_too_low(scenario: LegScenario) -> None:
 
 def test_landing_study(scenario: LegScenario) -> None:
     study = study_landing(scenario)
-    assert study.table["peak_force"].shape == (3, 1, 4, 4)
+    assert study.table["peak_force"].shape == (3, 1, 4, 21)
     forces = study.table["peak_trunk_force"].to_numpy()
     best = study.best()
-    assert best.shape == (3, 1, 4)
+    assert best.shape == (3, 1, 21)
     for v in range(3):  # no softer one has so little force
         at = best[v, 0, 0]
         assert forces[v, 0, at, 0] <= forces[v, 0, :, 0].min() * 1.02
@@ -101,10 +125,30 @@ def test_landing_study(scenario: LegScenario) -> None:
     assert len(rows) == 3 and len(study.records()["landings"]) == 3
 
 
+def test_a_best_stiffness_that_bottoms_out_is_said(scenario: LegScenario) -> None:
+    study = study_landing(scenario)
+    at = int(study.best()[0, 0, 0])
+    torque = study.table["stop_torque"] * 0.0
+    torque[0, 0, at], torque[1] = 1.0, 1.0
+    said = dataclasses.replace(study, table=study.table.assign(stop_torque=torque))
+    found = [(one["avoids_stop"], one["best_bottoms_out"]) for one in said.records()["landings"]]
+    assert found == [(True, True), (False, True), (True, False)]
+    marked = ["bottoms out" in row[2] or "stop" in row[2] for row in said.rows()[1]]
+    assert marked == [True, True, False]
+
+
+def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario: LegScenario) -> None:
+    text = scenario.dumps().replace("draws: 20", "draws: 19")
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse(text)
+    (problem,) = caught.value.problems
+    assert (problem.field, problem.value, problem.lower) == ("uncertainty.draws", 19, 20)
+
+
 def test_a_study_that_was_broken_off_goes_on(
     scenario: LegScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(landing, "ROWS", 8)
+    monkeypatch.setattr(landing, "ROWS", 42)
     whole, journal = study_landing(scenario), tmp_path / "landing.journal"
     run, runs = landing.simulate_legs, []
 
@@ -168,7 +212,7 @@ def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> N
 def test_standing_is_the_highest_posture(scenario: LegScenario) -> None:
     plant, drawn = scenario.plant(), drawn_plant(scenario)
     standing, hip = jumping._standing_heights(plant, drawn)
-    assert standing.shape == (4,) and standing[0] == pytest.approx(0.727, abs=2e-3)
+    assert standing.shape == (21,) and standing[0] == pytest.approx(0.727, abs=2e-3)
     assert 0.75 < hip < 0.79 and np.ptp(standing) > 0
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.errors import FileError
+from mckibben.errors import DatasetError, FileError
+from mckibben.rig.record import read_header as read_record_header
 from mckibben.storage import journal as module
 from mckibben.storage.journal import HEADER, Journal, JournalReader, header_differences, pack, pack_json, read_header
 
@@ -81,6 +82,22 @@ def test_a_damaged_header_is_read_from_its_copy(filled):
         read_header(filled, "test journal", 1)
 
 
+def test_a_journal_without_its_header_is_told_from_another_file(filled, tmp_path):
+    content, size = filled.read_bytes(), len(pack_json(HEADER, 0, ABOUT))
+    for kept in (b"", content[:5], content[:40], content[: size - 1], content[2 * size :]):
+        filled.write_bytes(kept)
+        with pytest.raises(FileError) as caught:
+            read_header(filled, "test journal", 1)
+        assert caught.value.problems[0].field == "header" and caught.value.problems[0].remedy
+        with pytest.raises(DatasetError) as record:
+            read_record_header(filled)
+        assert record.value.problems[0].field == "header"
+    filled.write_text("angle,force\n1,2\n", encoding="utf-8")
+    with pytest.raises(FileError) as caught:
+        read_header(filled, "test journal", 1)
+    assert caught.value.problems[0].field == ""
+
+
 @pytest.mark.parametrize("lose", [Path.unlink, lambda path: path.rename(path.with_name("elsewhere"))])
 def test_a_journal_that_was_removed_or_moved_is_not_written_on_in_silence(filled, lose):
     reader = JournalReader(filled)
@@ -125,7 +142,7 @@ def test_an_existing_file_is_not_taken(filled):
     assert numbers(filled) == list(range(20))
 
 
-@pytest.mark.parametrize("content", [b"", b"text", pack(ITEM, 0, b"{}"), pack_json(HEADER, 0, {"format": "other"})])
+@pytest.mark.parametrize("content", [b"text", pack_json(HEADER, 0, {"format": "other"})])
 def test_another_file_has_no_header_of_ours(tmp_path, content):
     (tmp_path / "a").write_bytes(content)
     with pytest.raises(FileError) as refused:
@@ -144,10 +161,19 @@ def test_differences_name_the_item_that_differs():
     assert [(problem.field, problem.message) for problem in found] == [
         ("seed", "the job was begun with 1, not 2"),
         ("over", "the job was begun with b too"),
-        ("numpy", "the job was begun with 2, not 3"),
+        ("software numpy", "the job was begun with 2, not 3"),
         ("text", "the job was begun with 'b: 2', not 'b: 3'"),
     ]
     assert not header_differences(kept, kept, "the job", remedy="")
+
+
+def test_draws_are_not_listed():
+    kept, wanted = {"conditions": {"mass": [0.25, 0.5, 0.75], "lag": [1.5]}}, {"conditions": {"mass": [0.3, 0.5, 0.7]}}
+    found = header_differences(kept, wanted, "the job", remedy="start anew")
+    assert [problem.field for problem in found] == ["conditions mass", "conditions lag"]
+    assert found[0].message == "the job was begun with 3 values from 0.25 to 0.75, not 3 values from 0.3 to 0.7"
+    (none,) = header_differences(kept, {}, "the job", remedy="start anew")
+    assert (none.field, "0.5" in none.message) == ("conditions", False)
 
 
 JOB = """

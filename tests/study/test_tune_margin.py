@@ -7,8 +7,11 @@ import pytest
 
 from mckibben.control import ExtendedStateObserver
 from mckibben.errors import ParameterError
+from mckibben.study.parameters import with_values
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune import stability_margin
+from mckibben.study.scenario.building import run_many
+from mckibben.study.tune import on_small_step, stability_margin
+from mckibben.study.tune.margin import SMALL_STEP, in_conditions
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 POLES, OBSERVED, PRESSURE, LAG, PERIOD = 60.0, 160.0, 100.0, 0.02, 1e-3
@@ -83,3 +86,36 @@ def test_what_has_no_margin_is_refused(scenario):
     assert caught.value.value == 1.0
     with pytest.raises(ParameterError, match=r"load\.mass9"):
         stability_margin(scenario, ["load.mass9"])
+
+
+GAINS = [f"controller.position.{gain}" for gain in ("kp", "ki", "kd")]
+
+
+def gains_of(factor):
+    return dict(zip(GAINS, np.multiply(factor, (1e4, 2e6, 2e4)).tolist(), strict=True))
+
+
+@pytest.fixture(scope="module")
+def slow():
+    """A loop that follows its large sine badly, and is far from unstable."""
+    said = Scenario.parse(TEXT).model_copy(update={"duration": 2.0})
+    return with_values(said, gains_of(1.0))
+
+
+def test_the_gain_margin_in_conditions_does_not_depend_on_the_error_of_a_large_reference(slow):
+    conditions = {"load.mass2": np.array([0.3, 0.7]), "reference.angle.amplitude": np.array([0.1, 0.2])}
+    found = in_conditions(slow, GAINS, conditions, largest=10.0)
+    assert found.unstable == 0
+    assert found.angle_rmse.min() > 4 * SMALL_STEP, "it follows badly"
+    calm, wild = (
+        run_many(on_small_step(with_values(slow, gains_of(factor))), {"load.mass2": np.array([0.3, 0.7])})
+        for factor in (found.gain_margin, 1.4 * found.gain_margin)
+    )
+    assert calm["angle_rmse"].max() < SMALL_STEP < wild["angle_rmse"].max(), "beyond the margin it oscillates"
+
+
+def test_a_loop_that_oscillates_has_no_margin_however_large_its_error(slow):
+    fast = with_values(slow, dict(zip(GAINS, (2e5, 2e8, 2e4), strict=True)))
+    found = in_conditions(fast, GAINS, {"load.mass2": np.array([0.3, 0.7])}, largest=10.0)
+    assert (found.unstable, found.gain_margin) == (2, 0.0)
+    assert in_conditions(fast, [], {"load.mass2": np.array([0.3])}, largest=10.0).gain_margin is None

@@ -269,6 +269,36 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
     assert Scenario.parse(bench.text).dumps() == bench.text
 
 
+@pytest.mark.parametrize("wrong", [1e308, -1e308, None])
+def test_a_number_that_cannot_be_is_refused_at_its_field(wrong):
+    async def visit():
+        async with visitor() as user:
+            await user.open("/run")
+            bench = state(workbench.Workbench)
+            await until(lambda: there(user, "controller.position.ki"), 60)
+            first, field = bench.current, the(user, ui.number, "controller.position.ki")
+            field.set_value(wrong)
+            assert field.error
+            await asyncio.sleep(0.1)
+            assert not bench.jobs.busy and bench.current is first
+            field.set_value(70)
+            assert not field.error and bench.jobs.busy
+            await user.open("/")
+            field = the(user, ui.number, "radius-of-the-anchors-field")
+            field.set_value(wrong)
+            assert field.error
+            field.set_value(40)
+            await until(lambda: state(design.JointDesign).dimensions["radius"] == 40)
+            assert not field.error
+            await user.open("/identify")
+            field = the(user, ui.input, "length")
+            for text, refused in (("-5 lb", True), ("-180 mm", True), ("nan mm", True), ("180 mm", False), ("", False)):
+                field.set_value(text)
+                assert bool(field.error) == refused
+
+    asyncio.run(visit())
+
+
 def test_other_controllers_and_references_are_scenarios():
     for section in workbench.CONTROLLERS.values():
         Scenario.parse(workbench.with_section(workbench.START, section, ("controller",))).control()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from scipy.ndimage import gaussian_filter1d
+from scipy.special import chdtri
 
 from mckibben.calibration.equations import (
     COEFFICIENTS,
@@ -33,7 +35,7 @@ from mckibben.calibration.equations import (
     problem_of,
     sliding_from,
 )
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.compiled import compiled
@@ -42,6 +44,8 @@ _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
 _LEAST_VARIANCE = 1e-8
 _INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
+_CONTRADICTION = 1e-9  # probability of estimates as far from the model, by their prior
+_CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
 DETERMINED = 0.5
@@ -140,7 +144,13 @@ def calibrate_joint(
     Raises
     ------
     IdentificationError
-        If a recording is too short, too slowly sampled or at rest, or holds numbers that are not finite.
+        If a recording is too short, too slowly sampled or at rest, holds numbers that are not finite, or gives the
+        load no mass above 0.
+
+    Warns
+    -----
+    McKibbenWarning
+        If the estimates are farther from the model than their prior allows, with a probability of 1e-9.
 
     References
     ----------
@@ -153,7 +163,15 @@ def calibrate_joint(
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
     estimate, covariance, residual = _solve(problem, halves)
-    found = jax.tree.map(number, corrected(problem, jnp.asarray(estimate)))
+    try:
+        found = jax.tree.map(number, corrected(problem, jnp.asarray(estimate)))
+    except RangeError as error:
+        raise IdentificationError(f"the recordings contradict the model: {error.message}", remedy=_CHECK) from None
+    if (distance := float(estimate @ estimate)) > chdtri(estimate.size, _CONTRADICTION):
+        text = "the recordings contradict the model: the estimates are farther from it than the prior deviations allow"
+        warnings.warn(
+            f"{text} (chi-squared {distance:.3g} of {estimate.size}); {_CHECK}", McKibbenWarning, stacklevel=2
+        )
     quantities = quantities_of(problem, estimate, covariance)
     return JointCalibration(found.joint, found.load, quantities, residual, problem, estimate, covariance)
 

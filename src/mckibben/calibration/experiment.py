@@ -69,11 +69,12 @@ class Sweeps:
         """Scenario of each part by its added mass [kg]: sweeps within what the controller's model can hold.
 
         Angles are swept slowly, three times, with a smaller motion of 1 Hz, and the stiffness twice over 70 % of what
-        is attainable at all angles, bare and with the weight. Raises `ParameterError` if there is nothing in common.
+        is attainable at all angles, bare and with the weight; not with a return spring. Raises `ParameterError` if
+        there is nothing in common.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         low, high = self._attainable(scenario)
-        if not low < high:
+        if not low <= high:
             raise ParameterError(
                 "no stiffness is attainable at all of the angles, with and without weight",
                 remedy="give other --angles, or a smaller --weight",
@@ -123,6 +124,8 @@ class Sweeps:
             torque = -self._weighted(load, mass).build().gravity_torque(jnp.asarray(angles))
             bands += [np.asarray(joint.attainable_stiffness(angles, torque, minimum_tension=least))]
         low, high = np.max([band[0] for band in bands]), np.min([band[1] for band in bands])
+        if any(joint.springs):  # the angle determines it, and none is held at all angles
+            low = high = np.mean(bands)
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
 
 
@@ -331,8 +334,8 @@ SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s
 """Units of quantities in reports, by those of SI."""
 
 
-def statements(found: JointCalibration) -> list[str]:
-    """Return one sentence for each quantity that is not determined."""
+def statements(found: JointCalibration, *, weighted: bool) -> list[str]:
+    """Return one sentence for each quantity that is not determined; on the weight only where there was one."""
     names = {"added_mass": "the weight", "zero": "the encoder's zero", "arm_scale": "the scale of the moment arms"}
     apart = ("friction.torque", "muscle1.friction", "muscle2.friction")
     together = "friction.total" in found.quantities and found.quantities["friction.total"].determined
@@ -345,7 +348,7 @@ def statements(found: JointCalibration) -> list[str]:
         f"not determined: {names.get(name, name)}, {show(one.value, SHOWN[one.unit], 4)} with a standard deviation of "
         f"{show(one.deviation, SHOWN[one.unit], 2)} ({show(one.prior, SHOWN[one.unit], 2)} before)"
         for name, one in found.quantities.items()
-        if not one.determined
+        if not one.determined and (weighted or name != "added_mass")
     ]
 
 

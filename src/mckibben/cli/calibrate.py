@@ -225,7 +225,7 @@ def _report(
                     for row in simulated
                 ],
             )
-        for line in statements(found):
+        for line in statements(found, weighted=any(one.added_mass for one in recordings)):
             echo(line)
     echo(f"wrote model.yaml (for `model: model.yaml` of a controller), scenario.yaml and figure to {out}", err=json)
 

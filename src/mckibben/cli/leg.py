@@ -13,7 +13,6 @@ from mckibben.cli.options import (
     Json,
     Out,
     echo,
-    job_progress,
     keeping,
     long_job,
     notify,
@@ -83,7 +82,7 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
 
     read = _read(file)
     _check_animation(animate, force)
-    with job_progress(quiet=json) as report:
+    with long_job(quiet=json, kept="") as report:
         study = study_jump(read, source=str(file), progress=report)
     numbers = study.records()
     if out:

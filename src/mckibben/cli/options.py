@@ -251,7 +251,7 @@ def long_job(*, quiet: bool, kept: str) -> Iterator[Callable[[str, float], None]
         with job_progress(quiet=quiet) as report:
             yield report
     except KeyboardInterrupt as interrupt:
-        echo(f"interrupted: {str(interrupt) or kept}", err=True)
+        echo(f"interrupted: {str(interrupt) or kept or 'nothing is kept'}", err=True)
         raise typer.Exit(INTERRUPTED) from None
 
 

@@ -127,7 +127,7 @@ def _list(path: Path, json: bool) -> None:
     table(read.name, ("parameter", "value", "range", "unit"), rows)
 
 
-_LARGEST, _GROWTH = 10.0, 1.5  # factor on gains, and on the error
+_LARGEST = 10.0  # factor on gains
 _METHODS = ("gradient", "evolution", "cma")
 
 
@@ -188,6 +188,7 @@ def tune(
     for name, values in drawn.items():
         if len(values) > 1 and values.min() == values.max():
             raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
+    followed: Any = "all" if known == ["all"] else known or ()
     history = out / "history.journal"
     if not resume and not history.exists():  # an existing search is reported by `run`
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
@@ -203,15 +204,25 @@ def tune(
             seed=seed,
             history=history,
             resume=resume,
-            known="all" if known == ["all"] else known or (),
+            known=followed,
             conditions=drawn,
             progress=bar,
         )
-    _show_tuned(tuned, read, scenarios, ranges, drawn, out, json)
+    within = (
+        [_in_conditions(one, tuned, percentile or 90.0, drawn, followed) for one in tuned.scenarios] if drawn else []
+    )
+    _show_tuned(tuned, read, scenarios, ranges, drawn, within, out, json)
 
 
 def _show_tuned(
-    tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, drawn: Table, out: Path, json: bool
+    tuned: TuningResult,
+    before: list[Scenario],
+    paths: list[Path],
+    ranges: Any,
+    drawn: Table,
+    within: list[dict[str, Any]],
+    out: Path,
+    json: bool,
 ) -> None:
     from mckibben import report
 
@@ -228,9 +239,9 @@ def _show_tuned(
         "values": {name: {"si": tuned.values[name], "shown": text} for name, text in shown_values.items()},
         "runs": runs,
     }
-    margins = _margins(tuned, drawn) if drawn else {}
-    if margins:
-        numbers |= {"conditions": {name: values.tolist() for name, values in drawn.items()}, "margins": margins}
+    if drawn:
+        numbers["conditions"] = {name: values.tolist() for name, values in drawn.items()}
+        runs[:] = [{**run, "in_conditions": one} for run, one in zip(runs, within, strict=True)]
     with keeping(out, "make room, and continue with --resume"):
         kept = _keep_scenarios(tuned, paths, out)
         write_json(out / "results.json", numbers)
@@ -248,27 +259,55 @@ def _show_tuned(
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]
             title = f"{run['scenario']}{', without the conditions' if drawn else ''}"
             table(title, ("metric", "before", "tuned", "unit"), rows)
-        for name, factor in margins.items():
-            least = f"{factor:.2g} times" if factor < _LARGEST else f"{_LARGEST:g} times and more"
-            echo(f"{name}: in all conditions the tuned gains may rise to {least} before the error does by half")
+        if drawn:
+            count = len(next(iter(drawn.values())))
+            title = f"angle RMSE [deg] in the {count} conditions, and gain margin in all of them"
+            table(title, *_condition_rows(runs, count))
+            echo(
+                "gain margin: factor on all tuned gains up to which a step of 0.2 deg does not make the loop oscillate"
+            )
         if tuned.at_bound:
             echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
     echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
 
 
-def _margins(tuned: TuningResult, drawn: Table) -> dict[str, float]:
-    """Factor on the tuned gains up to which each scenario is stable in all conditions, at most 10."""
-    from mckibben.study.parameters import find_parameters
-    from mckibben.study.tune import stability_margin
-    from mckibben.study.tune.search import is_gain
+def _in_conditions(
+    scenario: Scenario, tuned: TuningResult, percentile: float, drawn: Table, known: Any
+) -> dict[str, Any]:
+    import numpy as np
 
-    found, gains = {}, [name for name in tuned.values if is_gain(name)]
-    for scenario in tuned.scenarios if gains else ():
-        room = [float(each.upper) / tuned.values[each.name] for each in find_parameters(scenario, gains)]
-        largest = min(_LARGEST, *room)
-        margin = stability_margin(scenario, gains, largest=largest, growth=_GROWTH, conditions=drawn)
-        found[scenario.name] = min(margin, largest)
-    return found
+    from mckibben.study.tune.margin import in_conditions
+    from mckibben.study.tune.search import is_gain
+    from mckibben.units import deg
+
+    gains = [name for name, value in tuned.values.items() if is_gain(name) and value]
+    found = in_conditions(scenario, gains, drawn, largest=_LARGEST, known=known)
+    shares = {"median": 50.0, "percentile": percentile, "worst": 100.0}
+    ranked = {name: np.percentile(found.angle_rmse, one, method="inverted_cdf") for name, one in shares.items()}
+    return {
+        "angle_rmse_deg": {name: float(one / deg) if np.isfinite(one) else None for name, one in ranked.items()},
+        "percentile": percentile,
+        "diverged": int(np.isinf(found.angle_rmse).sum()),
+        "unstable": found.unstable,
+        "gain_margin": found.gain_margin,
+    }
+
+
+def _condition_rows(runs: list[dict[str, Any]], count: int) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    share = runs[0]["in_conditions"]["percentile"]
+    few = ", the worst of so few" if (1 - share / 100) * count < 1 and share < 100 else ""
+    headers = ("scenario", "nominal", "median", f"{share:g} %{few}", "worst", "diverged", "gain margin")
+    rows = []
+    for run in runs:
+        found = run["in_conditions"]
+        errors = ["diverged" if one is None else metric("", one) for one in found["angle_rmse_deg"].values()]
+        margin = found["gain_margin"]
+        stable = "-" if margin is None else f"{margin:.2g}" if margin < _LARGEST else f"{_LARGEST:g} or more"
+        shown = f"none, unstable in {found['unstable']}" if found["unstable"] else stable
+        rows.append(
+            (run["scenario"], metric("", run["tuned"]["angle_rmse_deg"]), *errors, str(found["diverged"]), shown)
+        )
+    return headers, rows
 
 
 def _metrics(scenario: Scenario) -> dict[str, float]:

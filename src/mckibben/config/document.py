@@ -18,6 +18,7 @@ LONGEST_TEXT = 262_144
 """Characters of a configuration file; a real one has a few thousand."""
 
 _DEEPEST = 12
+_NULL = ("null", "~")
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,8 @@ class _Reader:
             return self.read_list(event, place, flow=flow)
         if not event.value.isascii() and any("\ud800" <= char <= "\udfff" for char in event.value):
             self.document.reject(place, line, "has an escape of half a character", "write the character itself")
+        if event.implicit[0] and event.value.lower() in _NULL:
+            self.document.reject(place, line, "has no value", "write one, or leave the key out")
         self.document.spans[place] = Span(event.start_mark.index, event.end_mark.index, mapping=False, flow=flow)
         return event.value, event.end_mark.index
 
@@ -167,7 +170,9 @@ class _Reader:
                 )
             else:
                 self.document.lines[here] = line
-                items[key.value], end = self.read_node(next(self.events), here, flow=flow)
+                value, end = self.read_node(next(self.events), here, flow=flow)
+                if here not in self.document.rejected:
+                    items[key.value] = value
         self.document.spans[place] = Span(start, end, mapping=True, flow=flow, column=event.start_mark.column)
         return items, key.end_mark.index if flow else end
 

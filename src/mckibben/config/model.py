@@ -161,6 +161,8 @@ class _Diagnosis:
                 continue
             if found["type"] == "missing" and place in misspelt:
                 continue
+            if found["type"] == "too_short" and any(one["loc"][:-1] == place for one in details):
+                continue  # what it lacks are its wrong items
             parent = getattr(found.get("ctx", {}).get("error"), "parent", False)
             if parent and any(key[:-1] == place[:-1] for key in misspelt):
                 continue  # the section probably lacks only the key that is misspelt
@@ -186,12 +188,17 @@ class _Diagnosis:
         elif kind in _EXPECTED:
             found_there, expected, remedy = _EXPECTED[kind]
             message = f"{quoted(value) if isinstance(value, str) else found_there} stands where {expected}"
-            remedy = remedy or f"give a mapping of {', '.join(_keys_of(self.model_at(place)))}"
+            keys = ", ".join(_keys_of(self.model_at(place)))
+            remedy = remedy or (f"give a mapping of {keys}" if keys else "give a mapping with the key `class`")
         elif kind == "too_long":
             message = f"has {context['actual_length']} items, more than {context['max_length']}"
             remedy = "put them in a CSV file (samples: {file: reference.csv})"
         elif kind == "too_short":
-            message, remedy = "is empty", "give at least one"
+            least, count = context["min_length"], context["actual_length"]
+            message, remedy = (
+                "is empty" if not count else f"has {count} items, fewer than {least}",
+                f"give at least {least}",
+            )
         return Problem(message, self.document.line(place), dotted(place), remedy, value)
 
     def example(self, place: Place) -> str:

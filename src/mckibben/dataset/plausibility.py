@@ -26,6 +26,7 @@ C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-10
 _LIKE_SPECIMEN = (0.4, 2.0, 3.0)  # implied over given diameter: usual from, usual to, impossible above
 _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
 _FIRST = 0.1  # least contraction of a test that begins near the initial length
+_COPIES = (2, 3, 4, 5)
 _SMALL_FORCE = 0.05  # of the largest one
 _LENGTH = "check initial_length (command line: --initial-length)"
 _UNIT = "check the unit of the column, and give the right one: columns={...} (command line: --column 'HEADER=NAME')"
@@ -57,6 +58,7 @@ def check_points(
             *_contractions(contraction, force > slack_force, initial_length),
             *_pressures(float(pressure.max())),
             *_forces(pressure, force, specimen),
+            *_copies(np.column_stack([pressure, contraction, force])),
         ):
             if impossible:
                 problems.append(problem)
@@ -100,6 +102,16 @@ def _pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
     if highest > 0 and not least <= highest <= most:
         text = f"the highest pressure is {highest / bar:.3g} bar, and pneumatic muscles are tested at 1 to 8 bar"
         yield Problem(text, field="pressure", remedy=_UNIT), not lowest <= highest <= limit
+
+
+def _copies(rows: Floats) -> Iterator[tuple[Problem, bool]]:
+    """Rows that were pasted more than once."""
+    for times in _COPIES:
+        part = len(rows) // times
+        if part > 1 and len(rows) == times * part and (rows.reshape(times, part, -1) == rows[:part]).all():
+            text = f"the first {part} rows are there {times} times: copies make intervals too narrow"
+            yield Problem(text, remedy="leave them out"), False
+            return
 
 
 def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Iterator[tuple[Problem, bool]]:

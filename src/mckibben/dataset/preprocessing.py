@@ -23,6 +23,7 @@ Bools = NDArray[np.bool_]
 
 _FEWEST = 3  # points at a level
 _SEPARATION = 2.5  # least ratio of gaps between levels to those within
+_ONE_LEVEL = 0.01  # of the highest pressure: a narrower range is scatter about one level
 _STEPS = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)  # bar, of nominal pressures
 _REVERSAL = 0.1  # of the range of contractions: a smaller change of direction is noise
 _LOWEST_FORCES = 0.15  # of the range of forces, in which the slack muscle is searched
@@ -45,8 +46,9 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
         nominal, scatter = nominal_pressures(pressure, labels)
         table = table.assign(set_pressure=("point", nominal[labels]))
         shown = format_range(nominal / bar)
+        plural = "s" if len(nominal) > 1 else ""
         notes.append(
-            f"{len(nominal)} pressure levels ({shown} bar), about which pressures scatter by {scatter:.2g} bar"
+            f"{len(nominal)} pressure level{plural} ({shown} bar), about which pressures scatter by {scatter:.2g} bar"
         )
     levels = table.get("set_pressure", table["pressure"]).to_numpy()
     values, groups = np.unique(levels, return_inverse=True)
@@ -78,6 +80,8 @@ def group_pressures(pressure: Floats) -> Ints | None:
 
     The finest grouping is taken in which gaps between levels are larger than levels are wide, and than gaps in them.
     """
+    if 0 < np.ptp(pressure) < _ONE_LEVEL * pressure.max() and len(pressure) >= _FEWEST:
+        return np.zeros(len(pressure), int)
     order = np.argsort(pressure)
     gaps = np.diff(pressure[order])
     ranked = np.sort(gaps)[::-1]

@@ -70,6 +70,8 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     smooth = law_type in SMOOTH_LAWS
     _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
     points = _within_validity(law_type, taut)
+    if len(points.pressures) == 1:  # the scatter about it says nothing of the pressure
+        points = IsobaricDataset(points.table.assign(pressure=("point", points.levels)))
     refit, simpler = None, ""
     if smooth:
         eq2 = FitProblem.of(ExponentialLaw, points)

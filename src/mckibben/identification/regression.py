@@ -69,7 +69,7 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
         return None, "there is one pressure only"
     if 2 * count <= len(points) and count <= MOST_BLOCKS:
         return levels, ""
-    if (groups := group_pressures(levels)) is not None:
+    if (groups := group_pressures(levels)) is not None and groups.any():
         return nominal_pressures(levels, groups)[0][groups], ""
     blocks = min(len(points) // _IN_QUANTILE, _QUANTILES)
     if blocks < 2:

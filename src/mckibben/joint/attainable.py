@@ -137,7 +137,7 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
             f"no pressures and tensions within limits hold the joint {where}",
             value=angle,
             unit="rad",
-            remedy="choose a smaller angle, a longer connector or a series spring",
+            remedy="choose a smaller angle or load, a longer connector or a series spring",
         )
     attainable = {"value": stiffness, "lower": low, "upper": high, "unit": "N*m/rad"}
     if low <= stiffness <= high:

@@ -119,7 +119,7 @@ class LandingStudy:
             "force on the trunk [its weight]",
             "force of the ground [weight of the leg]",
             "deflection [mm]",
-            "bottoms out",
+            f"{self.joint} bottoms out",
             "rebound [mm]",
         )
         rows = []
@@ -128,8 +128,10 @@ class LandingStudy:
             best = f"{record['best_stiffness']:.3g} ({low:.3g} to {high:.3g})"
             if record["influence"] < BEST_WITHIN:
                 best = "no influence"
-            elif not record["avoids_stop"]:
+            if not record["avoids_stop"]:
                 best += ", none avoids the stop"
+            elif record["best_bottoms_out"]:
+                best += ", bottoms out"
             rows.append(
                 (
                     record["valve"],
@@ -165,6 +167,7 @@ class LandingStudy:
                         "best_stiffness_interval": [float(low), float(high)],
                         "influence": float(nominal.max() / nominal.min() - 1),
                         "avoids_stop": bool((~bottoms[v, d, :, 0]).any()),
+                        "best_bottoms_out": bool(bottoms[v, d, at, 0]),
                         "peak_trunk_force_weights": float(trunk[v, d, at, 0]),
                         "peak_trunk_force_interval": np.percentile(trunk[v, d, at, 1:], EDGES).tolist(),
                         "peak_force_weights": float(forces[v, d, at, 0]),

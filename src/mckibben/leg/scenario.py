@@ -31,7 +31,11 @@ from mckibben.units import (
     Stiffness,
     bar,
     deg,
+    mm,
 )
+
+_DEEPEST = 50 * mm
+"""How far a leg may sink into the ground by its weight: a thick mat."""
 
 
 class TrunkSpec(model_of(Trunk)):
@@ -136,12 +140,12 @@ class UncertaintySpec(ConfigModel):
     """Uncertainty: relative standard deviations of the strength of each muscle and of the mass of each body.
 
     All are independent; the inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors
-    of the fit as well, those with the same file alike.
+    of the fit as well, those with the same file alike. Fewer than 20 draws have no percentiles 5 and 95.
     """
 
     strength: Spread = 0.05
     mass: Spread = 0.03
-    draws: Annotated[int, BoundedInt(2, 10_000)] = 64
+    draws: Annotated[int, BoundedInt(20, 10_000)] = 64
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
 
@@ -224,6 +228,21 @@ class LegScenario(RunSpec):
     jump: JumpSpec | None = None
     uncertainty: UncertaintySpec = UncertaintySpec()
     step: PositiveTime = 0.25e-3
+
+    @field_validator("ground", mode="after")
+    @classmethod
+    def _carries(cls, value: GroundSpec | None, info: ValidationInfo) -> GroundSpec | None:
+        leg = info.data.get("leg")
+        if value is None or leg is None:
+            return value
+        weight = float(leg.build().total_mass) * LegPlant.gravity
+        if (depth := weight / value.effective("stiffness")) > _DEEPEST:
+            fail_validation(
+                f"the leg would stand {depth / mm:.3g} mm deep in the ground",
+                f"give a stiffness of {weight / _DEEPEST:.2g} N/m or more",
+                value=value.effective("stiffness"),
+            )
+        return value
 
     @field_validator("landing", "jump", mode="after")
     @classmethod

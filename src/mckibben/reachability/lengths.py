@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 import equinox as eqx
 from jaxtyping import ArrayLike
 
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, suggest
 from mckibben.joint import Geometry
 from mckibben.plant import JointPlant
 from mckibben.units import Quantity
@@ -64,7 +64,7 @@ def check_length(plant: JointPlant, name: str, lower: float) -> None:
         raise ParameterError(
             f"{name!r} is no design variable of a joint with {kind}",
             value=name,
-            remedy=f"known are {', '.join(known)}",
+            remedy=suggest(name, list(known)),
         )
     signed = {".".join(place) for place, quantity in _lengths(plant.joint.geometry) if quantity.lower < 0}
     if lower < 0 and name not in signed:

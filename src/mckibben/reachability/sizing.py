@@ -100,11 +100,20 @@ class DesignVariable:
     upper: float
 
     def __post_init__(self) -> None:
-        if not -_LONGEST < self.lower < self.upper < _LONGEST:
+        if not self.lower < self.upper:
             raise ParameterError(
-                f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is not a range of lengths",
+                f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is no range",
                 value=(self.lower, self.upper),
                 remedy="give two lengths, the shorter first",
+            )
+        if not max(-self.lower, self.upper) < _LONGEST:
+            raise ParameterError(
+                f"{self.name} up to {max(-self.lower, self.upper):g} m is not of a joint",
+                value=(self.lower, self.upper),
+                lower=-_LONGEST,
+                upper=_LONGEST,
+                unit="m",
+                remedy=f"give lengths below {_LONGEST:g} m, such as 20..40 mm",
             )
 
 

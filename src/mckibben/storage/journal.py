@@ -103,6 +103,15 @@ class JournalReader:
         content = json.loads(record.payload)
         return content if isinstance(content, dict) else None
 
+    def raise_without_header(self, error: type[FileError] = FileError) -> None:
+        """Raise where the file is a journal whose header is damaged, cut or not written."""
+        with self.path.open("rb") as file:
+            begun = _MAGIC.startswith(file.read(len(_MAGIC))) or _find_magic(file, 0) is not None
+        if begun and self.header() is None:
+            message = "is damaged or incomplete, so that it is not known what the file is of"
+            remedy = "restore the file from a copy, or begin anew: choose another folder, or remove the file"
+            raise error(str(self.path), [Problem(message, field="header", remedy=remedy)])
+
 
 def _read(file: BinaryIO, position: int) -> JournalRecord | None:
     """The record at a position; None if it is incomplete or damaged."""
@@ -210,7 +219,11 @@ def _write_at(file: int, position: int, content: bytes) -> None:
 def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
     """Header of a journal of a kind ("format") and version; `FileError` if it is another file."""
     try:
-        header = JournalReader(path).header()
+        reader = JournalReader(path)
+        reader.raise_without_header()
+        header = reader.header()
+    except FileError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
         raise FileError(str(path), [Problem(f"it cannot be read: {error}")]) from None
     if header is None or header.get("format") != kind:
@@ -239,7 +252,9 @@ def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]
     """Field, old and new value of each difference between two values."""
     if isinstance(before, dict) and isinstance(now, dict):
         yield from (
-            (key, before.get(key), now.get(key)) for key in {**before, **now} if before.get(key) != now.get(key)
+            (f"{name} {key}", before.get(key), now.get(key))
+            for key in {**before, **now}
+            if before.get(key) != now.get(key)
         )
     elif isinstance(before, list) and isinstance(now, list):
         yield from ((name, old, new) for old, new in zip_longest(before, now) if old != new)
@@ -252,7 +267,16 @@ def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]
 
 
 def _begun_with(job: str, before: Any, now: Any) -> str:
-    old, new = (text if len(text := str(value)) <= 160 else f"{text[:156]}..." for value in (before, now))
+    old, new = (text if len(text := _in_words(value)) <= 160 else f"{text[:156]}..." for value in (before, now))
     if before is None:
         return f"{job} was begun without {new}"
     return f"{job} was begun with {old} too" if now is None else f"{job} was begun with {old}, not {new}"
+
+
+def _in_words(value: Any) -> str:
+    """A value of a header, of numbers only how many there are, and from where to where."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} ({_in_words(one)})" for name, one in value.items())
+    if isinstance(value, list) and value and all(isinstance(one, int | float) for one in value):
+        return f"{len(value)} values from {min(value):.6g} to {max(value):.6g}"
+    return str(value)

@@ -19,7 +19,7 @@ from mckibben.identification import Fit, Ranking, identify, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.study.scenario.muscle import MuscleSpec, muscle_text
-from mckibben.units import bar, factor, percent, quantity
+from mckibben.units import Length, Quantity, bar, factor, percent
 from mckibben.web.layout import (
     PALETTE,
     chart,
@@ -40,6 +40,7 @@ from mckibben.web.session import Jobs, session
 _LONGEST_PASTE = 400_000  # characters: a message of the browser holds a megabyte
 _MOST_CURVES = 12
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
+_LENGTH: Quantity = Length.__metadata__[0]  # type: ignore[attr-defined]
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 
 
@@ -72,9 +73,18 @@ def column_names(text: str) -> dict[str, str]:
     return found
 
 
+def _refused_length(text: str | None) -> str | None:
+    """Why a text is no initial length; None if it is one, or empty."""
+    try:
+        _ = text and text.strip() and _LENGTH.read(text)
+    except McKibbenError as error:
+        return str(error)
+    return None
+
+
 def read(path: Path, initial_length: str, columns: str) -> IsobaricDataset:
     """The points of a file, with initial length and columns as text; errors name the file without its folder."""
-    length = quantity(initial_length, "m") if initial_length.strip() else None
+    length = _LENGTH.read(initial_length) if initial_length.strip() else None
     try:
         return read_dataset(path, columns=column_names(columns), initial_length=length)
     except DatasetError as error:
@@ -122,9 +132,9 @@ class _Page:
                     self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
                     ui.button("Read", on_click=self.paste).props("flat no-caps")
                 with ui.expansion("initial length and columns").props("dense").classes("w-full"):
-                    ui.input("initial length, such as 180 mm").props("dense").classes("w-full").bind_value(
-                        state, "initial_length"
-                    )
+                    ui.input("initial length, such as 180 mm", validation=_refused_length).props("dense").classes(
+                        "w-full"
+                    ).mark("length").bind_value(state, "initial_length")
                     ui.textarea("columns, one a line: HEADER = pressure_bar").props("dense autogrow").classes(
                         "w-full mono"
                     ).bind_value(state, "columns")

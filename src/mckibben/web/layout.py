@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import events, ui
 from numpy.typing import ArrayLike
 
 from mckibben.errors import FileError, McKibbenError, printable
@@ -143,6 +143,42 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
     return ui.textarea(**options).props(look).classes("w-full mono")
 
 
+class NumberField(ui.number):
+    """A field of a number; what is none, or not allowed, is refused with a message at the field.
+
+    `changed` is called with numbers that are allowed; `allowed` says in words which these are.
+    """
+
+    def __init__(
+        self,
+        label: str | None,
+        value: float,
+        holds: Callable[[float], Any],
+        allowed: str,
+        changed: Callable[[float], Any],
+        *,
+        step: float | None = None,
+    ) -> None:
+        def refused(number: float | None) -> str | None:
+            return None if number is not None and math.isfinite(number) and holds(number) else f"give {allowed}"
+
+        def taken() -> Any:
+            return changed(self.value) if self.value is not None and self.validate() else None
+
+        super().__init__(label, value=value, step=step, on_change=taken, validation=refused)
+        self.props("hide-bottom-space")
+
+    def _event_args_to_value(self, e: events.GenericEventArguments) -> float | None:
+        try:
+            number = float(e.args)
+        except (TypeError, ValueError):
+            return None
+        return number if math.isfinite(number) else None
+
+    def _value_to_model_value(self, value: Any) -> str:
+        return "" if value is None else f"{value:.12g}"
+
+
 class PageSlider(ui.slider):
     """A slider whose value the server does not send back."""
 
@@ -166,12 +202,12 @@ class NumberSlider:
         with ui.column().classes("w-full").style("gap: 0"):
             with ui.row().classes("w-full items-center justify-between no-wrap"):
                 ui.label(label).classes("quiet")
-                self.field = (
-                    ui.number(value=value, min=low, max=high, step=step, on_change=self._field)
-                    .props(f'dense borderless suffix="{unit}" aria-label="{label}" debounce=300')
-                    .classes("number")
-                    .style("width: 120px; height: 28px; margin-top: -10px")
+                self.field = NumberField(
+                    None, value, lambda one: low <= one <= high, f"{low:g} to {high:g}", self._field, step=step
                 )
+                self.field.props(f'dense borderless suffix="{unit}" aria-label="{label}" debounce=300')
+                self.field.classes("number").style("width: 120px; margin: -10px 0")
+                self.field.mark(f"{label.replace(' ', '-')}-field")
             self.slider = PageSlider(min=low, max=high, step=step, value=value, on_change=self._slide)
             self.slider.props(f'aria-label="{label}"').style("height: 26px").mark(label.replace(" ", "-"))
 
@@ -182,13 +218,10 @@ class NumberSlider:
             await asyncio.sleep(LATER)
             self.field.value = self.slider.value
 
-    async def _field(self) -> None:
-        value = self.field.value
-        if value is None or not math.isfinite(value) or value == self.slider.value:
-            return
-        low, high = self.slider._props["min"], self.slider._props["max"]
-        self.slider.value = min(max(value, low), high)
-        await self._changed(self.slider.value)
+    async def _field(self, value: float) -> None:
+        if value != self.slider.value:
+            self.slider.value = value
+            await self._changed(value)
 
 
 def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | None]]:

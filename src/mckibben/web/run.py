@@ -21,6 +21,7 @@ from mckibben.web.layout import (
     GREEN,
     PALETTE,
     VERMILLION,
+    NumberField,
     band,
     chart,
     draw,
@@ -215,19 +216,24 @@ class _Page:
         scale = 1.0 if parameter.is_integer else factor(parameter.shown)
         unit = "" if parameter.shown == "1" else parameter.shown
 
-        def changed(event: events.ValueChangeEventArguments) -> None:
-            scenario = self.state.scenario
-            if event.value is None or scenario is None:
-                return
-            value = int(event.value) if parameter.is_integer else event.value * scale
-            self.change(lambda: with_values(scenario, {parameter.name: value}), form=False)
+        def si(value: float) -> float | int:
+            return int(value) if parameter.is_integer and value.is_integer() else value * scale
+
+        def changed(value: float) -> None:
+            if (scenario := self.state.scenario) is not None:
+                self.change(lambda: with_values(scenario, {parameter.name: si(float(value))}), form=False)
 
         short = name.removeprefix("decoupling.").removeprefix("predictive.")
         label = short.replace(".", " ").replace("_", " ") + (f" [{unit}]" if unit else "")
         wide = "grid-column: 1 / -1" if len(label) > 21 else ""
-        ui.number(label, value=float(f"{nominal / scale:.10g}"), on_change=changed).props(
-            f"dense debounce=400 step={_step(nominal / scale)}"
-        ).classes("w-full").style(wide).mark(parameter.name)
+        NumberField(
+            label,
+            float(f"{nominal / scale:.10g}"),
+            lambda value: parameter.holds(si(float(value))),
+            f"{'a whole number, ' if parameter.is_integer else ''}{parameter.range}",
+            changed,
+            step=_step(nominal / scale),
+        ).props("dense debounce=400").classes("w-full").style(wide).mark(parameter.name)
 
     def keep(self) -> None:
         """Keep the current run for comparison."""

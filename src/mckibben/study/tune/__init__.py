@@ -1,6 +1,6 @@
 """Tuning: scenario parameters of least cost, by gradient, differential evolution or CMA-ES."""
 
-from mckibben.study.tune.margin import stability_margin
+from mckibben.study.tune.margin import on_small_step, stability_margin
 from mckibben.study.tune.objective import Cost, Term, parse_cost
 from mckibben.study.tune.search import Method, SearchSpace, gain_ranges, parse_ranges
 from mckibben.study.tune.tune import TuningResult, read_trials, tune
@@ -12,6 +12,7 @@ __all__ = [
     "Term",
     "TuningResult",
     "gain_ranges",
+    "on_small_step",
     "parse_cost",
     "parse_ranges",
     "read_trials",

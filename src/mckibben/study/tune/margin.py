@@ -3,15 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import Table, find_parameters
+from mckibben.study.parameters import Known, Table, find_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import run_many
+from mckibben.study.scenario.reference import AngleSignalSpec, StiffnessSignalSpec
+from mckibben.units import deg
 
+SMALL_STEP = 0.2 * deg
+_STEP_AT = 0.1  # of the duration
 _FACTORS = 64
+_OF_STEP = ("start", "reference", "disturbance")  # what `on_small_step` replaces
+
+
+def on_small_step(scenario: Scenario) -> Scenario:
+    """The scenario with a step of 0.2 deg from its start at constant stiffness, without disturbance torques."""
+    start = scenario.start
+    stiffness = float(scenario.reference().stiffness(0.0)) if start.stiffness is None else start.stiffness
+    step = {"before": start.angle, "after": start.angle + SMALL_STEP, "at": _STEP_AT * scenario.duration}
+    signals = {
+        "angle": AngleSignalSpec.model_validate({"step": step}),
+        "stiffness": StiffnessSignalSpec.model_validate({"constant": stiffness}),
+    }
+    return scenario.model_copy(
+        update={"signals": scenario.signals.model_copy(update=signals), "disturbance": None},
+    )
 
 
 def stability_margin(
@@ -21,13 +42,14 @@ def stability_margin(
     largest: float = 10.0,
     growth: float = 3.0,
     conditions: Table | None = None,
+    known: Known = (),
 ) -> float:
     """Return the factor by which parameters may rise together before the loop oscillates.
 
     The scenario runs once for each of 64 factors from 1 to `largest`; a loop is taken for unstable from the first run
     on that fails, or whose RMS angle error is `growth` times that of factor 1. Pressure limits turn an unstable loop
-    into a limit cycle, which only a reference that moves little, such as a small step, tells from slow tracking.
-    Controllers keep their nominal model.
+    into a limit cycle, which only a reference that moves little, such as that of `on_small_step`, tells from slow
+    tracking.
 
     Parameters
     ----------
@@ -37,6 +59,8 @@ def stability_margin(
         Largest factor, and ratio of errors, both above 1.
     conditions
         Values [SI] of other parameters by name; the margin is then the least of all rows.
+    known
+        Plant parameters that the controller's model follows, "all" for all of them. Default: none.
 
     Returns
     -------
@@ -60,9 +84,46 @@ def stability_margin(
         if not each.nominal:
             raise ParameterError(f"{each.name} has no value to multiply", remedy="give it one in the scenario")
         table[each.name] = np.tile(each.nominal * factors, rows)
-    batch = run_many(scenario, table, metrics=("angle_rmse",))
+    batch = run_many(scenario, table, known=known, metrics=("angle_rmse",))
     error = np.where(batch.failed, np.inf, batch["angle_rmse"]).reshape(rows, _FACTORS)
     if not np.isfinite(error[:, 0]).all():
         raise ParameterError("the run fails as it is", remedy="simulate it, and see why")
     unstable = (error > growth * error[:, :1]).any(axis=0)
     return float(factors[np.argmax(unstable) - 1]) if unstable.any() else np.inf
+
+
+class Robustness(NamedTuple):
+    """A scenario in conditions: RMS angle errors [rad], infinite where diverged, and stability on a small step.
+
+    `unstable` counts the conditions in which the error of the step exceeds the step; the gain margin is then 0. It is
+    None where there are no gains.
+    """
+
+    angle_rmse: NDArray[np.float64]
+    unstable: int
+    gain_margin: float | None
+
+
+def in_conditions(
+    scenario: Scenario, gains: Sequence[str], conditions: Table, *, largest: float, known: Known = ()
+) -> Robustness:
+    """Return errors in conditions and the margin of nonzero gains, at most `largest` or their range."""
+
+    def errors(of: Scenario, rows: Table) -> NDArray[np.float64]:
+        batch = run_many(of, rows, known=known, metrics=("angle_rmse",))
+        return np.where(batch.failed, np.inf, batch["angle_rmse"])
+
+    moved = errors(scenario, conditions)
+    if not gains:
+        return Robustness(moved, 0, None)
+    tuned = find_parameters(scenario, gains)
+    same = {tuned[0].name: np.full(moved.size, tuned[0].nominal)}  # conditions may be of the reference alone
+    small, rows = (
+        on_small_step(scenario),
+        same | {n: x for n, x in conditions.items() if n.split(".")[0] not in _OF_STEP},
+    )
+    if unstable := int((errors(small, rows) > SMALL_STEP).sum()):
+        return Robustness(moved, unstable, 0.0)
+    most = min(largest, *(float(each.upper) / float(each.nominal or 1.0) for each in tuned))
+    del rows[tuned[0].name]
+    return Robustness(moved, 0, min(stability_margin(small, gains, largest=most, conditions=rows, known=known), most))
