@@ -44,7 +44,7 @@ _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
 _LEAST_VARIANCE = 1e-8
 _INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
-_CONTRADICTION = 1e-9  # probability of estimates as far from the model, by their prior
+_CONTRADICTION = 1e-6  # probability of estimates as far from the model, by their prior
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
@@ -150,7 +150,7 @@ def calibrate_joint(
     Warns
     -----
     McKibbenWarning
-        If the estimates are farther from the model than their prior allows, with a probability of 1e-9.
+        If the estimates are farther from the model than their prior allows, with a probability of 1e-6.
 
     References
     ----------
