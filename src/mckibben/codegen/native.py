@@ -29,7 +29,16 @@ from mckibben.errors import ExportError
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
 from mckibben.numerics.runtime import programs_folder
 
-_FLAGS = ("-march=native", "-fno-math-errno", "-fno-trapping-math", "-fwrapv", "-w", "-shared", "-fPIC")
+_FLAGS = (
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fwrapv",
+    "-frename-registers",
+    "-w",
+    "-shared",
+    "-fPIC",
+)
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # of gcc; it allows more spills, 5 % faster
