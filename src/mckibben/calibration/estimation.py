@@ -151,7 +151,7 @@ def calibrate_joint(
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
     estimate, covariance, residual = _solve(problem, halves)
-    found = jax.tree.map(number, corrected(problem, jnp.asarray(estimate)))
+    found = jax.tree.map(number, _model(problem, jnp.asarray(estimate)))
     quantities = quantities_of(problem, estimate, covariance)
     return JointCalibration(found.joint, found.load, quantities, residual, problem, estimate, covariance)
 
@@ -167,8 +167,11 @@ def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Flo
 
 
 def number(leaf: Any) -> Any:
-    """A scalar array as a float, anything else as it is."""
-    return float(leaf) if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
+    """A scalar array as a number, anything else as it is."""
+    return leaf.item() if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
+
+
+_model = compiled(corrected)
 
 
 def _deviation(slope: Floats, covariance: Floats) -> Floats:
