@@ -16,11 +16,13 @@ import pytest
 import xarray as xr
 
 from mckibben import catalog
+from mckibben.codegen.native import NativeFunction
 from mckibben.control import Controller
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
-from mckibben.simulation import Batch, Metrics, Outcome
+from mckibben.simulation import Batch, Metrics, Outcome, compiled_episode, episode
+from mckibben.simulation.engine import compute_with
 from mckibben.simulation.result import OUTCOMES
 
 gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage took a fifth of the time of tracing
@@ -44,14 +46,15 @@ def optimize(programs: bool) -> None:
 
 optimize(not QUICK)
 
-# Workers, subprocesses and later runs share compiled programs; `make clean` removes them.
+# Workers, subprocesses and later runs share compiled programs, ours and those of XLA; `make clean` removes them.
 for option, value in (
     ("jax_compilation_cache_dir", str(Path(__file__).parents[1] / "build" / "jax-cache")),
-    ("jax_persistent_cache_min_compile_time_secs", 0.1),
+    ("jax_persistent_cache_min_compile_time_secs", 1.0),  # to store one takes as long as to compile a small one
 ):
     if option.upper() not in os.environ:
         os.environ[option.upper()] = str(value)
         jax.config.update(option, value)
+os.environ["MCKIBBEN_PROGRAMS_DIR"] = str(Path(os.environ["JAX_COMPILATION_CACHE_DIR"], "native").absolute())
 
 hypothesis.settings.register_profile("quick", max_examples=40, deadline=None)
 hypothesis.settings.load_profile("quick")
@@ -229,6 +232,21 @@ def paper_precontracted():
 @pytest.fixture(scope="session")
 def playback():
     return Playback()
+
+
+@NativeFunction
+def _episode(parts, _):
+    return episode(*parts)
+
+
+@pytest.fixture(scope="session")
+def short_episode():
+    """`episode` by the engine of `simulate`, in C compiled in a fraction of XLA's time; give it `numeric` arguments."""
+
+    def short_episode(*parts):
+        return compute_with("auto", np.float64, lambda: _episode(parts), lambda: compiled_episode(*parts))[0]
+
+    return short_episode
 
 
 def invented(suite, runs, controller, sets=1, metrics=Metrics._fields):

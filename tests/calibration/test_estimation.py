@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
+from mckibben.numerics.compiled import compiled
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
@@ -43,6 +45,21 @@ def creep_of(lengths, period, stiffness, time_constant=2.0):
     return force
 
 
+@compiled
+def balanced(joint, load, motion, first, mass, creeping):
+    """Pressures, of which the first is given, and tensions that the equation of motion asks for."""
+    angle, _, acceleration = motion
+    needed = load.required_torque(*motion) + mass * DISTANCE**2 * acceleration
+    needed = needed - mass * DISTANCE * GRAVITY * jnp.sin(load.hanging_angle - angle)
+    arm1, arm2 = joint.geometry.moment_arms(angle)
+    needed = needed - arm2 * creeping[:, 1] + arm1 * creeping[:, 0]
+    torque = joint.affine_map(angle).torque
+    pressures = first, (needed - torque.offset - torque.slope1 * first) / torque.slope2
+    each = zip((joint.muscle1, joint.muscle2), joint.contractions(angle, pressures), pressures, strict=True)
+    tensions = [muscle.tension(contraction, pressure) for muscle, contraction, pressure in each]
+    return jnp.stack(pressures, axis=1), jnp.stack(tensions, axis=1)
+
+
 def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0, creep=0.0):
     """Sweeps: one pressure is given, the other one is what the equation of motion asks for."""
     time = np.arange(0.0, seconds, 1 / rate)
@@ -51,17 +68,9 @@ def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0, creep=0.0):
     acceleration = -(slow**2) * 7 * deg * np.sin(slow * time) - fast**2 * 1 * deg * np.sin(fast * time)
     velocity = np.gradient(angle, time)
     first = 4.7e5 + 0.5e5 * np.sin(2 * np.pi * 2 / seconds * time)
-    needed = np.asarray(load.required_torque(angle, velocity, acceleration))
-    needed = needed + mass * DISTANCE**2 * acceleration
-    needed = needed - mass * DISTANCE * GRAVITY * np.sin(load.hanging_angle - angle)
-    paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
+    paths = joint.geometry.paths_and_arms(angle)[0]
     creeping = np.stack([creep_of(np.asarray(path), 1 / rate, creep) for path in paths], axis=1)
-    needed = needed - np.asarray(arm2) * creeping[:, 1] + np.asarray(arm1) * creeping[:, 0]
-    torque = joint.affine_map(angle).torque
-    second = (needed - torque.offset - torque.slope1 * first) / torque.slope2
-    pressures = np.stack([first, np.asarray(second)], axis=1)
-    pairs = zip((joint.muscle1, joint.muscle2), joint.contractions(angle, tuple(pressures.T)), pressures.T, strict=True)
-    tensions = np.stack([muscle.tension(contraction, pressure) for muscle, contraction, pressure in pairs], axis=1)
+    pressures, tensions = map(np.asarray, balanced(joint, load, (angle, velocity, acceleration), first, mass, creeping))
     assert tensions.min() > 10.0
     noisy = pressures + NOISE * rng.standard_normal(pressures.shape)
     return JointRecording(time, angle, noisy, None, mass, DISTANCE), pressures, tensions + creeping

@@ -3,8 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
@@ -15,6 +13,8 @@ from mckibben.calibration.experiment import calibrated_scenario, statements
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, GeneralLoad
 from mckibben.muscle import MaxwellSlip, scaled_law
+from mckibben.numerics.batching import batched_program
+from mckibben.numerics.compiled import compiled
 from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg, ms
@@ -40,6 +40,14 @@ def commands(time, seed):
     return levels[np.minimum((time / 1.2).astype(int), 19)]
 
 
+@compiled
+def moved(plant, commands, period):
+    """Angles at the commands."""
+    with batched_program():
+        first = plant.init_state(0.0, (commands[0, 0], commands[0, 1]))
+        return lax.scan(lambda s, c: (plant.follow(s, (c[0], c[1]), period, 1), s.angle), first, commands)[1]
+
+
 def recorded(seed, *, seconds=12.0, friction=None):
     """Angles of the true joint, computed at a fine step, at 100 Hz with noise and times that jitter."""
     joint = model()
@@ -51,14 +59,7 @@ def recorded(seed, *, seconds=12.0, friction=None):
     load, fine, every = dataclasses.replace(LOAD, inertia=0.024), 2 * ms, 5
     plant = JointPlant(joint, load, FirstOrderValve(LAG), friction=friction, command_delay=DELAY).with_period(fine)
     time = np.arange(0.0, seconds, fine)
-    sent = jnp.asarray(commands(time, seed))
-    first = plant.init_state(0.0, tuple(sent[0]))
-
-    @jax.jit
-    def run(first, sent):
-        return lax.scan(lambda s, c: (plant.follow(s, (c[0], c[1]), fine, 1), s.angle), first, sent)[1]
-
-    angle = np.asarray(run(first, sent))[::every]
+    angle = np.asarray(moved(plant, commands(time, seed), fine))[::every]
     at = time[::every]
     noise = np.random.default_rng(seed).standard_normal(angle.size)
     times = at + 0.5 * ms * np.sin(np.arange(at.size))

@@ -25,7 +25,6 @@ class Answer(NamedTuple):
 def cli(monkeypatch, capsys, tmp_path) -> Callable[..., Answer]:
     """Call the command with arguments, in a folder of its own."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")  # nothing is kept in, or taken from, the user's own cache
     monkeypatch.delenv("MCKIBBEN_DEBUG", raising=False)
     monkeypatch.setenv("COLUMNS", "160")
 

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.numerics.batching import batched_program
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import build_joint
 
@@ -141,7 +142,8 @@ def stepped(tmp_path_factory):
         def step(state, one):
             return plant.advance(state, (one[0], one[1]), 0.01, 5), state.angle
 
-        return jax.lax.scan(step, state, commands)[1]
+        with batched_program():
+            return jax.lax.scan(step, state, commands)[1]
 
     for seed in (1, 2):
         levels = np.random.default_rng(seed).uniform(3.5e5, 5e5, (8, 2))

@@ -1,10 +1,9 @@
-"""What the tests of controllers share: programs for a few short runs, which are quicker to compile."""
+"""What the tests of controllers share: programs that are quicker to compile."""
 
 import equinox as eqx
 import pytest
 
 from mckibben.numerics.batching import batched_program
-from mckibben.simulation.loop import episode
 
 
 @pytest.fixture(scope="session")
@@ -21,9 +20,3 @@ def barely_compiled():
         return call
 
     return barely_compiled
-
-
-@pytest.fixture(scope="session")
-def short_episode(barely_compiled):
-    """`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
-    return barely_compiled(episode)

@@ -31,7 +31,7 @@ from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
-from mckibben.simulation import compiled_episode, sampled, simulate_many
+from mckibben.simulation import sampled, simulate_many
 from mckibben.units import deg, mm
 
 PERIOD, PERIODS = 1e-3, 2000
@@ -52,14 +52,14 @@ def controllers(knee, load):
 
 
 @pytest.fixture(scope="module")
-def run():
+def run(short_episode):
     """Two seconds of a setpoint from rest at its start; one program for each structure of a controller."""
 
     def run(plant, control, angle=SINE, stiffness=15.0, start=None):
         setpoints = sampled(Reference(angle=angle, stiffness=stiffness), PERIODS * PERIOD, PERIOD)[1]
         start = numeric(plant.equilibrium(float(setpoints.angle[0]), stiffness=start))
         plant, control = numeric((plant, control))
-        return compiled_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 2)[1], setpoints
+        return short_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 2)[1], setpoints
 
     return run
 

@@ -21,7 +21,7 @@ from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
-from mckibben.simulation import AtRest, compiled_episode, sampled, simulate_many
+from mckibben.simulation import AtRest, sampled, simulate_many
 from mckibben.units import deg, mm
 
 SLIP = MaxwellSlip(12.0, 0.5 * mm, elements=1)
@@ -44,14 +44,14 @@ def rubbing(knee, load, plant):
 
 
 @pytest.fixture(scope="module")
-def run(rubbing):
+def run(rubbing, short_episode):
     """Four seconds of the setpoint; one program for a controller."""
     setpoints = sampled(SLOW, 4.0, 1e-3)[1]
     start = numeric(rubbing.equilibrium(0.0))
 
     def run(chosen, control):
         chosen, control = numeric((chosen, control))
-        return compiled_episode(chosen, control, setpoints, start, jnp.asarray(1e-3), 4)[1], setpoints
+        return short_episode(chosen, control, setpoints, start, jnp.asarray(1e-3), 4)[1], setpoints
 
     return run
 

@@ -96,6 +96,14 @@ def test_where_the_processor_cannot_be_told_nothing_is_kept(on, monkeypatch, tmp
     assert runtime.programs_folder() is None
 
 
+def test_beside_a_cache_of_jax_programs_in_c_alone_are_kept(on, monkeypatch, tmp_path):
+    on(X86.format(mhz="1", more=""))
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path))
+    assert runtime.programs_folder() == runtime.xla_programs_folder() == tmp_path
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "theirs"))
+    assert (runtime.programs_folder(), runtime.xla_programs_folder()) == (tmp_path, None)
+
+
 def test_the_folder_is_one_for_each_kind_of_processor(on, monkeypatch, tmp_path):
     folders = set()
     for more in ("", "avx2"):

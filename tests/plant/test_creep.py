@@ -18,7 +18,7 @@ from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
 from mckibben.plant.joint_plant import Motion
-from mckibben.simulation import compiled_episode, episode, simulate
+from mckibben.simulation import episode, simulate
 from mckibben.units import mm
 
 PERIODS, PERIOD = 1000, 1e-3
@@ -44,14 +44,14 @@ def creep_of(state):
 
 
 @pytest.fixture(scope="module")
-def swing(creeping, playback):
+def swing(creeping, playback, short_episode):
     """At held pressures, from a state; all with one program."""
 
     def run(start, *, damping, pressures=(P1, P2)):
         held = Setpoint(*(jnp.full(PERIODS, p) for p in pressures))
         chosen = eqx.tree_at(lambda p: p.load.damping, creeping, jnp.asarray(damping))
         start = numeric(chosen.complete_state(jax.tree.map(jnp.asarray, start)))
-        return compiled_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
+        return short_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
 
     return run
 

@@ -18,7 +18,7 @@ from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import compiled_episode, episode
+from mckibben.simulation import episode
 from mckibben.units import bar, mm
 
 PERIODS, PERIOD = 1500, 1e-3
@@ -37,7 +37,7 @@ def with_slip(ideal_plant, knee, load):
 
 
 @pytest.fixture(scope="module")
-def swing(with_slip, playback):
+def swing(with_slip, playback, short_episode):
     """At held pressures, from a state; all with one program."""
     held = Setpoint(jnp.full(PERIODS, P1), jnp.full(PERIODS, P2))
 
@@ -49,7 +49,7 @@ def swing(with_slip, playback):
         given = (viscous, viscous, half_width, half_width, damping)
         chosen = eqx.tree_at(numbers, with_slip, tuple(map(jnp.asarray, given)))
         start = numeric(chosen.complete_state(jax.tree.map(jnp.asarray, start)))
-        return compiled_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
+        return short_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
 
     return run
 

@@ -10,7 +10,6 @@ from mckibben.control import Setpoint
 from mckibben.errors import McKibbenError, RangeError, UnreachableError
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant, PlantState
-from mckibben.simulation.loop import compiled_episode
 from mckibben.units import bar
 
 PERIODS = 2000
@@ -100,7 +99,7 @@ def test_its_stiffness_is_that_of_the_muscles_and_gravity(plant):
 
 
 @pytest.fixture(scope="module")
-def swung(ideal_plant, playback):
+def swung(ideal_plant, playback, short_episode):
     """Two seconds at held pressures from 15 deg, 0.3 rad/s, for a damping."""
     held = Setpoint(jnp.full(PERIODS, 4e5), jnp.full(PERIODS, 3.6e5))
     start = numeric(PlantState(math.radians(15), 0.3, (4e5, 3.6e5)))
@@ -109,7 +108,7 @@ def swung(ideal_plant, playback):
         import equinox as eqx
 
         loaded = eqx.tree_at(lambda p: p.load.damping, ideal_plant, jnp.asarray(damping))
-        return compiled_episode(loaded, playback, held, start, jnp.asarray(1e-3), 4)[1].state
+        return short_episode(loaded, playback, held, start, jnp.asarray(1e-3), 4)[1].state
 
     return run
 

@@ -17,18 +17,17 @@ from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.rig.backend import Backend
 from mckibben.rig.safety import JointMonitor
 from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
-from mckibben.simulation.loop import compiled_episode
 from mckibben.units import bar, deg, kPa, ms
 
 from .conftest import PERIOD, Kept, SteadyControl
 
 
 @pytest.fixture(scope="module")
-def simulated(knee):
+def simulated(knee, short_episode):
     """The same run as a simulation."""
     references = Setpoint(*(np.array(column) for column in knee.plan().references.T))
     plant, control, start, period = numeric((knee.plant, knee.scenario.control(), knee.start, PERIOD))
-    return compiled_episode(plant, control, references, start, period, 4)[1]
+    return short_episode(plant, control, references, start, period, 4)[1]
 
 
 @pytest.fixture(scope="module")

@@ -136,6 +136,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])
     plant = scenario.plant()
     parts = plant, scenario.control(), scenario.reference()
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
     monkeypatch.setattr("mckibben.simulation.engine._native_episode._known", {})
     assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"

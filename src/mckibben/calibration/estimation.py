@@ -38,6 +38,7 @@ from mckibben.calibration.equations import (
 from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
+from mckibben.numerics.batching import recheck
 from mckibben.numerics.compiled import compiled
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
@@ -163,8 +164,9 @@ def calibrate_joint(
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
     estimate, covariance, residual = _solve(problem, halves)
+    found = jax.tree.map(number, _model(problem, jnp.asarray(estimate)))
     try:
-        found = jax.tree.map(number, corrected(problem, jnp.asarray(estimate)))
+        recheck(found)
     except RangeError as error:
         raise IdentificationError(f"the recordings contradict the model: {error.message}", remedy=_CHECK) from None
     if (distance := float(estimate @ estimate)) > chdtri(estimate.size, _CONTRADICTION):
@@ -187,8 +189,11 @@ def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Flo
 
 
 def number(leaf: Any) -> Any:
-    """A scalar array as a float, anything else as it is."""
-    return float(leaf) if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
+    """A scalar array as a number, anything else as it is."""
+    return leaf.item() if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
+
+
+_model = compiled(corrected)
 
 
 def _deviation(slope: Floats, covariance: Floats) -> Floats:

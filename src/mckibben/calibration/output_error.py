@@ -39,6 +39,7 @@ from mckibben.calibration.estimation import (
 )
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
 from mckibben.units import ms
@@ -215,7 +216,7 @@ def calibrate_from_commands(
     z, covariance, residual = _solve(problem, motions)
     full, slope = map(np.asarray, _full_and_slope(base, z))
     wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # what is not estimated is as before
-    found = jax.tree.map(number, _simulated_by(problem, jnp.asarray(z)))
+    found = jax.tree.map(number, _model(problem, jnp.asarray(z)))
     plant, total = found.plant, {}
     if friction is not None:
         middle = float(np.concatenate([one.angle for one in motions]).mean())
@@ -298,13 +299,15 @@ def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
 
 @compiled
 def _angle(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
-    return _trajectory(model, motion, substeps)
+    with batched_program():
+        return _trajectory(model, motion, substeps)
 
 
 @compiled
 def _angles(problem: _Problem, zs: Any, motion: _Motion, substeps: Any) -> Array:
     """Angles [rad], shape (parameter vectors, samples)."""
-    return jax.vmap(lambda z: _trajectory(_simulated_by(problem, z), motion, substeps))(zs)
+    with batched_program():
+        return jax.vmap(lambda z: _trajectory(_simulated_by(problem, z), motion, substeps))(zs)
 
 
 def _full(base: CalibrationProblem, z: Array) -> Array:
@@ -340,6 +343,9 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     if friction is not None:
         friction = dataclasses.replace(friction, **dict(zip(("torque", "presliding"), rubbing, strict=True)))
     return _Simulated(JointPlant(joint, load, valve, friction=friction), delay, zero, added)
+
+
+_model = compiled(_simulated_by)
 
 
 def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:

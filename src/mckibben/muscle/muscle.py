@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import sys
 import warnings
+from collections.abc import Callable
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -179,19 +180,30 @@ def _user_level() -> int:
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
-    """Return the force [N] of a muscle or law at measured points as a NumPy array, compiled as one piece.
+    """Return the force [N] of a muscle or law at measured points as a NumPy array, compiled as one piece."""
+    return _at_points(_force, of, contraction, pressure)
 
-    Points are padded to a power of two, so that datasets of different sizes share compiled code.
-    """
-    contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
-    points = contraction.size
+
+def half_widths(of: Friction, tension: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
+    """Return the half width [N] of a friction's band at points as a NumPy array, compiled as one piece."""
+    return _at_points(_half_width, of, tension, pressure)
+
+
+def _at_points(function: Callable[..., Array], of: Any, *columns: ArrayLike) -> NDArray[np.float64]:
+    """Values at points padded to a power of two, so that datasets of different sizes share compiled code."""
+    given = np.broadcast_arrays(*(np.asarray(column, float) for column in columns))
+    shape, points = given[0].shape, given[0].size
     pad = (0, max(128, 1 << (points - 1).bit_length()) - points) if points else (0, 0)
-    padded = (np.pad(column.ravel(), pad, mode="edge") if points else column for column in (contraction, pressure))
-    return (
-        np.asarray(_force(of, *(jnp.asarray(column) for column in padded))).ravel()[:points].reshape(contraction.shape)
-    )
+    padded = (np.pad(column.ravel(), pad, mode="edge") if points else column for column in given)
+    found = np.asarray(function(of, *(jnp.asarray(column) for column in padded)))
+    return found.ravel()[:points].reshape(shape)
 
 
 @compiled
 def _force(of: Muscle | ForceLaw, contraction: Array, pressure: Array) -> Array:
     return of.force(contraction, pressure)
+
+
+@compiled
+def _half_width(of: Friction, tension: Array, pressure: Array) -> Array:
+    return jnp.broadcast_to(of.half_width_at(tension, pressure), tension.shape)

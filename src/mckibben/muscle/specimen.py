@@ -53,10 +53,10 @@ class Domain(eqx.Module, Displayed):
 
     def describe_outside(self, contraction: ArrayLike, pressure: ArrayLike) -> str:
         """Return the number of points outside and the first of them as text; empty for none, NaN or traced points."""
-        inside = self.contains(contraction, pressure)
-        if isinstance(inside, Tracer):
+        if any(isinstance(value, Tracer) for value in (contraction, pressure, *vars(self).values())):
             return ""
-        contractions, pressures, inside = np.broadcast_arrays(contraction, pressure, inside)
+        points = np.asarray(contraction), np.asarray(pressure)
+        contractions, pressures, inside = np.broadcast_arrays(*points, self.contains(*points))
         outside = ~inside & ~np.isnan(contractions) & ~np.isnan(pressures)
         if not outside.any():
             return ""

@@ -14,7 +14,7 @@ import numpy as np
 
 from mckibben.numerics.batching import compute_once, trace_mode
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, load_or_compile
-from mckibben.numerics.runtime import batch_options, programs_folder
+from mckibben.numerics.runtime import batch_options, xla_programs_folder
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -111,7 +111,7 @@ class Program:
                 program = self._parts[known] = self._jitted(structure, static, inline=True)
             return program(*arrays)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in arrays)
-        folder = programs_folder()
+        folder = xla_programs_folder()
         key = (structure, static, tuple(map(type, static)), kinds, trace_mode(), folder)
         if (program := self._programs.get(key)) is None:
             with self._locks.setdefault(key, threading.RLock()):

@@ -59,11 +59,14 @@ def use_program_cache() -> None:
 
 
 def programs_folder() -> Path | None:
-    """Folder of the program cache; None unless asked for, and where programs cannot be stored."""
+    """Folder of the program cache; None unless asked for, and where instructions are not known, as but on Linux."""
     folder = os.environ.get(_PROGRAMS)
-    # Programs from a persistent cache of JAX cannot be stored again; instructions are known on Linux only.
-    usable = folder and not os.environ.get("JAX_COMPILATION_CACHE_DIR") and processor() is not None
-    return Path(folder) if folder and usable else None
+    return Path(folder) if folder and processor() is not None else None
+
+
+def xla_programs_folder() -> Path | None:
+    """The same for programs of XLA, which from a persistent cache of JAX cannot be stored again: None beside one."""
+    return None if os.environ.get("JAX_COMPILATION_CACHE_DIR") else programs_folder()
 
 
 @functools.cache

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import Load
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import AirValve, FlowValve, JointPlant, PlantState
@@ -200,4 +201,5 @@ def _last_cycle(
         stiffness = (torque[3 * _SAMPLES // 4] - torque[_SAMPLES // 4]) / (2 * amplitude)
         return stiffness, -2 * jnp.mean(torque * velocity) / (rate * amplitude**2)  # times 2 pi / rate / (pi a^2)
 
-    return jax.vmap(measure)(amplitudes)
+    with batched_program():
+        return jax.vmap(measure)(amplitudes)

@@ -28,8 +28,8 @@ from mckibben.simulation.metrics import Trajectory, compiled_trajectory
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
+    compiled_reference,
     float_type,
-    sample_reference,
     sampled,
     sampling_times,
     split_problem,
@@ -40,6 +40,7 @@ from mckibben.simulation.result import BAND, Columns, Result
 from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
+_BLOCK = 256  # control periods
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,8 +111,9 @@ def check_reference(
     `SimulationError` if duration [s] and control period do not fit together.
     """
     times, setpoints = sampled(reference, duration, control_period)
-    lowest, highest = _band(plant, setpoints.angle, stiffness_amplitude)
-    return Feasibility(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
+    band = _band(plant, _padded(setpoints.angle), stiffness_amplitude)
+    lowest, highest = (np.asarray(values)[: times.size] for values in band)
+    return Feasibility(times, *(np.asarray(each) for each in (*setpoints, lowest, highest)))
 
 
 def attainable_band(plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -223,20 +225,23 @@ def checked_run(
         varying = ", ".join(named_leaves(lanes._asdict()))
         raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")
     amplitude = problem.controller.stiffness_amplitude
-    checked = _check_start(problem._replace(controller=None), times, amplitude)  # other controllers compile nothing new
-    parts = problem.plant, problem.controller, checked.setpoints, checked.start
+    setpoints = compiled_reference(problem.reference, times)
+    without: Any = {"controller": None, "reference": None}  # others compile nothing new
+    start, exists, band = _check_start(problem._replace(**without), Setpoint(*map(_padded, setpoints)), amplitude)
+    lowest, highest = (np.asarray(values)[: times.size] for values in band)
+    parts = problem.plant, problem.controller, setpoints, start
     if kind != np.float64:
         parts = cast(parts, kind)
-    band = dict(zip(BAND, checked.band, strict=True))
-    result = _episode_result(*parts, control_period, substeps, engine=engine, known=band, scenario=scenario)
-    if not checked.exists:
-        _raise_why(plant, initial, float(checked.setpoints.angle[0]))
-    check_substeps(plant, checked.setpoints.angle, checked.setpoints.stiffness, control_period, substeps)
+    known = dict(zip(BAND, (lowest, highest), strict=True))
+    result = _episode_result(*parts, control_period, substeps, engine=engine, known=known, scenario=scenario)
+    if not exists:
+        _raise_why(plant, initial, float(setpoints.angle[0]))
+    check_substeps(plant, setpoints.angle, setpoints.stiffness, control_period, substeps)
     low, high = plant.joint.geometry.angle_range
     if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
         text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
         warnings.warn(f"{text}, outside of which the moment arm is taken for constant", DomainWarning, stacklevel=3)
-    return CheckedRun(result, Feasibility(times, *(np.asarray(x) for x in (*checked.setpoints, *checked.band))))
+    return CheckedRun(result, Feasibility(times, *(np.asarray(each) for each in (*setpoints, lowest, highest))))
 
 
 def run_episode(
@@ -314,23 +319,18 @@ def _episode_result(
     return Result(Columns(names, immediate, computed), control_period, scenario=scenario, engine=used)
 
 
-class _Checked(NamedTuple):
-    """Setpoints, initial state, whether it exists, and the attainable stiffness at the desired angles."""
-
-    setpoints: Setpoint
-    start: PlantState
-    exists: Array
-    band: tuple[Array, Array]
+def _padded(values: ArrayLike) -> Any:
+    """Values that end with their last one repeated: each length is a program of its own."""
+    return np.pad(values, (0, -np.size(values) % _BLOCK), mode="edge")
 
 
 @compiled_batch
-def _check_start(problem: SimulationProblem, times: ArrayLike, amplitude: ArrayLike | None) -> _Checked:
-    """The checks before a run, for a problem without controller."""
-    setpoints = sample_reference(problem.reference, times)
+def _check_start(
+    problem: SimulationProblem, setpoints: Setpoint, amplitude: ArrayLike | None
+) -> tuple[PlantState, Array, tuple[Array, Array]]:
+    """The initial state, whether it exists, and the attainable stiffness at the desired angles."""
     if isinstance(problem.initial, PlantState):
-        return _Checked(
-            setpoints, *problem.start(setpoints), attainable_band(problem.plant, setpoints.angle, amplitude)
-        )
+        return *problem.start(setpoints), attainable_band(problem.plant, setpoints.angle, amplitude)
     # Start and band in one pass over the angles, which share most of the work.
     angle, stiffness = problem.rest(setpoints)
     angles = jnp.concatenate([angle[None], setpoints.angle])
@@ -339,7 +339,7 @@ def _check_start(problem: SimulationProblem, times: ArrayLike, amplitude: ArrayL
         problem.plant.supplied_joint, angles, torques, stiffness, amplitude
     )
     start = problem.plant.init_state(angle, found.pressures)
-    return _Checked(setpoints, start, found.exists, (lowest[1:], highest[1:]))
+    return start, found.exists, (lowest[1:], highest[1:])
 
 
 _friction_torque = compiled(AntagonisticJoint.friction_torque)

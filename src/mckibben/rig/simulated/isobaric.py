@@ -12,6 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH
+from mckibben.muscle.muscle import half_widths
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import N, bar, kPa, mm, percent
 
@@ -205,7 +206,7 @@ class SimulatedIsobaricTest:
     def _check_rating(self, protocol: IsobaricProtocol, rows: Plateaus) -> None:
         pressures = np.array(protocol.pressures)[rows.level]
         tension = forces(self.muscle, rows.contraction, pressures + self.regulator_offset)
-        highest = tension + np.asarray(self.friction.half_width_at(tension, pressures + self.regulator_offset))
+        highest = tension + half_widths(self.friction, tension, pressures + self.regulator_offset)
         if not isinstance(self.muscle.creep, NoCreep):
             highest = highest + self._creep(protocol, rows, tension, np.zeros(1))[:, 0]
         at, rated = int(np.argmax(highest)), float(self.muscle.specimen.force_limit)

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.control import Reference, Samples
+from mckibben.control.base import Setpoint
 from mckibben.numerics.batching import lanes_of
-from mckibben.numerics.compiled import numeric
+from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant
-from mckibben.simulation.problem import sample_reference, sampling_times
+from mckibben.simulation.problem import compiled_reference, sample_reference, sampling_times
 from mckibben.simulation.resolution import check_frequencies, check_substeps
 from mckibben.study.benchmark.suite import Suite, start_of
 from mckibben.study.parameters import batched, sample, with_values
@@ -145,8 +146,13 @@ def _sampled(reference: Reference, times: NDArray[np.float64]) -> Column:
     count, varying = lanes_of(reference)
     lanes, shared = eqx.partition(numeric(reference), varying)
     if count is None:
-        return np.stack(sample_reference(reference, times))[:, None]
-    return np.stack(jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times))(lanes))
+        return np.stack(compiled_reference(reference, times))[:, None]
+    return np.stack(_sampled_lanes(lanes, shared, times))
+
+
+@compiled
+def _sampled_lanes(lanes: Reference, shared: Reference, times: NDArray[np.float64]) -> Setpoint:
+    return jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times))(lanes)
 
 
 def _groups(runs: Runs, setpoints: Column) -> tuple[Group, ...]:
