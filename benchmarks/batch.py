@@ -29,7 +29,7 @@ LANES_OF_C, LANES_OF_NUMPY, PERIODS_OF_NUMPY = 32, 4096, 50
 MILLION = 1e6
 BASE = "plain C, f64, 1 core"
 OURS = "ours, simulate_many, f64, 1 core"
-CHUNKS_OF_OURS = 4  # a core
+CHUNKS_OF_OURS = 8  # a core
 
 
 def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:

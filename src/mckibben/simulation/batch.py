@@ -266,7 +266,7 @@ def _chunk(
     columns = jax.vmap(run, (0, axis, axis and 0, 0, 0))(
         lanes, begun.setpoints, begun.changes, begun.starts, begun.exist
     )
-    return {**columns, "_span": _span(begun.setpoints, lanes)}
+    return {**columns, "_span": _span(begun.setpoints.angle, lanes)}
 
 
 def _columns(streamed: Streamed, exists: Array, asked: _Asked) -> dict[str, Array]:
@@ -277,10 +277,9 @@ def _columns(streamed: Streamed, exists: Array, asked: _Asked) -> dict[str, Arra
     return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
 
 
-def _span(setpoints: Setpoint, lanes: SimulationProblem) -> Array:
+def _span(angle: Any, lanes: SimulationProblem) -> Any:
     """How far the desired angle of each run moves."""
-    span = jnp.max(setpoints.angle, axis=0) - jnp.min(setpoints.angle, axis=0)
-    return jnp.broadcast_to(span, np.shape(jax.tree.leaves(lanes)[0])[:1])
+    return angle.max(axis=0) - angle.min(axis=0) + np.zeros(np.shape(jax.tree.leaves(lanes)[0])[:1])
 
 
 @NativeFunction
@@ -313,7 +312,7 @@ def _native_chunk(
     varying = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), lanes._replace(**unused))
     given = (shared._replace(**unused), of_all, period, asked), (varying, of_each)
     columns = _native_run(*given, single=asked.precision == "float32")
-    span = np.asarray(_span(begun.setpoints, lanes))
+    span = _span(np.asarray(begun.setpoints.angle), lanes)
     return {name: np.moveaxis(values, -1, 0) for name, values in columns.items()} | {"_span": span}
 
 
