@@ -13,7 +13,7 @@ from timing import Bench
 ROOT = Path(__file__).parents[1]
 SCENARIO = "examples/pre-contracted-step-pid.yaml"
 EMPTY = "python -c pass"
-UNSET = ("JAX_PLATFORMS", "PYTHONDONTWRITEBYTECODE")
+UNSET = ("JAX_PLATFORMS", "JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
 
 
 def cold(folder: Path, *, quick: bool) -> Table:
