@@ -19,7 +19,7 @@ _POINTS = 128  # of the table: powers of two to multiples of 1 / _POINTS
 
 
 def native_language() -> Language:
-    """C with the functions of `DEFINITIONS`."""
+    """C with the functions of `definitions`."""
     language = c_language()
     own = {"exp": "exp_of", "sin": "sin_of", "cos": "cos_of", "tanh": "tanh_of"}
     return replace(language, functions={**language.functions, **own})

@@ -74,7 +74,7 @@ def _archive(contents: Mapping[str, str | bytes]) -> bytes:
 
 
 def _values(unit: FunctionalUnit, variables: Sequence[ScalarVariable]) -> dict[str, object]:
-    """What the templates of the sources leave open, but for the token."""
+    """Values of the placeholders in the templates of the sources, except the token."""
     module = unit.module
     functions = {one.name: one for one in module.functions}
     structures = [f"    {module.name}_{one} {one};" for one in module.structures()]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from mckibben.export.targets import Exported
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import AirValve, IdealValve, IOState, JointPlant, NoDisturbance, PerfectSensors, PlantState, Valve
+from mckibben.plant import AirValve, IdealValve, IOState, JointPlant, PlantState, Valve
 from mckibben.simulation.problem import sampled
 from mckibben.simulation.result import attributes
 from mckibben.study.scenario import Scenario
@@ -55,8 +54,7 @@ _CONTROLLER_INPUTS = {
 def plant_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
     given = scenario.plant()
-    plant = dataclasses.replace(given, sensors=PerfectSensors(), disturbance=NoDisturbance(), command_delay=None)
-    plant, initial = numeric((plant, scenario.initial(given)))
+    plant, initial = numeric((given.with_ideal_io(), scenario.initial(given)))
     unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.substeps)
     if not given.has_ideal_io:
         left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")

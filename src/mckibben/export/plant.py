@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,7 +13,7 @@ from mckibben.codegen.source_module import SourceModule
 from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant, NoDisturbance, PerfectSensors, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.plant.air_valve import AirState, AirValve, SwitchingValves
 from mckibben.plant.joint_plant import Motion
 
@@ -40,9 +39,7 @@ def plant_module(
     """
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += [] if plant.command_delay is None else ["delay of the commands"]
-    plant = numeric(
-        dataclasses.replace(plant, sensors=PerfectSensors(), disturbance=NoDisturbance(), command_delay=None)
-    )
+    plant = numeric(plant.with_ideal_io())
     numbers, fixed = eqx.partition(plant, is_real)
     module = SourceModule(name, {"plant": numbers, "control_period": np.asarray(control_period or 0.0)}, "plant.")
     state = jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))

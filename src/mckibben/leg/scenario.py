@@ -35,7 +35,7 @@ from mckibben.units import (
 )
 
 _DEEPEST = 50 * mm
-"""How far a leg may sink into the ground by its weight: a thick mat."""
+"""Largest static deflection of the ground under the weight of the leg."""
 
 
 class TrunkSpec(model_of(Trunk)):

@@ -153,6 +153,11 @@ class JointPlant(eqx.Module, Displayed):
         limits = tuple(jnp.minimum(jnp.asarray(rated), supply) for rated in highest(self.joint))
         return eqx.tree_at(highest, self.joint, limits)
 
+    def with_ideal_io(self) -> JointPlant:
+        """Return the plant with perfect sensors, and without disturbance and delay of the commands."""
+        ideal = dataclasses.replace(self, sensors=PerfectSensors(), disturbance=NoDisturbance())
+        return dataclasses.replace(ideal, command_delay=None, delay_periods=0)
+
     def with_period(self, period: float) -> JointPlant:
         """Return the plant with states that hold the commands on their way, one each control period [s].
 

@@ -56,9 +56,7 @@ def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarr
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
     """Content of a segment's header and its columns; `DatasetError` if the file is no record of this version."""
-    reader = JournalReader(path)
-    reader.raise_without_header(DatasetError)
-    content = reader.header()
+    content = JournalReader(path).checked_header(DatasetError)
     if content is None or "columns" not in content:
         raise DatasetError(str(path), [Problem("is no record of a rig", remedy="give the folder of `rig run --out`")])
     if content["version"] != VERSION:

@@ -171,8 +171,7 @@ def _derivatives(
         return select_leaves(_whole(lane, shared)._asdict(), asked.parameters)
 
     def measured(lane: SimulationProblem | None, flat: Array) -> dict[str, Array]:
-        run = _whole(lane, shared)
-        return _metrics(SimulationProblem(**replace_leaves(run._asdict(), restored(flat))), times, period, asked)
+        return _metrics(_restored(_whole(lane, shared), flat, asked), times, period, asked)
 
     first = jax.tree.map(lambda leaf: leaf[0], lanes) if asked.many else lanes
     size, restored = len(ravel_pytree(numbers(first))[0]), ravel_pytree(numbers(first))[1]
@@ -227,7 +226,7 @@ def _natively(
 def _begun(
     shared: SimulationProblem, flat: Array, times: ArrayLike, asked: _Asked
 ) -> tuple[_Begun, _Begun, tuple[_Begun, Array, Array | None]]:
-    """What varies with the parameters at the beginning, its derivatives; the rest, and whether the state exists."""
+    """What depends on the parameters at the start, its derivatives; the other leaves, existence and split."""
     of_reference = eqx.is_inexact_array if any(name.startswith("reference.") for name in asked.parameters) else False
 
     def begin(flat: Array) -> tuple[_Begun, tuple[_Begun, Array, Array | None]]:
@@ -260,10 +259,10 @@ def _along(parts: Any, lane: Any) -> Any:
     return jax.jvp(measured, (flat, varying), lane)
 
 
-def _restored(shared: SimulationProblem, flat: Array, asked: _Asked) -> SimulationProblem:
-    """The problem with other numbers."""
-    _, restored = ravel_pytree(select_leaves(shared._asdict(), asked.parameters))
-    return SimulationProblem(**replace_leaves(shared._asdict(), restored(flat)))
+def _restored(run: SimulationProblem, flat: Array, asked: _Asked) -> SimulationProblem:
+    """The problem of one run with other values of the parameters."""
+    _, restored = ravel_pytree(select_leaves(run._asdict(), asked.parameters))
+    return SimulationProblem(**replace_leaves(run._asdict(), restored(flat)))
 
 
 def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:

@@ -103,14 +103,17 @@ class JournalReader:
         content = json.loads(record.payload)
         return content if isinstance(content, dict) else None
 
-    def raise_without_header(self, error: type[FileError] = FileError) -> None:
-        """Raise where the file is a journal whose header is damaged, cut or not written."""
+    def checked_header(self, error: type[FileError] = FileError) -> dict[str, Any] | None:
+        """`header`; raises where the file is a journal whose header is damaged, cut or not written."""
+        if (header := self.header()) is not None:
+            return header
         with self.path.open("rb") as file:
             begun = _MAGIC.startswith(file.read(len(_MAGIC))) or _find_magic(file, 0) is not None
-        if begun and self.header() is None:
+        if begun:
             message = "is damaged or incomplete, so that it is not known what the file is of"
             remedy = "restore the file from a copy, or begin anew: choose another folder, or remove the file"
             raise error(str(self.path), [Problem(message, field="header", remedy=remedy)])
+        return None
 
 
 def _read(file: BinaryIO, position: int) -> JournalRecord | None:
@@ -219,9 +222,7 @@ def _write_at(file: int, position: int, content: bytes) -> None:
 def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
     """Header of a journal of a kind ("format") and version; `FileError` if it is another file."""
     try:
-        reader = JournalReader(path)
-        reader.raise_without_header()
-        header = reader.header()
+        header = JournalReader(path).checked_header()
     except FileError:
         raise
     except (OSError, ValueError, RecursionError) as error:
