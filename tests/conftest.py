@@ -34,8 +34,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # run in the background: 
 # compiled with hardly any optimization, with the same numbers but for rounding. Files with `optimized`, and all with
 # MCKIBBEN_FULL_COMPILATION set, compile as users do. Older versions of JAX abort at flags unknown to them.
 QUICK = "MCKIBBEN_FULL_COMPILATION" not in os.environ
-if QUICK and jax.__version_info__ >= (0, 10):  # an older code generator
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+if QUICK and jax.__version_info__ >= (0, 10):  # an older code generator, and no passes that take long and save little
+    quick = (
+        "--xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes=while-loop-invariant-code-motion,tuple-simplifier"
+    )
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}"
 
 
 def optimize(programs: bool) -> None:

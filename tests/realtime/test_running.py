@@ -37,7 +37,7 @@ def ran(knee):
 
 def test_a_tree_is_packed_to_floats_and_back():
     tree = (np.asarray(2.5), np.asarray([1, 2]), np.asarray(True), "fixed")
-    flat = FlatTree(tree)
+    flat = FlatTree.like(tree)
     assert flat.pack(tree).tolist() == [2.5, 1.0, 2.0, 1.0]
     number, counts, flag, fixed = flat.unpack(np.array([3.5, 4.0, 5.0, 0.0]))
     assert (number, counts.tolist(), bool(flag), fixed) == (3.5, [4, 5], False, "fixed")

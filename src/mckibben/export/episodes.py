@@ -193,7 +193,7 @@ class _FlatEpisodes:
     """`begin` and `advance` with an array for an episode, and one for an `EpisodeStep`."""
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
-        self._layout = FlatTree(jax.eval_shape(lambda: begin(*plants.row(0), settings.period)[0]))
+        self._layout = FlatTree.like(jax.eval_shape(lambda: begin(*plants.row(0), settings.period)[0]))
         self.size = self._layout.size
         self._settings, self._counts = settings, (substeps, repeat)
 
@@ -219,7 +219,7 @@ class SingleProgram:
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
         flat, self._plants = _FlatEpisodes(plants, settings, substeps, repeat), plants
-        numbers, starts = self._layouts = tuple(map(FlatTree, plants.row(0)))
+        numbers, starts = self._layouts = tuple(map(FlatTree.like, plants.row(0)))
 
         def first(packed: Array, start: Array) -> tuple[Array, Array]:
             return flat.begin(numbers.unpack(packed), starts.unpack(start))

@@ -76,7 +76,7 @@ class MuscleFunctions:
         self.pressure = float(start[1])
         """Pressure [Pa] at the start."""
         self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
-        self._layout = FlatTree(self._start)
+        self._layout = FlatTree.like(self._start)
         slips = bool(state.friction or state.creep)
         self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, isinstance(valve, FirstOrderValve))
         self.activations = self._layout.pack(self._start)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -55,24 +56,36 @@ def _torque(plant: JointPlant, angles: ArrayLike) -> Array:
 _ARRAYS = (*ARRAYS, jax.ShapeDtypeStruct)
 
 
+@dataclass(frozen=True)
 class FlatTree:
     """Layout of the numeric leaves of a pytree in one array of 64-bit floats; other leaves are part of it."""
 
-    def __init__(self, like: Any) -> None:
-        leaves, self._structure = jax.tree.flatten(like)
-        self._fixed = [None if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves]
-        self._kinds = [(leaf.shape, leaf.dtype) if isinstance(leaf, _ARRAYS) else None for leaf in leaves]
-        self.size = sum(math.prod(kind[0]) for kind in self._kinds if kind)
+    structure: Any
+    fixed: tuple[Any, ...]
+    kinds: tuple[tuple[tuple[int, ...], Any] | None, ...]  # shape and dtype of the numeric leaves
+
+    @classmethod
+    def like(cls, tree: Any) -> FlatTree:
+        """Layout of the trees with the structure of this one."""
+        leaves, structure = jax.tree.flatten(tree)
+        fixed = tuple(None if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
+        kinds = tuple((leaf.shape, leaf.dtype) if isinstance(leaf, _ARRAYS) else None for leaf in leaves)
+        return cls(structure, fixed, kinds)
+
+    @property
+    def size(self) -> int:
+        """Length of the array."""
+        return sum(math.prod(kind[0]) for kind in self.kinds if kind)
 
     def pack(self, tree: Any, xp: Any = np) -> Any:
         """Numbers of a tree, shape (size,)."""
-        leaves = [leaf for leaf, kind in zip(jax.tree.leaves(tree), self._kinds, strict=True) if kind]
+        leaves = [leaf for leaf, kind in zip(jax.tree.leaves(tree), self.kinds, strict=True) if kind]
         return xp.concatenate([xp.ravel(xp.asarray(leaf, float)) for leaf in leaves] or [xp.zeros(0)])
 
     def unpack(self, vector: Any) -> Any:
         """Tree of an array of shape (size,)."""
         leaves, at = [], 0
-        for kind, fixed in zip(self._kinds, self._fixed, strict=True):
+        for kind, fixed in zip(self.kinds, self.fixed, strict=True):
             if kind is None:
                 leaves.append(fixed)
                 continue
@@ -81,7 +94,7 @@ class FlatTree:
             part = vector[at : at + length].reshape(shape)
             leaves.append(part != 0 if dtype.kind == "b" else part.astype(dtype))
             at += length
-        return jax.tree.unflatten(self._structure, leaves)
+        return jax.tree.unflatten(self.structure, leaves)
 
 
 class StepResult(NamedTuple):
@@ -109,25 +122,10 @@ class ControlProgram:
         controller = numeric(controller)
         zero: Any = jax.ShapeDtypeStruct((), float)
         state = jax.eval_shape(controller.init, Measurement(zero, (zero, zero)))
-        numbers, states = FlatTree(controller), FlatTree(state)
-        self.telemetry = tuple(jax.eval_shape(controller.telemetry, state))
-
-        def init(packed: Array, measured: Array) -> Array:
-            angle, pressure1, pressure2 = measured
-            return states.pack(numbers.unpack(packed).init(Measurement(angle, (pressure1, pressure2))), jnp)
-
-        def step(packed: Array, memory: Array, inputs: Array) -> tuple[Array, Array]:
-            control: Controller = numbers.unpack(packed)
-            angle, stiffness, measured, pressure1, pressure2, period = inputs
-            setpoint, measurement = Setpoint(angle, stiffness), Measurement(measured, (pressure1, pressure2))
-            after, commands = control.step(states.unpack(memory), setpoint, measurement, period)
-            reported = control.telemetry(after)
-            values = jnp.stack([jnp.asarray(x, float) for x in (*commands, *(reported[n] for n in self.telemetry))])
-            return states.pack(after, jnp), values
-
+        numbers, states = FlatTree.like(controller), FlatTree.like(state)
+        self.telemetry = tuple(sorted(jax.eval_shape(controller.telemetry, state)))
         self._numbers = jnp.asarray(numbers.pack(controller))
-        self._init = compile_flat(init, numbers.size, 3)
-        self._step = compile_flat(step, numbers.size, states.size, 6)
+        self._init, self._step = _compiled_controller(numbers, states)
 
     def init(self, angle: float, pressure1: float, pressure2: float) -> Array:
         """Initial state at an angle [rad] and pressures [Pa]."""
@@ -148,16 +146,10 @@ class PlantProgram:
 
     def __init__(self, plant: JointPlant, substeps: int) -> None:
         plant = numeric(plant)
-        still = jax.eval_shape(lambda: plant.init_state(0.0, (0.0, 0.0)))
-        numbers, self._states = FlatTree(plant), FlatTree(still)
-        states = self._states
-
-        def advance(packed: Array, state: Array, inputs: Array) -> Array:
-            joint: JointPlant = numbers.unpack(packed)
-            return states.pack(joint.advance(states.unpack(state), (inputs[0], inputs[1]), inputs[2], substeps), jnp)
-
+        numbers = FlatTree.like(plant)
+        self._states = FlatTree.like(jax.eval_shape(lambda: plant.init_state(0.0, (0.0, 0.0))))
         self._numbers = jnp.asarray(numbers.pack(plant))
-        self._advance = compile_flat(advance, numbers.size, states.size, 3)
+        self._advance = _compiled_plant(numbers, self._states, substeps)
 
     def state(self, state: PlantState) -> NDArray[np.float64]:
         """Packed state: angle [rad], velocity [rad/s], both pressures [Pa], internal states of the muscles."""
@@ -166,6 +158,37 @@ class PlantProgram:
     def advance(self, state: Any, command1: float, command2: float, time: float) -> NDArray[np.float64]:
         """Packed state after a time [s] under commands [Pa]."""
         return np.asarray(self._advance(self._numbers, state, np.array([command1, command2, time])))
+
+
+@functools.lru_cache(16)
+def _compiled_controller(numbers: FlatTree, states: FlatTree) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """`init` and `step` of all controllers of a layout."""
+
+    def init(packed: Array, measured: Array) -> Array:
+        angle, pressure1, pressure2 = measured
+        return states.pack(numbers.unpack(packed).init(Measurement(angle, (pressure1, pressure2))), jnp)
+
+    def step(packed: Array, memory: Array, inputs: Array) -> tuple[Array, Array]:
+        control: Controller = numbers.unpack(packed)
+        angle, stiffness, measured, pressure1, pressure2, period = inputs
+        setpoint, measurement = Setpoint(angle, stiffness), Measurement(measured, (pressure1, pressure2))
+        after, commands = control.step(states.unpack(memory), setpoint, measurement, period)
+        reported = control.telemetry(after)
+        values = jnp.stack([jnp.asarray(x, float) for x in (*commands, *(reported[n] for n in sorted(reported)))])
+        return states.pack(after, jnp), values
+
+    return compile_flat(init, numbers.size, 3), compile_flat(step, numbers.size, states.size, 6)
+
+
+@functools.lru_cache(16)
+def _compiled_plant(numbers: FlatTree, states: FlatTree, substeps: int) -> Callable[..., Any]:
+    """`advance` of all plants of a layout."""
+
+    def advance(packed: Array, state: Array, inputs: Array) -> Array:
+        plant: JointPlant = numbers.unpack(packed)
+        return states.pack(plant.advance(states.unpack(state), (inputs[0], inputs[1]), inputs[2], substeps), jnp)
+
+    return compile_flat(advance, numbers.size, states.size, 3)
 
 
 def compute_in_this_thread() -> None:
