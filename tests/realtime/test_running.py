@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mckibben.control.base import Setpoint
-from mckibben.errors import RigError, StoppedError
+from mckibben.errors import ExportError, RigError, StoppedError
 from mckibben.numerics.compiled import numeric
-from mckibben.realtime import JointLimits, Sensing, Timing
+from mckibben.realtime import ControlProgram, JointLimits, Sensing, Timing, compiled_step
 from mckibben.realtime.compiled_step import FlatTree, vented_angle
 from mckibben.realtime.config import Wiring
 from mckibben.realtime.loop import realtime_process_settings
@@ -42,6 +42,25 @@ def test_a_tree_is_packed_to_floats_and_back():
     number, counts, flag, fixed = flat.unpack(np.array([3.5, 4.0, 5.0, 0.0]))
     assert (number, counts.tolist(), bool(flag), fixed) == (3.5, [4, 5], False, "fixed")
     assert counts.dtype.kind == "i"
+
+
+def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
+    def steps(program):
+        state, found = program.init(0.0, 2 * bar, 2 * bar), []
+        for angle in (0.0, 1 * deg, 2 * deg):
+            state, values = program.step(state, np.array([angle, 14.0, 0.5 * deg, 2 * bar, 2 * bar, 1 * ms]))
+            found.append(values)
+        return found
+
+    def no_compiler(*_):
+        raise ExportError("there is none")
+
+    control = knee.scenario.control()
+    expected = steps(ControlProgram(control))
+    monkeypatch.setattr(compiled_step, "compile_alone", no_compiler)
+    compiled_step._compiled_step.cache_clear()
+    np.testing.assert_allclose(steps(ControlProgram(control)), expected, rtol=1e-9)
+    compiled_step._compiled_step.cache_clear()
 
 
 def test_the_torque_of_the_vented_joint_falls_through_zero_at_its_angle(knee):

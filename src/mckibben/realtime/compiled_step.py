@@ -15,8 +15,9 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.codegen.native import compile_alone
 from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.errors import SimulationError
+from mckibben.errors import ExportError, SimulationError
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, PlantState
@@ -100,7 +101,7 @@ class FlatTree:
 class StepResult(NamedTuple):
     """Next state of a controller, and ``[command1, command2, *telemetry]``."""
 
-    state: Array
+    state: NDArray[np.float64] | Array
     values: NDArray[np.float64]
 
 
@@ -122,16 +123,17 @@ class ControlProgram:
         controller = numeric(controller)
         zero: Any = jax.ShapeDtypeStruct((), float)
         state = jax.eval_shape(controller.init, Measurement(zero, (zero, zero)))
-        numbers, states = FlatTree.like(controller), FlatTree.like(state)
+        numbers, self._states = FlatTree.like(controller), FlatTree.like(state)
         self.telemetry = tuple(sorted(jax.eval_shape(controller.telemetry, state)))
-        self._numbers = jnp.asarray(numbers.pack(controller))
-        self._init, self._step = _compiled_controller(numbers, states)
+        self._controller, self._numbers = controller, numbers.pack(controller)
+        self._step = _compiled_step(numbers, self._states)
+        self.init(0.0, 0.0, 0.0)  # compiles it, too
 
-    def init(self, angle: float, pressure1: float, pressure2: float) -> Array:
+    def init(self, angle: float, pressure1: float, pressure2: float) -> NDArray[np.float64]:
         """Initial state at an angle [rad] and pressures [Pa]."""
-        return self._init(self._numbers, np.array([angle, pressure1, pressure2]))
+        return self._states.pack(_begin(self._controller, angle, (pressure1, pressure2)))
 
-    def step(self, state: Array, inputs: NDArray[np.float64]) -> StepResult:
+    def step(self, state: ArrayLike, inputs: NDArray[np.float64]) -> StepResult:
         """Return the next state and the commands.
 
         Inputs: reference angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], time since the
@@ -148,7 +150,7 @@ class PlantProgram:
         plant = numeric(plant)
         numbers = FlatTree.like(plant)
         self._states = FlatTree.like(jax.eval_shape(lambda: plant.init_state(0.0, (0.0, 0.0))))
-        self._numbers = jnp.asarray(numbers.pack(plant))
+        self._numbers = numbers.pack(plant)
         self._advance = _compiled_plant(numbers, self._states, substeps)
 
     def state(self, state: PlantState) -> NDArray[np.float64]:
@@ -160,13 +162,14 @@ class PlantProgram:
         return np.asarray(self._advance(self._numbers, state, np.array([command1, command2, time])))
 
 
-@functools.lru_cache(16)
-def _compiled_controller(numbers: FlatTree, states: FlatTree) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """`init` and `step` of all controllers of a layout."""
+@compiled
+def _begin(controller: Controller, angle: Any, pressures: tuple[Any, Any]) -> Any:
+    return controller.init(Measurement(angle, pressures))
 
-    def init(packed: Array, measured: Array) -> Array:
-        angle, pressure1, pressure2 = measured
-        return states.pack(numbers.unpack(packed).init(Measurement(angle, (pressure1, pressure2))), jnp)
+
+@functools.lru_cache(16)
+def _compiled_step(numbers: FlatTree, states: FlatTree) -> Callable[..., Any]:
+    """`step` of all controllers of a layout."""
 
     def step(packed: Array, memory: Array, inputs: Array) -> tuple[Array, Array]:
         control: Controller = numbers.unpack(packed)
@@ -177,7 +180,7 @@ def _compiled_controller(numbers: FlatTree, states: FlatTree) -> tuple[Callable[
         values = jnp.stack([jnp.asarray(x, float) for x in (*commands, *(reported[n] for n in sorted(reported)))])
         return states.pack(after, jnp), values
 
-    return compile_flat(init, numbers.size, 3), compile_flat(step, numbers.size, states.size, 6)
+    return compile_flat(step, numbers.size, states.size, 6)
 
 
 @functools.lru_cache(16)
@@ -197,7 +200,15 @@ def compute_in_this_thread() -> None:
 
 
 def compile_flat(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile a function of arrays for the CPU, as a loop with one iteration."""
+    """Compile a function of arrays by the C compiler; by XLA for the CPU where that cannot be done."""
+    try:
+        return compile_alone(function, *sizes)
+    except ExportError:
+        return _compile_loop(function, *sizes)
+
+
+def _compile_loop(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
+    """Compile by XLA, as a loop with one iteration."""
     # XLA compiles a small loop to one kernel, other code to dozens of calls, which take ten times longer than the work.
     # The number of iterations is an argument, and the others depend on the iteration, so that nothing is hoisted out.
     shapes = [jax.ShapeDtypeStruct((size,), float) for size in sizes]
