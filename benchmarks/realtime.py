@@ -121,7 +121,10 @@ def main():
         module._set_real_time_priority = lambda: None
     compute_in_this_thread()
     print(sentence(describe()) + "\n")
-    (print_steps if asked.steps else lambda: print_runs(asked.duration, period))()
+    if asked.steps:
+        print_steps()
+    else:
+        print_runs(asked.duration, period)
 
 
 def print_runs(duration, period):
