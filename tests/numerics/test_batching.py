@@ -19,6 +19,7 @@ from mckibben.numerics.batching import (
     named_leaves,
     pad_chunk,
     recheck,
+    recheck_owners,
     select_leaves,
     with_leaves,
 )
@@ -205,7 +206,10 @@ def test_numbers_are_checked_again_at_any_depth(name, bad):
     wrong = with_leaves({"a": outer()}, {name: [1.0, bad]})
     with pytest.raises(RangeError, match="Inner: size is"):
         recheck(Pair(1.0, wrong))
-    recheck(with_leaves({"a": outer()}, {name: [1.0, 2.0]}))
+    with pytest.raises(RangeError, match="Inner: size is"):
+        recheck_owners(wrong, [name])
+    recheck(right := with_leaves({"a": outer()}, {name: [1.0, 2.0]}))
+    recheck_owners(right, [name])
 
 
 # Types

@@ -21,10 +21,17 @@ from mckibben.leg.metrics import LEG_UNITS, SAMPLE_UNITS, LegMetrics, MetricSums
 from mckibben.leg.plant import LegPlant, LegState
 from mckibben.muscle import SpringLaw
 from mckibben.notebook import Progress, notebook_progress
-from mckibben.numerics.batching import batched_program, cores, lanes_of, map_chunks, pad_chunk, recheck, with_leaves
+from mckibben.numerics.batching import (
+    batched_program,
+    lanes_of,
+    map_chunks,
+    pad_chunk,
+    recheck_owners,
+    with_leaves,
+)
 from mckibben.numerics.compiled import compiled, compiled_as_given, compiled_batch, numeric
 from mckibben.plant import AirValve
-from mckibben.simulation.batch import check_count, chunk_size
+from mckibben.simulation.batch import chunk_size
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.problem import sampling_times
 from mckibben.simulation.resolution import STABILITY_LIMIT
@@ -194,14 +201,14 @@ def simulate_legs(
         If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """
     trees = with_leaves({"plant": plant, "controller": controller, "start": start}, over or {})
-    recheck(trees)
+    recheck_owners(trees, over or {})
     count, varying = lanes_of(trees)
     if count is None:
         raise ParameterError("all runs are the same", remedy="give an array in place of a number, or use simulate_leg")
     times = sampling_times(duration, control_period, substeps)
     check_step(trees["plant"], trees["start"], control_period, substeps)
     lanes, shared = eqx.partition(numeric(trees), varying)
-    size = chunk_size(chunk, count, cores() if workers is None else check_count("workers", workers))
+    size = chunk_size(chunk, count, workers, engine)
     given = shared, times, np.asarray(control_period), substeps
 
     def compute(piece: slice) -> tuple[LegMetrics, str]:

@@ -7,7 +7,7 @@ import difflib
 import functools
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -135,13 +135,24 @@ def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[
 
 def recheck(tree: Any) -> None:
     """Run the checks of every module in a tree, as at its construction."""
-    if isinstance(tree, eqx.Module):
-        if check := getattr(type(tree), "__check_init__", None):
-            check(tree)
-        tree = vars(tree)
+    _check(tree)
+    tree = vars(tree) if isinstance(tree, eqx.Module) else tree
     if isinstance(tree, dict | tuple | list):
         for value in tree.values() if isinstance(tree, dict) else tree:
             recheck(value)
+
+
+def recheck_owners(trees: Mapping[str, Any], names: Iterable[str]) -> None:
+    """Run the checks of the modules that some leaves are parts of: others have not changed."""
+    for name in names:
+        root, *steps = name.split(".")
+        for depth in range(len(steps)):
+            _check(_descend(trees[root], tuple(steps[:depth])))
+
+
+def _check(module: Any) -> None:
+    if isinstance(module, eqx.Module) and (check := getattr(type(module), "__check_init__", None)):
+        check(module)
 
 
 def cast(tree: Tree, kind: Any) -> Tree:
