@@ -121,15 +121,16 @@ class _Split:
     @classmethod
     def of(cls, tree: Any, *, lanes: bool = False) -> _Split:
         leaves, structure = jax.tree.flatten(tree)
-        static = tuple(ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves)
-        arrays = [np.asarray(leaf) for leaf, kept in zip(leaves, static, strict=True) if kept is ARRAY]
+        static = tuple([ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves])
+        arrays = [leaf if type(leaf) is np.ndarray else np.asarray(leaf) for leaf in leaves if isinstance(leaf, ARRAYS)]
         return cls(structure, static, arrays, lanes)
 
     @property
     def key(self) -> tuple[Any, ...]:
         """Cache key: structure, static leaves, shapes and types, without the number of runs."""
-        kinds = tuple((x.shape[:-1] if self.lanes else x.shape, x.dtype.char) for x in self.arrays)
-        return self.structure, self.static, tuple(map(type, self.static)), kinds
+        shapes = tuple([x.shape[:-1] if self.lanes else x.shape for x in self.arrays])
+        kinds = "".join([x.dtype.char for x in self.arrays])
+        return self.structure, self.static, tuple(map(type, self.static)), shapes, kinds
 
     def filled(self, arrays: Sequence[Any]) -> Any:
         """The tree with other arrays."""
