@@ -52,7 +52,7 @@ optimize(not QUICK)
 # Workers, subprocesses and later runs share compiled programs, ours and those of XLA; `make clean` removes them.
 for option, value in (
     ("jax_compilation_cache_dir", str(Path(__file__).parents[1] / "build" / "jax-cache")),
-    ("jax_persistent_cache_min_compile_time_secs", 1.0),  # to store one takes as long as to compile a small one
+    ("jax_persistent_cache_min_compile_time_secs", 0.1),  # to store one takes as long as to compile a smaller one
 ):
     if option.upper() not in os.environ:
         os.environ[option.upper()] = str(value)
