@@ -25,11 +25,11 @@ from mckibben.units import bar, ms
 DTYPES = {"f64": np.float64, "f32": np.float32}
 TOLERANCE = {"f64": 1e-9, "f32": 1e-4}
 CHECKED = 32  # lanes
-LANES_OF_C, LANES_OF_NUMPY, PERIODS_OF_NUMPY = 32, 4096, 50
+LANES_OF_C, LANES_OF_SIMD, LANES_OF_OURS = 32, 256, 2048  # a core
+LANES_OF_NUMPY, PERIODS_OF_NUMPY = 4096, 50
 MILLION = 1e6
 BASE = "plain C, f64, 1 core"
 OURS = "ours, simulate_many, f64, 1 core"
-CHUNKS_OF_OURS = 8  # a core
 
 
 def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
@@ -104,22 +104,22 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
         return candidate("plain C", threaded(engine, problem, masses, cores), masses, note=f"{len(masses)} lanes")
 
     def simd() -> Candidate:
-        masses = loads(ours.CHUNK * cores)
+        masses = loads(LANES_OF_SIMD * cores)
         run = threaded(SimdLanes(folder, dtype), problem, masses, cores)
         return candidate("SIMD by hand", run, masses, note=f"C++, {len(masses)} lanes: the limit")
 
     def our_own() -> Candidate:
-        masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
+        masses = loads(LANES_OF_OURS * cores)
         run = ours.batch(problem, masses, dtype, cores=cores)
         return candidate("ours, simulate_many", run, masses, note=f"{len(masses)} lanes")
 
     def xla() -> Candidate:
-        masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
+        masses = loads(LANES_OF_OURS * cores)
         run = ours.batch(problem, masses, dtype, cores=cores, engine="xla")
         return candidate("ours, engine='xla'", run, masses, note=f"{len(masses)} lanes")
 
     def smooth_law() -> Candidate:
-        masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
+        masses = loads(LANES_OF_OURS * cores)
         run = ours.batch(with_smooth_law(problem), masses, dtype, cores=cores)
         note = f"{len(masses)} lanes; the same muscle as `SmoothLaw` with negligible deviations"
         return candidate("ours, SmoothLaw", run, masses, note=note, base=f"ours, simulate_many, {where}")
@@ -143,7 +143,7 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
 
 def _add_valves(bench: Bench, problem: Problem) -> None:
     """Our own batch with valves with air, against that with the lag."""
-    masses = loads(CHUNKS_OF_OURS * ours.CHUNK)
+    masses = loads(LANES_OF_OURS)
     work = len(masses) * problem.periods / MILLION
     conductance, supply = 0.4 * L_PER_S_BAR, 7 * bar
     valves = {

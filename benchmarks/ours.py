@@ -12,7 +12,6 @@ from reference import PERIOD, REFERENCE, Problem
 from mckibben import differentiate, simulate_many
 from mckibben.simulation import Mode
 
-CHUNK = 256  # lanes at once: what a core's cache holds
 METRICS = ("angle_rmse", "stiffness_rmse")
 GAINS = tuple(f"controller.{loop}.{gain}" for loop in ("position", "stiffness") for gain in ("kp", "ki", "kd"))
 

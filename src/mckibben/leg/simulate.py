@@ -21,14 +21,7 @@ from mckibben.leg.metrics import LEG_UNITS, SAMPLE_UNITS, LegMetrics, MetricSums
 from mckibben.leg.plant import LegPlant, LegState
 from mckibben.muscle import SpringLaw
 from mckibben.notebook import Progress, notebook_progress
-from mckibben.numerics.batching import (
-    batched_program,
-    lanes_of,
-    map_chunks,
-    pad_chunk,
-    recheck_owners,
-    with_leaves,
-)
+from mckibben.numerics.batching import batched_program, lanes_of, map_chunks, pad_chunk, with_leaves
 from mckibben.numerics.compiled import compiled, compiled_as_given, compiled_batch, numeric
 from mckibben.plant import AirValve
 from mckibben.simulation.batch import chunk_size
@@ -201,7 +194,6 @@ def simulate_legs(
         If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """
     trees = with_leaves({"plant": plant, "controller": controller, "start": start}, over or {})
-    recheck_owners(trees, over or {})
     count, varying = lanes_of(trees)
     if count is None:
         raise ParameterError("all runs are the same", remedy="give an array in place of a number, or use simulate_leg")

@@ -7,7 +7,7 @@ import difflib
 import functools
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -60,11 +60,16 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
 
 
 def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
-    """Trees with other values at some leaves, addressed by dotted names such as ``plant.load.mass2``."""
+    """Trees with other values, checked, at some leaves, addressed by dotted names such as ``plant.load.mass2``."""
     if not values:
         return dict(trees)
     known = select_leaves(trees, list(values))
-    return replace_leaves(trees, {name: _numbers(trees, name, known[name], value) for name, value in values.items()})
+    numbers = {name: _numbers(trees, name, known[name], value) for name, value in values.items()}
+    changed = replace_leaves(trees, numbers)
+    owners = {tuple(name.split(".")[:depth]) for name in values for depth in range(1, name.count(".") + 1)}
+    for root, *steps in sorted(owners):
+        _check(_descend(changed[root], tuple(steps)))
+    return changed
 
 
 def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
@@ -142,15 +147,8 @@ def recheck(tree: Any) -> None:
             recheck(value)
 
 
-def recheck_owners(trees: Mapping[str, Any], names: Iterable[str]) -> None:
-    """Run the checks of the modules that some leaves are parts of: others have not changed."""
-    for name in names:
-        root, *steps = name.split(".")
-        for depth in range(len(steps)):
-            _check(_descend(trees[root], tuple(steps[:depth])))
-
-
 def _check(module: Any) -> None:
+    """Run the check of one module."""
     if isinstance(module, eqx.Module) and (check := getattr(type(module), "__check_init__", None)):
         check(module)
 

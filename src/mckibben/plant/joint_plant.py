@@ -155,8 +155,8 @@ class JointPlant(eqx.Module, Displayed):
 
     def with_ideal_io(self) -> JointPlant:
         """Return the plant with perfect sensors, and without disturbance and delay of the commands."""
-        ideal = dataclasses.replace(self, sensors=PerfectSensors(), disturbance=NoDisturbance())
-        return dataclasses.replace(ideal, command_delay=None, delay_periods=0)
+        sensors, disturbance = PerfectSensors(), NoDisturbance()
+        return dataclasses.replace(self, sensors=sensors, disturbance=disturbance, command_delay=None, delay_periods=0)
 
     def with_period(self, period: float) -> JointPlant:
         """Return the plant with states that hold the commands on their way, one each control period [s].

@@ -182,8 +182,8 @@ def simulate_many(
 
     def compute(piece: slice) -> tuple[dict[str, NDArray], str]:
         given = pad_chunk(lanes, piece, size), shared, times, period, asked
-        compilers = (lambda: _native_chunk(*given)), (lambda: _chunk(*given))
-        answer, used = compute_with(engine, asked.precision, *compilers, many=True)
+        native, xla = lambda: _native_chunk(*given), lambda: _chunk(*given)
+        answer, used = compute_with(engine, asked.precision, native, xla, many=True)
         return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}, used
 
     progress = progress or notebook_progress()

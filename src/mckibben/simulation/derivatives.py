@@ -226,7 +226,7 @@ def _natively(
 def _begun(
     shared: SimulationProblem, flat: Array, times: ArrayLike, asked: _Asked
 ) -> tuple[_Begun, _Begun, tuple[_Begun, Array, Array | None]]:
-    """What depends on the parameters at the start, its derivatives; the other leaves, existence and split."""
+    """Leaves at the start that depend on the parameters, their derivatives; the other leaves, existence and split."""
     of_reference = eqx.is_inexact_array if any(name.startswith("reference.") for name in asked.parameters) else False
 
     def begin(flat: Array) -> tuple[_Begun, tuple[_Begun, Array, Array | None]]:

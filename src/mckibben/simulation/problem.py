@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import SimulationError
-from mckibben.numerics.batching import lanes_of, named_leaves, recheck_owners, with_leaves
+from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
@@ -64,9 +64,7 @@ def split_problem(
     problem = SimulationProblem(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
     _check_types(problem)
     if over:  # else each object has checked its values when it was made
-        trees = with_leaves(problem._asdict(), over)
-        recheck_owners(trees, over)
-        problem = SimulationProblem(**trees)
+        problem = SimulationProblem(**with_leaves(problem._asdict(), over))
     _check_numbers(problem)
     check_frequencies(problem.reference, control_period)
     problem = problem._replace(plant=problem.plant.with_period(control_period))
