@@ -17,7 +17,7 @@ from timing import Bench
 from mckibben import simulate
 from mckibben.control import Controller
 from mckibben.numerics.compiled import numeric
-from mckibben.simulation.engine import run_alone
+from mckibben.simulation.engine import native_episode, run_alone
 from mckibben.simulation.loop import compiled_episode
 
 SAME = 1e-9  # rad
@@ -62,6 +62,12 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
             return run_alone("native", *parts, kind, SUBSTEPS)[0].state.angle
 
         return candidate(f"ours, native loop, {_loops(base)}", run, base=base, note="all records kept")
+
+    def bound(controller: Controller, base: str) -> Candidate:
+        parts = numeric((problem.plant, controller, problem.setpoints, problem.start))
+        compute = native_episode.bound((*parts, np.float64(PERIOD), SUBSTEPS))
+        note = "its arguments packed before, as those of plain C"
+        return candidate(f"ours, native program, {_loops(base)}", lambda: compute().state.angle, base=base, note=note)
 
     def simulated(controller: Controller, base: str) -> Candidate:
         def run() -> Angles:
@@ -133,11 +139,13 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
 
     bench.add("plain C", plain_c)
     bench.add("ours, native loop, PID", lambda: native(problem.pid, PID_BASE))
+    bench.add("ours, native program, PID", lambda: bound(problem.pid, PID_BASE))
     bench.add("ours, loop by XLA, PID", lambda: compiled(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate, PID", lambda: simulated(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate, engine='xla', PID", lambda: by_xla(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate and metrics, PID", lambda: measured(problem.pid, PID_BASE))
     bench.add("ours, native loop, BP", lambda: native(problem.bp, BP_BASE))
+    bench.add("ours, native program, BP", lambda: bound(problem.bp, BP_BASE))
     bench.add("ours, loop by XLA, BP", lambda: compiled(problem.bp, BP_BASE))
     bench.add("ours, mk.simulate, BP", lambda: simulated(problem.bp, BP_BASE))
     bench.add("CasADi, generated C", casadi_c, install="casadi")

@@ -138,7 +138,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     parts = plant, scenario.control(), scenario.reference()
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
-    monkeypatch.setattr("mckibben.simulation.engine._native_episode._known", {})
+    monkeypatch.setattr("mckibben.simulation.engine.native_episode._known", {})
     assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import itertools
+import math
 import os
 import pickle
 import platform
 import shutil
+import struct
 import subprocess
 import tempfile
 import threading
@@ -45,7 +46,6 @@ _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in (
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # of gcc; it allows more spills, 5 % faster
 _LONGEST = 3_000_000  # characters of a source
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
-_DTYPES = {Kind.REAL: np.float64, Kind.INTEGER: np.int64, Kind.BOOLEAN: np.int64}
 
 
 @functools.cache
@@ -75,6 +75,10 @@ class NativeFunction:
 
         In a `single` program what differs between runs has 32 bits; what they share, such as the reference, has 64.
         """
+        return self.bound(shared, lanes, single=single)()
+
+    def bound(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
+        """The compiled function with its arguments packed; what it returns computes the results."""
         given, varying = _Split.of(shared), _Split.of(lanes, lanes=True)
         key = given.key, varying.key, single
         with self._lock:
@@ -86,7 +90,7 @@ class NativeFunction:
                 self._known[key] = found
         if isinstance(found, ExportError):
             raise found
-        return found(given.arrays, varying.arrays)
+        return found.bound(given.arrays, varying.arrays)
 
     def _compiled(self, shared: _Split, lanes: _Split, single: bool) -> _Compiled:
         """From the program cache, or compiled."""
@@ -147,44 +151,39 @@ class _Compiled:
     tree: Any
     width: int = 1  # runs in a vector
 
-    def __call__(self, given: Sequence[Any], varying: Sequence[Any]) -> Any:
-        """Results of all runs."""
+    def bound(self, given: Sequence[Any], varying: Sequence[Any] = ()) -> Callable[[], Any]:
+        """Arguments in words of 64 bits; what it returns computes the results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
-        scalars, inputs = _inputs(given)
-        inputs += [_padded(_input(x), size) for x in varying]
-        outputs = [np.empty((*shape, size), _DTYPES[kind_of(np.dtype(kind))]) for shape, kind in self.leaves]
-        first = scalars.ctypes.data
-        places = [first + 8 * x if isinstance(x, int) else x.ctypes.data for x in inputs]
-        pointers = [(ctypes.c_void_p * len(xs))(*xs) for xs in (places, [x.ctypes.data for x in outputs])]
-        self.run(*pointers, size, 0, size)
-        here = (..., slice(count)) if varying else (..., 0)
-        values = [out[here].astype(kind, copy=False) for out, (_, kind) in zip(outputs, self.leaves, strict=True)]
-        return jax.tree.unflatten(self.tree, values)
+        scalars = [x for x in given if not x.ndim]
+        kinds = "".join(["d" if x.dtype.kind == "f" else "q" for x in scalars])
+        packed = struct.pack(kinds, *[x.item() for x in scalars])
+        arrays = [_words(x) for x in given if x.ndim] + [_words(_padded(x, size)) for x in varying]
+        words = np.concatenate([np.empty(0), *arrays])
+        lengths = [math.prod(shape) * size for shape, _ in self.leaves]
+
+        def compute() -> Any:
+            results = np.empty(sum(lengths))
+            self.run(packed, words.ctypes.data, results.ctypes.data, size)
+            values, at = [], 0
+            for (shape, kind), length in zip(self.leaves, lengths, strict=True):
+                value = results[at : at + length]
+                at += length
+                value = value.reshape(*shape, size)[..., :count] if varying else value.reshape(shape)
+                values.append((value if kind[1] == "f" else value.view(np.int64)).astype(kind, copy=False))
+            return jax.tree.unflatten(self.tree, values)
+
+        return compute
 
 
 def compile_alone(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile a function of vectors of 64-bit floats, and with such results, for calls that take microseconds.
+    """Compile a function of vectors of 64-bit floats for calls that take microseconds.
 
     Raises `ExportError` as the others.
     """
     source, leaves, tree = write_native(lambda given, _: function(*given), [np.zeros(size) for size in sizes], ())
-    run = load_library(compile_library(source, _ALONE))
-    given_at = list(itertools.accumulate(sizes, initial=0))
-    result_at = list(itertools.accumulate((shape[0] for shape, _ in leaves), initial=0))
-
-    def call(*given: Any) -> Any:
-        inputs, outputs = np.concatenate(given, dtype=float), np.empty(result_at[-1])
-        run(_addresses(inputs, given_at), _addresses(outputs, result_at), 1, 0, 1)
-        return jax.tree.unflatten(tree, [outputs[low:high] for low, high in itertools.pairwise(result_at)])
-
-    return call
-
-
-def _addresses(vector: Any, places: Sequence[int]) -> Any:
-    """Pointers to the parts of one vector, as asking for the address of each takes long."""
-    first = vector.ctypes.data
-    return (ctypes.c_void_p * (len(places) - 1))(*(first + 8 * place for place in places[:-1]))
+    compiled = _Compiled(load_library(compile_library(source, _ALONE)), leaves, tree)
+    return lambda *given: compiled.bound(given)()
 
 
 class Written(NamedTuple):
@@ -210,13 +209,11 @@ def write_native(
         else Writer([graph.scope], native_language(), values)
     )
     leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
-    kinds = [kind_of(x.dtype) for x in (*given, *varying)], [kind_of(np.dtype(kind)) for _, kind in leaves]
     lines = [
-        "void run(const void *const *in, void *const *out, int64_t lanes, int64_t first, int64_t last)",
+        "void run(const void *scalars, const double *arrays, double *results, int64_t lanes)",
         "{",
-        *(f"    const {_TYPES[kind]} *in{n} = in[{n}];" for n, kind in enumerate(kinds[0])),
-        *(f"    {_TYPES[kind]} *out{n} = out[{n}];" for n, kind in enumerate(kinds[1])),
-        f"    for (int64_t b = first; b < last; b += {'W' if varying else '1'}) {{",
+        *_places(given, varying, leaves),
+        f"    for (int64_t b = 0; b < lanes; b += {'W' if varying else '1'}) {{",
         *_body(graph, writer, inputs, results),
         "    }",
         "}",
@@ -225,6 +222,27 @@ def write_native(
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
     return Written(source, leaves, jax.tree.structure(shape))
+
+
+def _places(given: Sequence[Any], varying: Sequence[Any], leaves: Sequence[tuple[tuple[int, ...], str]]) -> list[str]:
+    """Declarations of where each argument and result lies: words of 64 bits, side by side as `_Compiled` packs them."""
+    lines = []
+    scalars, shared, lanes = 0, 0, 0
+    for n, x in enumerate([*given, *varying]):
+        kind = _TYPES[kind_of(x.dtype)]
+        if n >= len(given):
+            place, lanes = f"arrays + {shared} + {lanes} * lanes", lanes + x.size
+        elif x.ndim:
+            place, shared = f"arrays + {shared}", shared + x.size
+        else:
+            place, scalars = f"(const double *)scalars + {scalars}", scalars + 1
+        lines.append(f"    const {kind} *in{n} = (const {kind} *)({place});")
+    at = 0
+    for n, (shape, dtype) in enumerate(leaves):
+        kind = _TYPES[kind_of(np.dtype(dtype))]
+        lines.append(f"    {kind} *out{n} = ({kind} *)(results + {at} * lanes);")
+        at += math.prod(shape)
+    return lines
 
 
 def _input_value(graph: Graph, name: str, x: Any, uniform: bool) -> Any:
@@ -286,7 +304,7 @@ def load_library(library: bytes) -> Any:
         path = Path(folder, "library.so")
         path.write_bytes(library)
         run = ctypes.CDLL(str(path)).run
-    run.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64]
+    run.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64]
     run.restype = None
     return run
 
@@ -302,25 +320,12 @@ def _compiler_state() -> str:
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 
-def _inputs(arrays: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Scalars side by side, for one address; the arrays, or places of the scalars."""
-    reals = np.empty(len(arrays))
-    integers = reals.view(np.int64)
-    inputs = []
-    for place, x in enumerate(arrays):
-        if x.ndim:
-            inputs.append(_input(x))
-            continue
-        (reals if x.dtype.kind == "f" else integers)[place] = x
-        inputs.append(place)
-    return reals, inputs
-
-
-def _input(x: Any) -> Any:
-    return np.ascontiguousarray(x, _DTYPES[kind_of(x.dtype)])
+def _words(x: Any) -> Any:
+    """Elements of an array in words of 64 bits."""
+    return x.ravel() if x.dtype.kind == "f" else x.astype(np.int64).ravel().view(float)
 
 
 def _padded(x: Any, size: int) -> Any:
     """Lanes filled up with the last one."""
     short = size - x.shape[-1]
-    return np.ascontiguousarray(np.concatenate([x, np.repeat(x[..., -1:], short, axis=-1)], axis=-1)) if short else x
+    return np.concatenate([x, np.repeat(x[..., -1:], short, axis=-1)], axis=-1) if short else x

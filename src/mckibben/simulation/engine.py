@@ -67,9 +67,10 @@ def run_alone(
     """Record of one run, and the engine that computed it; `numeric` parts."""
     parts = plant, controller, setpoints, start, period, substeps
     precision = np.asarray(period).dtype
-    return compute_with(engine, precision, lambda: _native_episode(parts), lambda: compiled_episode(*parts)[1])
+    return compute_with(engine, precision, lambda: native_episode(parts), lambda: compiled_episode(*parts)[1])
 
 
 @NativeFunction
-def _native_episode(parts: Any, _: None) -> Record:
+def native_episode(parts: Any, _: None) -> Record:
+    """Record of one run."""
     return episode(*parts)[1]
