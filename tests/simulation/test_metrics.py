@@ -57,6 +57,11 @@ def test_air_is_what_is_taken_in_and_not_what_is_let_out():
     assert float(measure(moved(5, air1=first, air2=second), PERIOD).air) == 3.5  # the other cannot use it
 
 
+@pytest.mark.parametrize("size", [5, 20_000])
+def test_air_of_volumes_that_are_not_known_is_not_known(size):
+    assert np.isnan(measure(moved(size, air1=np.full(size, np.nan), air2=np.full(size, np.nan)), PERIOD).air)
+
+
 def test_times_are_counts_of_periods():
     flags = {name: np.arange(50) < count for name, count in zip(FLAGS, (3, 7, 11), strict=True)}
     found = measure(moved(50, **flags), 0.02)
