@@ -6,8 +6,9 @@ import pytest
 from mckibben.control import Constant, Reference, Samples, Sine, Step
 from mckibben.errors import RangeError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint, SeriesSpring
+from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
+from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant, PlantState
 from mckibben.reachability import check_trackability, reference_trajectory, static_envelope
 from mckibben.reachability.trackability import MAX_SMOOTHING, bands_along
 from mckibben.simulation import check_reference, simulate
@@ -208,3 +209,26 @@ def test_a_smoothing_is_a_positive_time(plant, smoothing):
 def test_times_have_to_go_together(plant):
     with pytest.raises(SimulationError):
         check_trackability(plant, Reference(0.0, 15.0), duration=1.0, control_period=0.3)
+
+
+@pytest.mark.parametrize("valve", [FlowValve(0.4 * L_PER_S_BAR, 7 * bar), FirstOrderValve(0.02, rate=5 * bar)])
+def test_a_limited_flow_or_rate_leaves_slow_motion_trackable(as_printed, load, valve):
+    bands = on(JointPlant(as_printed, load, valve), Reference(Sine(1 * deg, 0.5), 72.8)).bands
+    assert np.nanmax(np.abs(bands.rate_limited.highest - bands.dynamic.highest)) < 0.1
+    assert np.nanmax(np.abs(bands.rate_limited.lowest - bands.dynamic.lowest)) < 0.1
+    assert not np.isnan(bands.rate_limited.lowest).any()
+
+
+@pytest.mark.parametrize("valve", [FlowValve(0.4 * L_PER_S_BAR, 3 * bar), FirstOrderValve(0.02, supply=3 * bar)])
+def test_all_bands_and_the_envelope_end_at_the_supply(as_printed, load, valve):
+    plant = JointPlant(as_printed, load, valve)
+    bands, envelope = on(plant, Reference(0.0, 72.8)).bands, static_envelope(plant)
+    at_rest = int(np.argmin(np.abs(envelope.angles)))
+    for band in bands.static, bands.dynamic, bands.rate_limited:
+        assert band.lowest[0] == pytest.approx(envelope.stiffness.lowest[at_rest], abs=0.01)
+        assert band.highest[0] == pytest.approx(envelope.stiffness.highest[at_rest], abs=0.01)
+    assert np.nanmax(envelope.pressures_at_lowest) == pytest.approx(3 * bar)
+    assert (
+        envelope.stiffness.lowest[at_rest]
+        > static_envelope(JointPlant(as_printed, load, IdealValve())).stiffness.lowest[at_rest] + 1
+    )

@@ -108,9 +108,9 @@ class StaticEnvelope:
         return next((at for chosen in selections if len(at := np.flatnonzero(chosen)) <= _TABLE_ROWS), np.empty(0, int))
 
 
-def scan_points(plant: JointPlant) -> Values:
-    """Positions along a segment of tensions, 0 to 1: its ends where the stiffness is affine, else a scan."""
-    return np.linspace(SEGMENT_MARGIN, 1 - SEGMENT_MARGIN, 2 if is_affine(plant.joint) else _SCAN_POINTS)
+def scan_points(affine: bool) -> Values:
+    """Positions along a segment of tensions, 0 to 1: its ends where all that is asked for is affine, else a scan."""
+    return np.linspace(SEGMENT_MARGIN, 1 - SEGMENT_MARGIN, 2 if affine else _SCAN_POINTS)
 
 
 def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
@@ -119,7 +119,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
     Parameters
     ----------
     plant
-        Joint and load.
+        Joint and load, and valves whose supply may be below the rated pressures.
     about
         An angle [rad] in the range of interest; the nearest static angle replaces it where it is not static itself.
 
@@ -134,7 +134,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
     affine = is_affine(plant.joint)
     count = 641 if affine else 161
     angles = np.linspace(-_ANGLE_LIMIT, _ANGLE_LIMIT, count)
-    points = scan_points(plant)
+    points = scan_points(affine)
     torque, *limits, stiffness, pressure1, pressure2 = (np.asarray(x) for x in _static_states(plant, angles, points))
     infeasible = np.asarray(np.isnan(stiffness).all(axis=0))
     low = np.argmin(np.where(np.isnan(stiffness), np.inf, stiffness), axis=0)
@@ -194,8 +194,9 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
     """Static torque, attainable torques; stiffness and pressures, (points, angles), NaN where infeasible."""
     angle, points = floating(angle), floating(points)
     torque = -plant.load.gravity_torque(angle)
-    limits = plant.joint.attainable_torque(angle)
-    segment = cocontraction_segment(plant.joint, angle, torque, None, 0.0)
+    joint = plant.supplied_joint
+    limits = joint.attainable_torque(angle)
+    segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     pressures, stiffness = segment.at(points[:, None])
     _, arms = plant.joint.geometry.paths_and_arms(angle)
     able = (arms[0] > 0) & (arms[1] > 0)
@@ -208,4 +209,4 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
 
 @compiled
 def _attainable_stiffness(plant: JointPlant, angle: ArrayLike, torque: ArrayLike) -> tuple[Array, Array]:
-    return plant.joint.attainable_stiffness(angle, torque)
+    return plant.supplied_joint.attainable_stiffness(angle, torque)

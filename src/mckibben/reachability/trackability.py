@@ -16,7 +16,7 @@ from mckibben.errors import RangeError
 from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
 from mckibben.reachability.static import SEGMENT_MARGIN, AttainableRange, scan_points
 from mckibben.reachability.trajectory import (
     ReferenceTrajectory,
@@ -36,7 +36,7 @@ MAX_SMOOTHING = 0.25
 _MIN_SMOOTHING = 4e-3  # s
 _SMOOTHING_TRIALS = 13  # geometric ladder: a wider one may do worse, where samples move fast
 _DENSE = 20  # corners: beyond, they are samples of something smooth
-_MAX_SCANNED = 400  # samples, for joints whose stiffness ranges have to be scanned
+_MAX_SCANNED = 400  # samples, where stiffness or commands have to be scanned
 _PRESSURE_TOLERANCE = 1e-3  # Pa
 
 
@@ -56,14 +56,21 @@ class StiffnessBands(NamedTuple):
 def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> StiffnessBands:
     """Attainable stiffness at each sample, without muscle friction; see `check_trackability`."""
     motion = trajectory.angle, trajectory.velocity, trajectory.acceleration, trajectory.jerk
-    states = _states(plant, *motion, trajectory.stiffness_rate, scan_points(plant))
+    states = _states(plant, *motion, trajectory.stiffness_rate, scan_points(_is_affine(plant)))
     torque, low, high, feasible, stiffness, *commands = (np.asarray(x) for x in states)
     stiffness = np.where(np.broadcast_to(feasible, stiffness.shape), stiffness, np.nan)
-    domains = [muscle.specimen.domain for muscle in (plant.joint.muscle1, plant.joint.muscle2)]
+    joint = plant.supplied_joint
+    domains = [muscle.specimen.domain for muscle in (joint.muscle1, joint.muscle2)]
     limits = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in domains]
     return StiffnessBands(
         torque, AttainableRange(low, high), _range_of(stiffness), _within_limits(stiffness, commands, limits)
     )
+
+
+def _is_affine(plant: JointPlant) -> bool:
+    """Whether stiffness and commands are affine in tension; those of a limited rate or flow are not."""
+    linear = isinstance(plant.valve, IdealValve | FirstOrderValve) and getattr(plant.valve, "rate", None) is None
+    return linear and is_affine(plant.joint)
 
 
 @compiled
@@ -77,7 +84,7 @@ def _states(
     points: ArrayLike,
 ) -> tuple[Array, ...]:
     """Torque, static band, feasibility, and stiffness and commands of shape (points, samples)."""
-    joint, load = plant.joint, plant.load
+    joint, load = plant.supplied_joint, plant.load
     angle, velocity, acceleration, jerk, points = map(floating, (angle, velocity, acceleration, jerk, points))
     torque, torque_rate = jax.jvp(load.required_torque, (angle, velocity, acceleration), (velocity, acceleration, jerk))
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
@@ -249,7 +256,8 @@ def check_trackability(
     reference
         Desired angle and stiffness.
     duration, control_period
-        Of the run [s]; where springs or laws not affine in pressure require a scan, at most 400 samples are checked.
+        Of the run [s]; where springs, laws not affine in pressure, or valves with a limited rate or flow
+        require a scan, at most 400 samples are checked.
     smoothing
         Width [s] over which jumps and corners are smoothed; by default the narrowest that is trackable, up to 0.25 s.
 
@@ -286,7 +294,7 @@ class TrackabilityChecker:
     def of(cls, plant: JointPlant, duration: float, control_period: float) -> TrackabilityChecker:
         """Checker for a run."""
         times = sampling_times(duration, control_period)
-        most = times.size if is_affine(plant.joint) else min(times.size, _MAX_SCANNED)
+        most = times.size if _is_affine(plant) else min(times.size, _MAX_SCANNED)
         return cls(plant, times, np.unique(np.linspace(0, times.size - 1, most).round().astype(int)))
 
     @property
