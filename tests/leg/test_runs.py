@@ -50,6 +50,15 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
     assert (np.diff(falls) > 0).all()
 
 
+def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: LegStart) -> None:
+    joints = tuple(dataclasses.replace(one, damping=1000.0) for one in plant.leg.joints)
+    stiff = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=joints))
+    high = start._replace(clearance=0.3)
+    schedule, over = PressureSchedule(tuple((p,) for p in start.pressures)), {"start.upward_speed": [-0.5, -1.0, -1.4]}
+    for one, diverged in ((stiff, True), (plant, False)):
+        assert (simulate_legs(one, schedule, high, over=over, **STEP)["diverged"] == diverged).all()
+
+
 def test_closed_air_makes_the_landing_stiffer(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     table = simulate_legs(plant, schedule, start, over={"plant.valve.conductance": [5e-9, 5e-15]}, **STEP)

@@ -226,7 +226,8 @@ def simulate_legs(
     for name, values in joined._asdict().items():
         dims = ("joint", "run") if isinstance(values, tuple) else ("run",)
         table[name] = (dims, np.stack(values) if isinstance(values, tuple) else values, {"units": LEG_UNITS[name]})
-    table["diverged"] = ("run", ~np.isfinite(joined.deflection), {"long_name": "whether the run diverged"})
+    finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)
+    table["diverged"] = ("run", ~finite, {"long_name": "whether the run diverged"})
     coords = {"joint": [joint.name for joint in plant.leg.joints]}
     return xr.Dataset(table, coords=coords, attrs={"engine": answers[0][1]})
 
