@@ -256,7 +256,7 @@ def test_no_error_at_unseen_pressures_where_two_are_needed():
 
 
 def test_a_parameter_at_its_bound_is_said():
-    law = ChouLaw(60 * deg, 10 * mm)  # beyond the 54 deg of the range; it pushes
+    law = ChouLaw(54.6 * deg, 10 * mm)  # beyond the 54 deg of the range
     contractions = np.linspace(-0.6, -0.3, 20)
     fit = identify(ChouLaw, grid(law, contractions=contractions))
     assert fit.law.braid_angle == pytest.approx(54 * deg)
@@ -264,6 +264,16 @@ def test_a_parameter_at_its_bound_is_said():
     assert np.isnan(fit.standard_errors["braid_angle"])
     assert np.isfinite(fit.standard_errors["initial_diameter"])
     assert "at its bound" in fit.report()
+
+
+def test_the_domain_is_that_of_measured_pressures_that_the_set_ones_are_far_from():
+    set_pressure = np.repeat(np.arange(1, 9) * bar, 29)  # a compressor of 5.2 bar
+    data = grid(EQ_3, pressures=np.minimum(np.arange(1, 9), 5.2) * bar, set_pressure=set_pressure)
+    fit = identify(ExponentialLaw, data)
+    assert float(fit.law.domain.pressure_max) == pytest.approx(5.2 * bar)
+    assert any("2.8 bar" in warning for warning in fit.warnings)
+    near = grid(EQ_3, pressures=np.arange(1, 9) * 0.99 * bar, set_pressure=set_pressure)
+    assert float(identify(ExponentialLaw, near).law.domain.pressure_max) == 8 * bar
 
 
 @pytest.mark.parametrize(("decay", "bound"), [(1.0, "at the bound"), (0.2, "at the bound")])

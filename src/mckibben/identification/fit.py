@@ -57,9 +57,19 @@ class DatasetSummary:
 
 
 def domain_of(points: IsobaricDataset) -> Domain:
-    """Range of contractions and pressure levels of some points."""
+    """Range of contractions and pressure levels of some points; of measured pressures that are not at their levels."""
     contraction, levels = points.contraction, points.levels
+    levels = points.pressure if off_levels(points) else levels
     return Domain(float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max()))
+
+
+_OFF_LEVEL = 0.05  # of the range of levels
+
+
+def off_levels(points: IsobaricDataset) -> float:
+    """Largest distance [Pa] of a measured pressure from its level; 0 where it is small beside their range."""
+    farthest = float(np.abs(points.levels - points.pressure).max())
+    return farthest if farthest > _OFF_LEVEL * float(np.ptp(points.levels)) else 0.0
 
 
 _CONTRACTIONS, _PRESSURES = 57, 33

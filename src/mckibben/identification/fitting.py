@@ -10,7 +10,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of
+from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of, off_levels
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth
@@ -102,6 +102,9 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         for a, b, correlation in correlated_pairs(problem.names, found.correlations)
         if abs(correlation) > _STRONG_CORRELATION and problem.prior is None
     ]
+    if off := off_levels(points):
+        text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
+        warnings.append(f"{text}: the domain is that of the measured pressures")
     warnings += _friction_warnings(points, residuals, grouping)
     warnings += regression.warnings
     warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
