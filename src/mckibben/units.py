@@ -418,7 +418,7 @@ Distance = Annotated[float, Quantity("m", "mm", 0, 1e5)]
 Coordinate = Annotated[float, Quantity("m", "mm", -1e5, 1e5)]
 ArmSlope = Annotated[float, Quantity("m/rad", "mm/rad", -1e5, 1e5)]
 ArmCurvature = Annotated[float, Quantity("m/rad^2", "mm/rad^2", -1e5, 1e5)]
-BraidAngle = Annotated[float, Quantity("rad", "deg", 0.6, 89.3)]
+BraidAngle = Annotated[float, Quantity("rad", "deg", 0.6, 54.7)]  # above, a muscle extends
 Mass = Annotated[float, Quantity("kg", "kg", 0, 1e4)]
 PositiveMass = Annotated[float, Quantity("kg", "kg", 0, 1e4, open_lower=True)]
 Inertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4)]

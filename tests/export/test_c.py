@@ -87,7 +87,8 @@ def test_nothing_is_overwritten_without_force(scenarios, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("target", "name", "field"), [("cobol", "knee", "to"), ("c", "my knee", "name"), ("c", "int", "name")]
+    ("target", "name", "field"),
+    [("cobol", "knee", "to"), ("c", "my knee", "name"), ("c", "int", "name"), ("c", "sin", "name")],
 )
 def test_wrong_arguments_are_named(scenarios, target, name, field, tmp_path):
     with pytest.raises(ParameterError) as caught:

@@ -10,7 +10,7 @@ from numpy.polynomial import Chebyshev
 
 from mckibben import AntagonisticJoint, Cam, KneeGeometry, PairedPaths, Pulley, TabulatedPath, TwoBonePath, catalog
 from mckibben.codegen.native import NativeFunction, compiler
-from mckibben.errors import RangeError
+from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint import Geometry
 from mckibben.units import deg, mm
 
@@ -168,3 +168,10 @@ def test_as_c_for_many_runs_it_is_the_same(joint):
     torque, stiffness = emitted(jax.tree.map(np.asarray, joint), ANGLES)
     np.testing.assert_allclose(torque, joint.torque(ANGLES, PRESSURES), rtol=0, atol=1e-12)
     np.testing.assert_allclose(stiffness, joint.stiffness(ANGLES, PRESSURES), rtol=0, atol=1e-12)
+
+
+def test_a_mistyped_row_of_a_table_is_found():
+    lengths = np.array(KNEE.path_lengths(TABLE)[0])
+    lengths[5] -= 18 * mm
+    with pytest.warns(McKibbenWarning, match=f"at {TABLE[5] / deg:.4g} deg"):
+        TabulatedPath(TABLE, lengths=lengths)

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.errors import RangeError
 from mckibben.muscle import ChouLaw
 from mckibben.units import bar, deg, mm, percent
 
@@ -91,3 +92,9 @@ def test_single_precision_is_good_to_a_milliwatt_of_doubt(law):
     single = jax.jit(law.force)(np.float32(0.1), np.float32(6e5))
     assert single.dtype == np.float32
     assert float(single) == pytest.approx(242.6, abs=0.05)
+
+
+def test_a_braid_angle_from_which_a_muscle_extends_is_refused():
+    with pytest.raises(RangeError) as refused:
+        ChouLaw(braid_angle=66 * deg, initial_diameter=10 * mm)
+    assert refused.value.field == "braid_angle" and refused.value.upper == pytest.approx(54.7 * deg, abs=1e-3)

@@ -72,6 +72,12 @@ def test_pulses_that_make_no_sense_are_refused(field, value, message):
     assert message in refused.value.remedy
 
 
+def test_pulses_do_not_overlap():
+    with pytest.raises(RangeError) as refused:
+        TorquePulses(0.5, width=2.0, interval=1.0)
+    assert refused.value.value == -1.0
+
+
 def test_a_push_speeds_up_a_joint_at_rest_by_torque_over_inertia(knee, playback):
     """Slack muscles, no gravity, no damping: each step of the integration is exact."""
     load = KneeLoad(mass1=0.5, mass2=0.5, distance1=0.1, distance2=0.2, inertia=0.02, damping=0.0, gravity=0.0)

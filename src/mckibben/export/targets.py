@@ -87,9 +87,15 @@ def export(
     return made
 
 
+_TAKEN = frozenset(
+    "main replay NAN INFINITY NULL acos asin atan atan2 ceil copysign cos cosh exp expm1 fabs floor fmax fmin fmod "
+    "isfinite isinf isnan log log1p pow rint round signbit sin sinh sqrt tan tanh trunc".split()
+)
+
+
 def check_name(name: str) -> str:
-    """The name of a program or model; `ParameterError` unless it is an identifier of C."""
-    if identifier(name) != name:
+    """The name of a program or model; `ParameterError` unless it is an identifier of C that is free."""
+    if identifier(name) != name or name in _TAKEN:
         remedy = "give an identifier of C, such as knee"
         raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
     return name

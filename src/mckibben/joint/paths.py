@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
+import warnings
 from collections.abc import Sequence
 from numbers import Real
 from typing import Annotated, Any
@@ -16,7 +17,7 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from mckibben.errors import RangeError
+from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint.geometry import Ends, Geometry, Pair
 from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import derivative
@@ -28,6 +29,7 @@ _Side = int
 """1 for muscle 1, which lengthens as the angle increases, -1 for muscle 2."""
 _LARGEST_DEGREE = 8
 _SPARE = 2  # points of a table beyond the coefficients
+_ROUGH = 0.05  # error of a table, of the range of its lengths or of its largest arm
 
 
 class MusclePath(eqx.Module, Displayed):
@@ -174,7 +176,15 @@ class TabulatedPath(MusclePath):
                 lower=2 + _SPARE,
                 remedy="give one value for each of at least four different angles",
             )
-        series, self.error = _series(x, y)
+        series, left_out = _series(x, y)
+        self.error = float(np.sqrt(np.mean(left_out**2)))
+        if self.error > _ROUGH * float(np.ptp(y) if arms is None else np.abs(y).max()):
+            worst = int(np.argmax(np.abs(left_out)))
+            text = (
+                f"the table of {x.size} values is not smooth: each is {self.error:.3g} m from the curve through the "
+                f"others, that at {x[worst] / deg:.4g} deg, {y[worst]:.5g} m, {abs(left_out[worst]):.3g} m"
+            )
+            warnings.warn(text, McKibbenWarning, stacklevel=2)
         if arms is not None:
             series = series.integ(lbnd=0)
         self.coefficients, self.window = tuple(series.coef.tolist()), (float(x.min()), float(x.max()))
@@ -204,17 +214,17 @@ class TabulatedPath(MusclePath):
         return value if self.rest_length is None else self.rest_length + side * value
 
 
-def _series(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[Chebyshev, float]:
-    """Chebyshev series of the degree with the least RMS leave-one-out error, and this error."""
-    best: tuple[float, int] = (math.inf, 0)
+def _series(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[Chebyshev, NDArray[np.float64]]:
+    """Chebyshev series of the degree with the least RMS leave-one-out error, and these errors."""
+    best, errors, least = 0, y, math.inf
     for degree in range(1, min(_LARGEST_DEGREE, len(np.unique(x)) - _SPARE) + 1):
         columns = np.polynomial.chebyshev.chebvander((2 * x - x.min() - x.max()) / np.ptp(x), degree)
         q = np.linalg.qr(columns)[0]
         left_out = (y - q @ (q.T @ y)) / np.maximum(1 - np.sum(q * q, axis=1), 1e-12)
         error = float(np.sqrt(np.mean(left_out**2)))
-        if error < best[0] * (1 - 1e-9) - 1e-15:
-            best = error, degree
-    return Chebyshev.fit(x, y, best[1], domain=[x.min(), x.max()]), best[0]
+        if error < least * (1 - 1e-9) - 1e-15:
+            best, errors, least = degree, left_out, error
+    return Chebyshev.fit(x, y, best, domain=[x.min(), x.max()]), errors
 
 
 class PairedPaths(Geometry):

@@ -1,6 +1,7 @@
 """Interface of a force law, its numerical inverse in pressure, scaled laws, and the ideal braid (Eq. 1)."""
 
 import abc
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -142,6 +143,9 @@ def wrapped_law(law: ForceLaw, affine: Any, general: Any, **parameters: Any) -> 
     domain = law.domain.intersection(law.formula_domain)
     return (affine if isinstance(law, PressureAffineLaw) else general)(law=law, domain=domain, **parameters)
 
+
+NEUTRAL_ANGLE = math.atan(math.sqrt(2))
+"""Braid angle [rad], 54.7 deg, from which on pressure does not shorten a muscle."""
 
 BRAID_PARAMETERS = (
     Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),

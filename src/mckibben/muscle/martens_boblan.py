@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import BRAID_PARAMETERS, Parameter, PressureAffineLaw, braid_gain
+from mckibben.muscle.base import BRAID_PARAMETERS, NEUTRAL_ANGLE, Parameter, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive, check_within
 
@@ -50,7 +50,7 @@ class MartensBoblanLaw(PressureAffineLaw):
     domain: Domain = Domain()
 
     def __check_init__(self) -> None:
-        check_within("MartensBoblanLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
+        check_within("MartensBoblanLaw", 0.01, NEUTRAL_ANGLE, "rad", braid_angle=self.braid_angle)
         check_positive("MartensBoblanLaw", "m", initial_diameter=self.initial_diameter)
 
     equation = (

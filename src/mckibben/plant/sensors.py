@@ -108,7 +108,8 @@ class TorquePulses(Disturbance):
 
     def __check_init__(self) -> None:
         check_positive("TorquePulses", "s", width=self.width, interval=self.interval)
-        check_positive("TorquePulses", "s", zero=True, start=self.start)
+        overlap = {"interval minus width": self.interval - self.width}
+        check_positive("TorquePulses", "s", zero=True, start=self.start, **overlap)
 
     def torque(self, time: ArrayLike) -> Float[Array, "..."]:
         time, start = floating(time), jnp.asarray(self.start)

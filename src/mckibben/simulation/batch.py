@@ -175,7 +175,8 @@ def simulate_many(
     lanes, shared, count = split_problem(plant, controller, reference, initial, over or {}, control_period)
     if lanes is None or count is None:
         raise ParameterError(
-            "all runs are the same", remedy="give an array in place of a number, or use `simulate` for one run"
+            "all runs are the same",
+            remedy="give a NumPy array in place of a number, or use `simulate` for one run",
         )
     size = chunk_size(chunk, count, workers, engine, asked.precision)
     period = jnp.asarray(control_period, float)
