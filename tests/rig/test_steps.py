@@ -72,7 +72,7 @@ def test_the_papers_test_adds_up():
     assert least < found.duration < least + 13 * (250 + 60)
     assert found.pulses > 13 * 10 * 44 * 400
     assert found.force == pytest.approx(584.7, abs=0.1)
-    assert not found.at_most
+    assert not found.estimated
 
 
 def test_a_test_and_its_plan_have_the_same_plateaus():
@@ -84,7 +84,7 @@ def test_without_a_law_the_whole_stroke_is_the_upper_bound():
     bench = replace(BENCH, of=MUSCLE.specimen)
     protocol = IsobaricProtocol(pressures=[6 * bar], repeats=2)
     found = dry_run(steps_of(protocol, bench.of), bench)
-    assert found.at_most and found.problems == []
+    assert found.estimated and found.problems == []
     assert found.plateaus == 4 * 51
     assert any("until 598.5 N" in line for line in describe_steps(steps_of(protocol, bench.of)))
 

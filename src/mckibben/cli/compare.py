@@ -33,7 +33,7 @@ def compare(
     ] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the searches in DIR.")] = False,
     runs: Annotated[int | None, Option(metavar="N", help="Number of unseen runs, overriding the suite.")] = None,
-    quick: Annotated[bool, Option("--quick", help="A tenth of the tuning budget, at most 128 runs.")] = False,
+    quick: Annotated[bool, Option("--quick", help="Short searches, at most 128 runs.")] = False,
     repeat: Annotated[
         str | None,
         Option(
@@ -71,7 +71,9 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
     """Return the suite with fewer runs or a smaller tuning budget."""
     tuning, evaluation = suite.tuning, suite.evaluation
     if quick:
-        tuning = tuning.model_copy(update={"generations": max(tuning.generations // 10, 1), "starts": 1})
+        several = {name: max(count // tuning.starts, 1) for name, count in tuning.starts_of.items()}
+        fewer = {"generations": max(tuning.generations // 10, 1), "starts": 1, "starts_of": several}
+        tuning = tuning.model_copy(update=fewer)
         evaluation = evaluation.model_copy(update={"runs": min(evaluation.runs, 128)})
     if runs is not None:
         if not 2 <= runs <= 1_000_000:

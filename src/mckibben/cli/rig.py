@@ -292,7 +292,7 @@ def _numbers(checked: CheckedTest) -> dict[str, object]:
         "name": checked.test.name,
         "rig": checked.rig,
         "duration_s": found.duration,
-        "upper_bounds": found.at_most,
+        "estimated": found.estimated,
         "points": found.plateaus,
         "samples": found.samples,
         "pulses": found.pulses,

@@ -48,7 +48,7 @@ def sweep(
         Option(metavar="NAME,NAME", help="Metrics to compute, such as angle_rmse,coupling (default: all)."),
     ] = None,
     precision: Annotated[
-        int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 6 digits.")
+        int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 5 digits, fewer with an encoder.")
     ] = None,
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder, for each finished block.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the sweep in DIR with its options.")] = False,

@@ -177,7 +177,7 @@ class Fit:
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
         The variance of the scatter about the law is constant, or proportional to 1 + c F^2 where the residuals grow
-        significantly (1 %) with the force F.
+        significantly (5 %) with the force F.
 
         Parameters
         ----------

@@ -31,13 +31,13 @@ _HOLDING = 20.0  # s until a force is reached
 
 
 class DryRun(StepInterpreter):
-    """Dry run of a test: upper bounds where a step ends by a measurement (`at_most`), and all violations."""
+    """Dry run of a test: all violations; its duration and points, `estimated` where steps end by a measurement."""
 
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench)
         self.duration, self.force = 0.0, 0.0
         self.plateaus = self.samples = self.pulses = self.rows = 0
-        self.at_most = False
+        self.estimated = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
         self._acquired = 0
@@ -117,7 +117,7 @@ class DryRun(StepInterpreter):
                     self._report(error.message, f"{place}.step", error.remedy)
                 self._check_reach(bench.contraction_at(self._walk_end(step)) if step.to is None else step.to)
                 self._check_sampling(step.acquire, f"{place}.acquire")
-                self.at_most |= step.force is not None or step.slack is not None
+                self.estimated |= step.force is not None or step.slack is not None
             case _:
                 pass
 
@@ -168,7 +168,7 @@ class DryRun(StepInterpreter):
     def _hold_at(self, force: float) -> None:
         """Move to where the muscle has this force [N] by its law, if there is one."""
         bench = self.bench
-        self.at_most = True
+        self.estimated = True
         if force > bench.limits.force:
             self._report(f"{force:g} N is above the limit of {bench.limits.force:g} N", self._place, "lower it")
         if not isinstance(bench.of, Muscle):

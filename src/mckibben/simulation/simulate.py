@@ -166,7 +166,7 @@ def simulate(
     initial
         The initial state, or `AtRest`; at rest at the first desired angle, at mid co-contraction, unless given.
     precision
-        Bits of the floats in the run: 64, or 32 for some 6 digits as in a batch of 32 bits; a single run is no faster.
+        Bits of the floats in the run: 64, or 32 for the numbers of a batch of 32 bits; a single run is no faster.
     engine
         "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", the first where it can be used.
         The result's `engine` says which one it was. Their numbers differ by rounding.

@@ -103,14 +103,14 @@ class CheckedTest:
 
     def describe(self) -> str:
         """Text of the dry run."""
-        found, upto = self.dry_run, "at most " if self.dry_run.at_most else ""
+        found, about = self.dry_run, "about " if self.dry_run.estimated else ""
         limits = self.setup.bench.limits
         law = f"{found.force:.0f} N by the law, " if found.force else ""
         return "\n".join(
             [
                 f"{self.test.name}: {self.setup.bench.specimen.name} on the {self.rig} rig",
                 *describe_steps(self.steps, 1),
-                f"{upto}{_time(found.duration)}, {found.plateaus} points, {found.samples} samples, "
+                f"{about}{_time(found.duration)}, {found.plateaus} points, {found.samples} samples, "
                 f"{found.pulses} pulses, {self.disk_space / 1e6:.0f} MB on disk",
                 f"contraction {found.contraction[0] / percent:.4g}..{found.contraction[1] / percent:.4g} %, pressure "
                 f"{found.pressure[0] / bar:g}..{found.pressure[1] / bar:g} bar; {law}limits: {limits.force:g} N, "

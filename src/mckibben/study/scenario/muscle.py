@@ -179,7 +179,7 @@ class SpecimenSpec(
 ):
     """A specimen: an entry of the catalog by name, a file, or the numbers of `Specimen`.
 
-    In text the name or path alone will do: ``specimen: DMSP-10-250N-RM-CM`` or ``specimen: specimen.yaml``.
+    In text the name or path alone will do: ``specimen: DMSP-10-250`` or ``specimen: specimen.yaml``.
     """
 
     catalog_function = "specimen"

@@ -168,7 +168,7 @@ def sweep(
     metrics
         Metrics to compute. Default: all.
     precision
-        64 or 32 bits; 32 takes half the time and leaves some 6 digits. Default: 64.
+        64 or 32 bits; 32 takes half the time and leaves five digits, fewer with an encoder. Default: 64.
     resume
         Continue the sweep in `out`. Options left out are taken from there; others must be the same.
     dask
