@@ -166,7 +166,7 @@ class Unrolled(DryRun):
 def test_repeats_that_lead_back_are_counted_without_going_through_them(steps):
     found, expected = dry_run(steps, BENCH), Unrolled(BENCH)
     expected.run(steps, (), math.inf)
-    for name in ("plateaus", "samples", "pulses", "rows", "at_most", "pressure", "contraction", "force", "position"):
+    for name in ("plateaus", "samples", "pulses", "rows", "estimated", "pressure", "contraction", "force", "position"):
         assert getattr(found, name) == getattr(expected, name), name
     assert found.duration == pytest.approx(expected.duration, rel=1e-12)
     assert found.problems == expected.problems

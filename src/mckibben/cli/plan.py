@@ -11,9 +11,11 @@ from mckibben.cli.options import (
     Column,
     Data,
     Force,
+    ForceSign,
     InitialLength,
     Json,
     Out,
+    SkipCorrupt,
     SlackForce,
     check_choice,
     echo,
@@ -77,6 +79,8 @@ def plan(
     ] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
+    force_sign: ForceSign = 1,
+    skip_corrupt: SkipCorrupt = False,
     column: Column = None,
     json: Json = False,
     out: Out = None,
@@ -94,7 +98,7 @@ def plan(
     known = specimen_named(specimen) if specimen else None
     quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
-    read = read_data(data, column, initial_length, slack_force)
+    read = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
     in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
     muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
     length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)

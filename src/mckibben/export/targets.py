@@ -106,7 +106,7 @@ def write_exported(made: Exported, out: str | os.PathLike[str], *, overwrite: bo
     folder = Path(out)
     make_folder(folder)
     if not overwrite:
-        check_free(folder, made.files)
+        check_free(folder, made.files, "choose another folder, or overwrite it (command line: --force)")
     for path, content in made.files.items():
         make_folder((folder / path).parent)
         with atomic_write(folder / path, overwrite=overwrite) as temporary:
