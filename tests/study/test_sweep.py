@@ -229,6 +229,12 @@ def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
         task({})
 
 
+def test_a_draw_that_cannot_run_is_refused_before_anything_is_written(scenario, tmp_path):
+    with pytest.raises(SimulationError) as refused:
+        sweep(scenario, ["reference.angle.frequency=0.5..600 Hz"], out=tmp_path / "out", samples=16)
+    assert refused.value.upper == 500 and not (tmp_path / "out").exists()
+
+
 def test_a_folder_with_a_sweep_is_not_written_over(kept, scenario):
     with pytest.raises(FileError, match="there is a sweep already; continue it with --resume"):
         sweep(scenario, OVER, out=kept[1])

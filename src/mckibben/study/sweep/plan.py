@@ -16,6 +16,7 @@ from mckibben.errors import ParameterError, Problem, suggest
 from mckibben.simulation import Metrics
 from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.simulation.metrics import METRICS
+from mckibben.simulation.resolution import check_frequencies
 from mckibben.storage.journal import header_differences
 from mckibben.study.parameters import (
     Distribution,
@@ -109,7 +110,8 @@ class SweepPlan:
         samples = _SAMPLES if options.samples is None else options.samples
         seed = 0 if options.seed is None or method == "grid" else options.seed
         table = sample(swept, method, samples, seed)  # type: ignore[arg-type]  # checks the method itself
-        batched(scenario, table)  # a combination that is not allowed is found before the work
+        many = batched(scenario, table)  # a combination that is not allowed is found before the work
+        check_frequencies(many.reference(), scenario.control_period)
         rows = len(next(iter(table.values())))
         batch_size, block = _sizes(rows, options.block)
         task = BatchTask(
