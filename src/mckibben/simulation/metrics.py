@@ -153,7 +153,8 @@ class Metrics(NamedTuple):
     excursion_max, force_max
         Largest distance of a contraction from its domain [-], and largest tension [N].
     air
-        Air taken in by the muscles, as a volume at atmospheric pressure [m^3]; air let out is lost.
+        Sum of the rises of the muscles' contents at room temperature, as a volume at atmospheric pressure [m^3]; what is
+        let out is lost. NaN where the volumes are not known.
     """
 
     angle_rmse: Array
