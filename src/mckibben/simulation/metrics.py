@@ -153,8 +153,8 @@ class Metrics(NamedTuple):
     excursion_max, force_max
         Largest distance of a contraction from its domain [-], and largest tension [N].
     air
-        Sum of the rises of the muscles' contents at room temperature, as a volume at atmospheric pressure [m^3]; what is
-        let out is lost. NaN where the volumes are not known.
+        Sum of the rises of the muscles' contents at room temperature, as a volume at atmospheric pressure [m^3]; what
+        is let out is lost. NaN where the volumes are not known.
     """
 
     angle_rmse: Array

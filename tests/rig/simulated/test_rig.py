@@ -481,3 +481,10 @@ def test_paced_rig_that_is_silent_takes_its_timeout():
     with pytest.raises(SilentError):
         rig.read(100, timeout=0.5)
     assert rig.clock() == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("wrong", [{"mounted_at": 5.0}, {"mounted_at": np.nan}, {"seed": -1}])
+def test_a_rig_that_makes_no_sense_is_refused(wrong):
+    with pytest.raises(RangeError) as refused:
+        SimulatedRig(REAL, **wrong)
+    assert refused.value.field == next(iter(wrong))

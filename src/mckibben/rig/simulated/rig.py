@@ -12,7 +12,7 @@ import numpy as np
 
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.rig.backend import AnalogChannel, Block, Watchdog
 from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration
@@ -90,6 +90,8 @@ class SimulatedRig:
     ) -> None:
         check_positive("simulated rig", "Hz", rate=rate)
         check_positive("simulated rig", "s", patience=patience)
+        check_positive("simulated rig", zero=True, seed=seed)
+        check_within("simulated rig", -0.5, 0.8, mounted_at=mounted_at)
         self.rate = float(rate)
         self.patience = float(patience)
         self._muscle, self._seed, self._faults = muscle, seed, tuple(faults)
