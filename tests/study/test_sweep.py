@@ -229,6 +229,17 @@ def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
         task({})
 
 
+def test_a_run_of_a_model_that_has_changed_is_refused(kept):
+    swept = kept[0]
+    text = swept.table.attrs["scenario"]
+    other = SweepResult(
+        swept.table.assign_attrs(scenario=text.replace("connector_length: 208 mm", "connector_length: 207 mm"))
+    )
+    assert other.table.attrs["scenario"] != text
+    with pytest.raises(FileError):
+        other.scenario(0)
+
+
 def test_a_draw_that_cannot_run_is_refused_before_anything_is_written(scenario, tmp_path):
     with pytest.raises(SimulationError) as refused:
         sweep(scenario, ["reference.angle.frequency=0.5..600 Hz"], out=tmp_path / "out", samples=16)

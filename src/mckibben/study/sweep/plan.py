@@ -133,7 +133,7 @@ class SweepPlan:
             "batch_size": batch_size,
             "software": task.software,
             "values": _digest_of_table(table),
-            "model": _digest_of_model(scenario, table, known),
+            "model": digest_of_model(scenario, table, known),
         }
         return cls(task, swept, table, block, manifest)
 
@@ -224,7 +224,7 @@ def _digest_of_table(table: Table) -> str:
     return digest.hexdigest()
 
 
-def _digest_of_model(scenario: Scenario, table: Table, known: Known) -> str:
+def digest_of_model(scenario: Scenario, table: Table, known: Known) -> str:
     """Digest of all numbers of the first run, so also of the files and catalog entries that it names."""
     first = batched(scenario, {name: column[:1] for name, column in table.items()}, known=known)
     leaves = jax.tree_util.tree_leaves_with_path((first.plant(), first.control(), first.reference()))

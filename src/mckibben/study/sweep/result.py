@@ -21,7 +21,7 @@ from mckibben.simulation.result import OUTCOMES, attributes
 from mckibben.study.parameters import list_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
-from mckibben.study.sweep.plan import SweepPlan
+from mckibben.study.sweep.plan import SweepPlan, digest_of_model
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -113,13 +113,23 @@ class SweepResult:
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
         """Scenario of one run, from 0, its controller's model written out if the plant varied.
 
-        The folder is that of the sweep, for a scenario that names files. Raises ParameterError if there is no such run.
+        The folder is that of the sweep, for a scenario that names files. Raises ParameterError if there is no such run,
+        and FileError if a file or an entry of the catalog that the scenario names has changed since.
         """
         if not 0 <= run < self.count:
             raise ParameterError(f"there is no run {run}", value=run, remedy=f"choose 0 to {self.count - 1}")
         nominal = Scenario.parse(self.table.attrs["scenario"], folder=folder)
-        values = {name: self.table[name].to_numpy()[run].item() for name in self.inputs}
-        return with_values(nominal, values, known=json.loads(self.table.attrs["manifest"])["known"])
+        columns = {name: self.table[name].to_numpy() for name in self.inputs}
+        manifest = json.loads(self.table.attrs["manifest"])
+        if digest_of_model(nominal, columns, manifest["known"]) != manifest["model"]:
+            problem = Problem(
+                "a file or an entry of the catalog that the scenario names is not that of the sweep",
+                remedy="give the sweep's folder, with the files as they were",
+            )
+            raise FileError(os.fspath(folder), [problem])
+        return with_values(
+            nominal, {name: values[run].item() for name, values in columns.items()}, known=manifest["known"]
+        )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write a NetCDF file atomically, replacing an existing one; the same sweep gives the same bytes."""
