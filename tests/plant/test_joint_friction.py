@@ -12,7 +12,7 @@ from jax import lax
 
 import mckibben as mk
 from mckibben.codegen.native import compiler
-from mckibben.errors import RangeError, ScenarioError, SimulationError
+from mckibben.errors import McKibbenWarning, RangeError, ScenarioError, SimulationError
 from mckibben.export.mjcf import joint_model
 from mckibben.export.plant import plant_module
 from mckibben.joint import GeneralLoad, PairedPaths, Pulley
@@ -155,7 +155,7 @@ def test_both_engines_have_the_same_runs_and_batches(scenario):
     np.testing.assert_allclose(batch["angle"][1], runs[0]["angle"][::10], rtol=0, atol=1e-9)
 
 
-def test_too_few_substeps_are_refused(scenario):
+def test_too_few_substeps_are_refused_and_batches_warn_of_them(scenario):
     stiff = Scenario.parse(SCENARIO + "friction: {torque: 30 N*m, presliding: 0.005 deg}\n")
     plant = stiff.plant()
     with pytest.raises(SimulationError) as caught:
@@ -164,6 +164,11 @@ def test_too_few_substeps_are_refused(scenario):
             initial=stiff.initial(plant),
         )  # fmt: skip
     assert caught.value.field == "substeps"
+    with pytest.warns(McKibbenWarning, match="run 1: substeps"):
+        mk.simulate_many(
+            plant, stiff.control(), stiff.reference(), over={"plant.friction.torque": [0.01, 30.0]}, duration=0.1,
+            control_period=1e-3, substeps=1, initial=stiff.initial(plant), metrics=["angle_rmse"],
+        )  # fmt: skip
 
 
 def test_exports_have_it_or_say_so(scenario):

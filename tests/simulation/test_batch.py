@@ -505,7 +505,7 @@ def test_lengths_that_differ_are_named_where_one_object_holds_both(parts):
     [
         ({"plant.load.mass2": np.ones((2, 3))}, r"plant.load.mass2 has the shape \(2, 3\); give a number"),
         ({"plant.load.mass2": np.ones(0)}, "plant.load.mass2 is empty"),
-        ({}, "all runs are the same; give an array"),
+        ({}, "all runs are the same; give a NumPy array"),
         ({"plant.load.mas2": [1.0]}, "no parameter 'plant.load.mas2'; did you mean 'plant.load.mass2'"),
         ({"controller.position.xyz.qqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqq": [1.0]}, "no parameter"),
         ({"load.mass2": [1.0]}, "no parameter 'load.mass2'; did you mean 'plant.load.mass2'"),

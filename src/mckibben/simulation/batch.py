@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,12 +17,12 @@ from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ParameterError, SimulationError
+from mckibben.errors import McKibbenWarning, ParameterError, SimulationError
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import AirValve, JointPlant, PlantState
 from mckibben.simulation.engine import check_engine, compute_with
 from mckibben.simulation.loop import Streamed, streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
@@ -29,11 +30,13 @@ from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
     check_names,
+    compiled_reference,
     float_type,
     sample_reference,
     sampling_times,
     split_problem,
 )
+from mckibben.simulation.resolution import check_substeps
 from mckibben.simulation.result import OUTCOMES, Outcome, attributes, outcomes
 
 if TYPE_CHECKING:
@@ -148,6 +151,11 @@ def simulate_many(
     progress
         Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
+    Warns
+    -----
+    McKibbenWarning
+        If friction, or the flow of valves, needs more substeps in the first run or in one with an extreme value.
+
     Raises
     ------
     ParameterError
@@ -178,6 +186,7 @@ def simulate_many(
             "all runs are the same",
             remedy="give a NumPy array in place of a number, or use `simulate` for one run",
         )
+    _warn_of_substeps(lanes, shared, times, control_period, substeps)
     size = chunk_size(chunk, count, workers, engine, asked.precision)
     period = jnp.asarray(control_period, float)
 
@@ -197,6 +206,27 @@ def simulate_many(
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     table = _table(columns, over or {}, times[::stride], asked)
     return Batch(table.assign_attrs(engine=used[0]))  # one program, so the same for all
+
+
+def _warn_of_substeps(
+    lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64], period: float, substeps: int
+) -> None:
+    """Warn of runs with too few substeps that do not diverge: friction and flow are bounded.
+
+    Looked at are the first run, and those with the lowest and the highest value of each varied number of the plant.
+    """
+    plant = eqx.combine(lanes, shared).plant
+    if not (plant.joint.has_friction or plant.friction is not None or isinstance(plant.valve, AirValve)):
+        return
+    varied = [np.reshape(leaf, (len(leaf), -1)).sum(axis=1) for leaf in jax.tree.leaves(lanes.plant)]
+    for run in sorted({0, *(int(find(values)) for values in varied for find in (np.argmin, np.argmax))}):
+        problem = eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), shared)
+        setpoints = compiled_reference(problem.reference, times)
+        try:
+            check_substeps(problem.plant, setpoints.angle, setpoints.stiffness, period, substeps)
+        except SimulationError as error:
+            warnings.warn(f"run {run}: {error}", McKibbenWarning, stacklevel=3)
+            return
 
 
 class _Asked(NamedTuple):

@@ -53,7 +53,7 @@ def check_substeps(
         if air > motion:
             slower = "a valve with less conductance, a wider band, a slower spool or regulator, or more dead volume"
         raise SimulationError(
-            f"substeps is {substeps}, too few for the fastest mode of the plant, {fastest:.4g} 1/s: it would diverge",
+            f"substeps is {substeps}, too few for the fastest mode of the plant, {fastest:.4g} 1/s",
             field="substeps",
             value=substeps,
             lower=needed,
