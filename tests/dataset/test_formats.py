@@ -251,6 +251,11 @@ def test_several_segments_of_an_lvm_file_are_refused(put):
     ]
 
 
+def test_a_unit_that_is_not_that_of_the_header_is_refused(put):
+    found = said_of(put("pressure_psi,force_N,contraction_ratio\nbar,kN,-\n30,100,0.01\n40,150,0.02\n"))
+    assert [one.split(":")[0] for one in found] == ["line 1, pressure_psi", "line 1, force_N"]
+
+
 @pytest.mark.parametrize(("name", "module"), [("rig.tdms", "nptdms"), ("rig.xlsx", "openpyxl")])
 def test_a_missing_extra_is_named(name, module, put, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)

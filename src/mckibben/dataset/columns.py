@@ -206,6 +206,10 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
             problem(f"gives {column.quantity} again, after {first!r}", text, remedy)
         else:
             layout.places[column.quantity] = index, column
+            unit = _bare(channel.unit)
+            if not mapped and is_unit(unit) and not _same_unit(unit, column.unit, column.quantity):
+                remedy = f"correct one of them, or assign it by {_BY_NAME}"
+                problem(f"is in {column.unit} by its name, in {unit} by its unit", text, remedy)
     for name in needed:
         if name not in layout.places and not (name == "contraction" and "length" in layout.places):
             wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
