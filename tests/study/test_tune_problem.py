@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, SimulationError
 from mckibben.study.parameters import LogUniform, Uniform, find_parameter, sweep_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import run_scenario
-from mckibben.study.tune import Cost, Term
+from mckibben.study.tune import Cost, Term, parse_cost, tune
 from mckibben.study.tune.objective import FAILED_COST, SMOOTH, TuningProblem
 from mckibben.units import bar, deg, mm
 
@@ -119,6 +119,18 @@ def test_a_tuned_parameter_is_no_condition():
     with pytest.raises(ParameterError) as caught:
         TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, RANGES), Cost(TERMS), (), drawn)
     assert caught.value.value == "load.damping"
+
+
+def test_texts_are_read_and_conditions_that_cannot_run_are_refused_before_the_search():
+    for cost in ("angle_rmse/1 deg", parse_cost("angle_rmse/1 deg")):
+        with pytest.raises(SimulationError) as caught:
+            tune(
+                LIGHT, ["controller.position.kp=1..5 bar/rad"], cost,
+                conditions={"reference.angle.frequency": np.array([1.0, 600.0])},
+            )  # fmt: skip
+        assert caught.value.upper == 250
+    with pytest.raises(ParameterError):
+        tune(LIGHT, ["controller.position.kp"], "angle_rmse/1 deg")
 
 
 def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():

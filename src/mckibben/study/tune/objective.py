@@ -16,6 +16,7 @@ from mckibben.errors import ParameterError, UnitError, suggest
 from mckibben.numerics.batching import cores, named_leaves
 from mckibben.simulation import Metrics, differentiate
 from mckibben.simulation.problem import split_problem
+from mckibben.simulation.resolution import check_frequencies
 from mckibben.simulation.result import attributes
 from mckibben.study.parameters import Known, SweptParameter, Table, batched, find_parameters, known_names, valid_rows
 from mckibben.study.scenario import Scenario
@@ -215,6 +216,8 @@ class TuningProblem:
                 if len(self.scenarios) == 1:
                     raise
                 raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
+            if self.conditions:
+                check_frequencies(batched(scenario, self.conditions).reference(), scenario.control_period)
             if "coupling" in self.cost.metrics:
                 _check_steps(scenario)
             if "air" in self.cost.metrics:

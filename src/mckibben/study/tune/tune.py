@@ -21,8 +21,17 @@ from mckibben.storage.journal import Journal, JournalReader, header_differences,
 from mckibben.study.parameters import Distribution, Known, SweptParameter, Table, sweep_parameters, with_values
 from mckibben.study.parameters.sampling import check_count
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem
-from mckibben.study.tune.search import Method, SearchSpace, Vector, by_cma, by_evolution, by_gradient, check_method
+from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem, parse_cost
+from mckibben.study.tune.search import (
+    Method,
+    SearchSpace,
+    Vector,
+    by_cma,
+    by_evolution,
+    by_gradient,
+    check_method,
+    parse_ranges,
+)
 
 FORMAT, VERSION = "mckibben tuning history", 2
 _TRIAL = b"T"
@@ -174,8 +183,8 @@ class TuningResult:
 
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
-    over: Sequence[SweptParameter] | Mapping[str, Distribution],
-    cost: Cost,
+    over: Sequence[SweptParameter] | Sequence[str] | Mapping[str, Distribution],
+    cost: Cost | str,
     *,
     method: Method = Method.GRADIENT,
     starts: int = 4,
@@ -195,9 +204,9 @@ def tune(
     scenarios
         Scenarios whose runs count together; the search starts at the values of the first.
     over
-        Parameters and their ranges, `Uniform` or `LogUniform`.
+        Parameters and their ranges, `Uniform` or `LogUniform`, or texts as those of `mckibben tune`.
     cost
-        Cost of the runs.
+        Cost of the runs, or its text.
     method
         Search method.
     starts
@@ -232,7 +241,12 @@ def tune(
         check_count(name, count, 1, 10**9)
     check_count("seed", seed, 0, _MAX_SEED)
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
-    swept = sweep_parameters(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
+    swept: Any = list(over)
+    if isinstance(over, Mapping) and several:
+        swept = sweep_parameters(several[0], over)
+    elif several and all(isinstance(each, str) for each in swept):
+        swept = parse_ranges(swept, several[0])
+    cost = parse_cost(cost) if isinstance(cost, str) else cost
     problem = TuningProblem.of(several, swept, cost, known, conditions)  # type: ignore[arg-type]
     check_method(method, numbers=len(problem.space), population=population)
     if method is Method.GRADIENT:
