@@ -130,7 +130,7 @@ def test_texts_are_read_and_conditions_that_cannot_run_are_refused_before_the_se
             )  # fmt: skip
         assert caught.value.upper == 250
     with pytest.raises(ParameterError):
-        tune(LIGHT, ["controller.position.kp"], "angle_rmse/1 deg")
+        tune(LIGHT, ["controller.position.kpp=1..2"], "angle_rmse/1 deg")
 
 
 def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():
