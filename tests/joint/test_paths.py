@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import Chebyshev
 
-from mckibben import AntagonisticJoint, Cam, KneeGeometry, PairedPaths, Pulley, TabulatedPath, TwoBonePath, catalog
+from mckibben import PID, AntagonisticJoint, Cam, KneeGeometry, PairedPaths, Pulley, TabulatedPath, TwoBonePath, catalog
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint import Geometry
@@ -175,3 +175,12 @@ def test_a_mistyped_row_of_a_table_is_found():
     lengths[5] -= 18 * mm
     with pytest.warns(McKibbenWarning, match=f"at {TABLE[5] / deg:.4g} deg"):
         TabulatedPath(TABLE, lengths=lengths)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"), [(lambda: Pulley("30 mm", 0.1), "radius"), (lambda: PID("2 bar", 1, 0), "kp")]
+)
+def test_a_text_is_no_number(make, field):
+    with pytest.raises(RangeError) as refused:
+        make()
+    assert refused.value.field == field

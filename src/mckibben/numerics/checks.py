@@ -7,13 +7,13 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import RangeError
+from mckibben.errors import RangeError, quoted
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
     """Raise `RangeError` unless all numbers are finite and above 0 (or 0, where allowed)."""
     for name, value in values.items():
-        numbers = _known(value)
+        numbers = _known(owner, name, value)
         right = np.isfinite(numbers) & ((numbers > 0) | (zero & (numbers == 0)))
         if not right.all():
             kind = "0 or above" if zero else "above 0"
@@ -37,7 +37,7 @@ def whole_periods(duration: float, period: float) -> int | None:
 def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
     """Raise `RangeError` unless all numbers lie in a closed range."""
     for name, value in values.items():
-        numbers = _known(value)
+        numbers = _known(owner, name, value)
         right = (numbers >= lower) & (numbers <= upper)
         if not right.all():
             wrong = float(numbers[~right][0])
@@ -65,8 +65,11 @@ def check_kind(owner: str, **fields: tuple[object, type]) -> None:
             raise RangeError(f"{owner}: {name} is {given}", field=name, value=value, remedy=remedy)
 
 
-def _known(value: object) -> NDArray[np.float64]:
-    """Numbers of a value, flat; none where it is traced, or a placeholder of a transformation."""
+def _known(owner: str, name: str, value: object) -> NDArray[np.float64]:
+    """Numbers of a value, flat; none where it is traced, or a placeholder of a transformation; no texts."""
+    if isinstance(value, str):
+        remedy = "give a number in SI units, such as 30 * mm with mckibben.units"
+        raise RangeError(f"{owner}: {name} is {quoted(value)}", field=name, value=value, remedy=remedy)
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
     import jax  # slow; not needed for plain numbers
