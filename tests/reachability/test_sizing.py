@@ -13,7 +13,7 @@ from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.reachability import DesignTarget, DesignVariable, design, parse_target, parse_variable
 from mckibben.reachability.lengths import design_lengths, length_of, with_lengths
 from mckibben.reachability.sizing import CONSTRAINTS, margins_and_jacobian
-from mckibben.units import deg
+from mckibben.units import bar, deg
 
 VARIABLES = (DesignVariable("connector_length", 0.19, 0.24), DesignVariable("joint_radius", 0.02, 0.05))
 HARD = DesignTarget((25.0, 30.0), (-20 * deg, 20 * deg))
@@ -68,6 +68,16 @@ def test_no_lengths_tried_are_better(plant, target):
             in found.describe()
         )
     assert found.initial == {"connector_length": pytest.approx(0.19), "joint_radius": pytest.approx(0.03)}
+
+
+def test_a_design_knows_the_supply_of_the_valves(plant, as_printed, load):
+    at = {"connector_length": 0.207, "joint_radius": 0.033}
+    rated = margins(plant, EASY, at)[0]
+    for supply, same in ((10 * bar, True), (3 * bar, False)):
+        supplied = numeric(JointPlant(as_printed, load, FirstOrderValve(0.02, supply=supply)))
+        found = margins(supplied, EASY, at)[0]
+        assert np.allclose(found, rated, rtol=1e-12) == same
+    assert np.min(found) < np.min(rated)
 
 
 def test_derivatives_are_those_of_differences(plant):

@@ -147,7 +147,7 @@ def constraint_margins(
     """Scaled margins of `CONSTRAINTS`, shape (7, 2 torques, angles); negative where violated."""
     angle, stiffness, torque_reserve = floating(angle), floating(stiffness), floating(torque_reserve)
     plant = with_lengths(plant, lengths)
-    joint = plant.joint
+    joint = plant.supplied_joint
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
     muscles, (lowest, highest) = (joint.muscle1, joint.muscle2), pressure_limits_of(joint)
     contractions = [muscle.specimen.contraction_at(path) for muscle, path in zip(muscles, paths, strict=True)]
@@ -466,7 +466,7 @@ def _attained_stiffness(
     plant: JointPlant, angle: ArrayLike, reserve: ArrayLike, minimum_tension: float
 ) -> tuple[Array, Array]:
     torque = floating(reserve) * jnp.array([-1.0, 1.0])[:, None] - plant.load.gravity_torque(angle)
-    lowest, highest = plant.joint.attainable_stiffness(angle, torque, minimum_tension=minimum_tension)
+    lowest, highest = plant.supplied_joint.attainable_stiffness(angle, torque, minimum_tension=minimum_tension)
     return jnp.max(lowest, axis=0), jnp.min(highest, axis=0)
 
 

@@ -168,7 +168,7 @@ def with_joint(text: str, joint: str, folder: Path) -> Scenario:
     scenario = parse(to_text(data), folder)
     plant = scenario.plant()
     angles = jnp.linspace(-10.0, 10.0, 9) * deg
-    low, high = plant.joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
+    low, high = plant.supplied_joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
     lowest, highest = float(jnp.max(low)), float(jnp.min(high))
     if not lowest < highest:  # as it is: the run says why
         return scenario
