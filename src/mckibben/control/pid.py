@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Loop
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_number, check_positive
 from mckibben.numerics.elementary import floating
 from mckibben.units import ShortTime
 
@@ -63,7 +62,7 @@ class PID(Loop):
 
     def __check_init__(self) -> None:
         check_positive("PID", "s", zero=True, filter_time=self.filter_time, tracking_time=self.tracking_time)
-        check_within("PID", -math.inf, math.inf, kp=self.kp, ki=self.ki, kd=self.kd)
+        check_number("PID", kp=self.kp, ki=self.ki, kd=self.kd)
 
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
         return PIDState(

@@ -34,6 +34,12 @@ def whole_periods(duration: float, period: float) -> int | None:
     return count if count >= 1 and abs(count * period - duration) <= 1e-9 * duration else None
 
 
+def check_number(owner: str, **values: object) -> None:
+    """Raise `RangeError` for texts in place of numbers."""
+    for name, value in values.items():
+        _known(owner, name, value)
+
+
 def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
     """Raise `RangeError` unless all numbers lie in a closed range."""
     for name, value in values.items():
