@@ -87,7 +87,7 @@ def export(
     return made
 
 
-_TAKEN = frozenset(
+_TAKEN = frozenset(  # by the standard headers, and by the program that replays a run
     "main replay NAN INFINITY NULL acos asin atan atan2 ceil copysign cos cosh exp expm1 fabs floor fmax fmin fmod "
     "isfinite isinf isnan log log1p pow rint round signbit sin sinh sqrt tan tanh trunc".split()
 )

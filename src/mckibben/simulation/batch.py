@@ -211,22 +211,26 @@ def simulate_many(
 def _warn_of_substeps(
     lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64], period: float, substeps: int
 ) -> None:
-    """Warn of runs with too few substeps that do not diverge: friction and flow are bounded.
+    """Warn of too few substeps where friction or flow, which are bounded, keeps runs from diverging.
 
     Looked at are the first run, and those with the lowest and the highest value of each varied number of the plant.
+    The text names no run, as in a part of a sweep it has another number, and is the same for most parts.
     """
     plant = eqx.combine(lanes, shared).plant
     if not (plant.joint.has_friction or plant.friction is not None or isinstance(plant.valve, AirValve)):
         return
     varied = [np.reshape(leaf, (len(leaf), -1)).sum(axis=1) for leaf in jax.tree.leaves(lanes.plant)]
+    needed = 0
     for run in sorted({0, *(int(find(values)) for values in varied for find in (np.argmin, np.argmax))}):
         problem = eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), shared)
         setpoints = compiled_reference(problem.reference, times)
         try:
             check_substeps(problem.plant, setpoints.angle, setpoints.stiffness, period, substeps)
         except SimulationError as error:
-            warnings.warn(f"run {run}: {error}", McKibbenWarning, stacklevel=3)
-            return
+            needed = max(needed, int(error.lower or 0))
+    if needed:
+        text = f"substeps is {substeps}, too few for some runs, which friction or flow keeps from diverging"
+        warnings.warn(f"{text}: their numbers may be wrong; give at least {needed}", McKibbenWarning, stacklevel=3)
 
 
 class _Asked(NamedTuple):

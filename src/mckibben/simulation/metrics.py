@@ -294,7 +294,7 @@ class MetricAccumulator(NamedTuple):
         since = jnp.asarray(index) >= change.at
         settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change, settling_part)
         coupling = jnp.abs(jnp.asarray(moved.angle) - moved.angle_without_step)
-        air = _rise(moved.air1 - air_before[0]) + _rise(moved.air2 - air_before[1])
+        air = _larger(moved.air1 - air_before[0], 0.0) + _larger(moved.air2 - air_before[1], 0.0)
 
         def count(flag: Array) -> Array:
             return jnp.asarray(flag).astype(stiffness_error.dtype)
@@ -377,11 +377,6 @@ def _band(change: Change, stiffness_at_change: ArrayLike, part: ArrayLike) -> Ar
 def _root(mean: Array) -> Array:
     """The square root; its derivative at 0 is 0."""
     return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), mean)
-
-
-def _rise(change: Array) -> Array:
-    """Zero in place of negative changes, NaN passed on, which `jnp.maximum` does not do where XLA sums its results."""
-    return jnp.where(change < 0, 0.0, change)
 
 
 def _larger(one: ArrayLike, other: ArrayLike) -> Array:

@@ -123,8 +123,8 @@ class SweepResult:
         manifest = json.loads(self.table.attrs["manifest"])
         if digest_of_model(nominal, columns, manifest["known"]) != manifest["model"]:
             problem = Problem(
-                "a file or an entry of the catalog that the scenario names is not that of the sweep",
-                remedy="give the sweep's folder, with the files as they were",
+                "a file or catalog entry that the scenario names has changed, or another version made the sweep",
+                remedy="give the sweep's folder, with the files as they were, and take the version of its manifest",
             )
             raise FileError(os.fspath(folder), [problem])
         return with_values(

@@ -244,7 +244,7 @@ def tune(
     swept: Any = list(over)
     if isinstance(over, Mapping) and several:
         swept = sweep_parameters(several[0], over)
-    elif several and all(isinstance(each, str) for each in swept):
+    elif several and swept and all(isinstance(each, str) for each in swept):
         swept = parse_ranges(swept, several[0])
     cost = parse_cost(cost) if isinstance(cost, str) else cost
     problem = TuningProblem.of(several, swept, cost, known, conditions)  # type: ignore[arg-type]
