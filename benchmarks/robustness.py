@@ -36,7 +36,7 @@ def decoupling(feedback, observer, pressure):
 
 
 _SLIDING = ("sliding.slope", "sliding.reach")
-FED = "decoupling, friction fed forward"
+FED, LAG = "decoupling, friction fed forward", "decoupling, valve lag adapted"
 ROWS = {
     "PID": ("PID", PID, False),
     "PID, supply estimated": ("PID", PID, True),
@@ -45,7 +45,10 @@ ROWS = {
     "200 rad/s": (FED, decoupling(62, 170, 200), False),
     "400 rad/s": (FED, decoupling(62, 170, 400), False),
     "141 rad/s, supply estimated": (FED, decoupling(62, 170, 141), True),
+    "141 rad/s, valve lag adapted": (LAG, decoupling(62, 170, 141), False),
+    "the same, supply estimated": (LAG, decoupling(62, 170, 141), True),
     "at the air of PID": (FED, decoupling(74, 209, 109), False),
+    "at the air of PID, valve lag adapted": (LAG, decoupling(74, 209, 109), False),
     "sliding mode, 49 rad/s, as tuned": ("sliding mode", decoupling((38, 165), 155, 49), False),
     "sliding mode, 200 rad/s": ("sliding mode", decoupling((38, 165), 155, 200), False),
 }

@@ -17,6 +17,7 @@ REPLAYED = {
     "PID": {},
     "BP": {},
     "decoupling, adapted": {},
+    "decoupling, valve lag adapted": {},
     "predictive": {},
     "sliding mode": {"single": True},
 }

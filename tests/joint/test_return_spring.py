@@ -25,7 +25,7 @@ from mckibben import (
     simulate,
 )
 from mckibben.config.document import to_text
-from mckibben.control import ExtendedStateObserver, PolePlacement, PressureObserver
+from mckibben.control import ExtendedStateObserver, PolePlacement, PressureObserver, ValveAdaptation
 from mckibben.errors import RangeError, ReachabilityWarning, ScenarioError, UnreachableError
 from mckibben.reachability import envelope
 from mckibben.units import N, bar, deg, mm
@@ -117,7 +117,12 @@ def test_every_controller_holds_the_angle(name, largest, side):
     observers = {"observer": ExtendedStateObserver(120.0), "pressure_observer": PressureObserver(200.0)}
     controller = {
         "pid": lambda: run.control(),
-        "decoupling": lambda: DecouplingControl(**model, **observers, feedback=PolePlacement(40.0)),
+        "decoupling": lambda: DecouplingControl(
+            **(model | {"valve_time_constant": 0.04}),
+            **observers,
+            feedback=PolePlacement(40.0),
+            valve_adaptation=ValveAdaptation(),
+        ),
         "predictive": lambda: PredictiveControl(**model, pressure_observer=PressureObserver(200.0)),
         "inverse": lambda: InverseModelControl(run.control(), load=plant.load, valve_time_constant=0.02),
     }[name]()
@@ -126,6 +131,8 @@ def test_every_controller_holds_the_angle(name, largest, side):
     assert result.metrics["angle_rmse"] < largest * deg
     assert result.metrics["time_saturated"] < 0.01
     assert not np.any(result[f"pressure{side}"])
+    if name == "decoupling":  # learned from the muscle's pressure alone
+        assert result["valve_time_constant_estimate"][-1] == pytest.approx(0.02, rel=0.1)
 
 
 def test_the_envelope_says_that_angle_and_stiffness_are_not_independent():

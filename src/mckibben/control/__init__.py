@@ -13,6 +13,7 @@ from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.predictive import PredictiveControl
 from mckibben.control.reference import Constant, Multisine, Ramp, RandomSteps, Samples, Signal, Sine, Step, Sum
 from mckibben.control.supply_limit import SupplyLimit
+from mckibben.control.valve_adaptation import ValveAdaptation
 
 __all__ = [
     "PID",
@@ -45,5 +46,6 @@ __all__ = [
     "Step",
     "Sum",
     "SupplyLimit",
+    "ValveAdaptation",
     "VelocityObserver",
 ]

@@ -18,7 +18,7 @@ from mckibben.control.allocation import (
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
 from mckibben.control.model_based import Estimates, ModelBasedControl
-from mckibben.control.observer import Observer, PressureObserver
+from mckibben.control.observer import Observer, PressureObserver, lag_fraction
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
@@ -80,6 +80,8 @@ class DecouplingControl(ModelBasedControl):
         not wrap this controller in `FrictionCompensation`.
     adaptation
         On-line correction of the strength of the model's muscles; none unless given.
+    valve_adaptation
+        On-line estimate of tau_v; none unless given.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
         (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.
@@ -117,7 +119,7 @@ class DecouplingControl(ModelBasedControl):
         angle = motion.angle + lag * motion.velocity
         torque = self.load.required_torque(angle, motion.velocity, acceleration) - estimates.friction
 
-        speed = (1 - exp(-jnp.asarray(period) / lag)) / self.valve_fraction(period)
+        speed = (1 - exp(-jnp.asarray(period) / lag)) / lag_fraction(self.valve_lag(estimates.valves), period)
         allocation = self._allocate(
             model, angle, pressures, torque, setpoint.stiffness - estimates.added_stiffness, speed
         )

@@ -13,11 +13,13 @@ from mckibben.control.adaptation import AdaptationState, LawAdaptation, with_str
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver, lag_fraction
 from mckibben.control.reference import ReferenceDerivatives
+from mckibben.control.valve_adaptation import ValveAdaptation, ValveAdaptationState
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.elementary import floating
 from mckibben.units import AngleScale, Force, ShortTime
 
 Scalar = Float[Array, ""]
@@ -31,6 +33,7 @@ class Estimates(NamedTuple):
     reference: ReferenceDerivatives
     muscles: MuscleStates  # of the model, along the reference
     adaptation: AdaptationState | tuple[()]
+    valves: ValveAdaptationState | tuple[()]
     torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
     stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
     added_stiffness: Scalar  # less the isobaric one [N*m/rad]
@@ -48,6 +51,7 @@ class ModelBasedControl(Controller):
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
+    valve_adaptation: ValveAdaptation | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
@@ -63,7 +67,10 @@ class ModelBasedControl(Controller):
         if self.adaptation is not None:
             check_kind(name, adaptation=(self.adaptation, LawAdaptation))
             self.adaptation.check_load(self.load)
-        check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
+        adapts = self.valve_adaptation is not None
+        if adapts:
+            check_kind(name, valve_adaptation=(self.valve_adaptation, ValveAdaptation))
+        check_positive(name, "s", zero=not adapts, valve_time_constant=self.valve_time_constant)
         check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
         if self.stiffness_amplitude is not None:
             check_positive(name, "rad", stiffness_amplitude=self.stiffness_amplitude)
@@ -90,6 +97,9 @@ class ModelBasedControl(Controller):
             reference=ReferenceDerivatives.init(angle),
             muscles=self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
+            valves=()
+            if self.valve_adaptation is None
+            else self.valve_adaptation.init(self.valve_time_constant, pressures),
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
@@ -104,7 +114,8 @@ class ModelBasedControl(Controller):
         """Estimates after a further sample, with the last commands, and the adapted model."""
         angle = measurement.angle
         observer, pressure_observer = self.observers
-        fraction = self.valve_fraction(period)
+        valves = self._adapt_valves(last, measurement.pressures, period)
+        fraction = lag_fraction(self.valve_lag(valves), period)
         pressures = pressure_observer.step(last.pressures, last.commands, measurement.pressures, fraction, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
         torque, isobaric = model.evaluate(angle, pressures)
@@ -117,6 +128,7 @@ class ModelBasedControl(Controller):
             reference=last.reference.update(setpoint.angle, period),
             muscles=muscles,
             adaptation=adaptation,
+            valves=valves,
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
@@ -133,14 +145,16 @@ class ModelBasedControl(Controller):
             "disturbance_estimate": self.load.dynamic_torque(0.0, estimates.motion.disturbance),
             "friction_compensation": estimates.friction,
         }
-        if not isinstance(estimates.adaptation, AdaptationState):
-            return signals
-        strength1, strength2 = estimates.adaptation.strengths
-        return {**signals, "strength1_estimate": strength1, "strength2_estimate": strength2}
+        if isinstance(estimates.adaptation, AdaptationState):
+            strength1, strength2 = estimates.adaptation.strengths
+            signals |= {"strength1_estimate": strength1, "strength2_estimate": strength2}
+        if isinstance(estimates.valves, ValveAdaptationState):
+            signals |= {"valve_time_constant_estimate": estimates.valves.time_constant}
+        return signals
 
-    def valve_fraction(self, duration: ArrayLike) -> Scalar:
-        """Part of a step that a valve of the model covers in a time [s]."""
-        return lag_fraction(self.valve_time_constant, duration)
+    def valve_lag(self, valves: ValveAdaptationState | tuple[()]) -> Scalar:
+        """Time constant of the valves [s], estimated or of the model."""
+        return valves.time_constant if isinstance(valves, ValveAdaptationState) else floating(self.valve_time_constant)
 
     def _stiffness(self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair, isobaric: Scalar) -> Pair:
         """Controlled stiffness by a model, and what it exceeds the isobaric one by [N*m/rad]."""
@@ -157,6 +171,12 @@ class ModelBasedControl(Controller):
             return state, self.model
         state = self.adaptation.step(state, self.model, self.load, *measurement, period)
         return state, with_strengths(self.model, state.strengths)
+
+    def _adapt_valves(self, last: Estimates, measured: Pair, period: ArrayLike) -> ValveAdaptationState | tuple[()]:
+        """Estimate of the valves' time constant after measured pressures [Pa]."""
+        if self.valve_adaptation is None or not isinstance(last.valves, ValveAdaptationState):
+            return last.valves
+        return self.valve_adaptation.step(last.valves, self.valve_time_constant, last.commands, measured, period)
 
     def _friction(self, muscles: MuscleStates, angle: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
         """Internal states of the model's muscles at a reference angle [rad], and their torque of friction [N*m]."""

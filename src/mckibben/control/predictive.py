@@ -15,7 +15,7 @@ from mckibben.control.allocation import clip_commands, keep_taut, linearise, pre
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.ddp import HorizonProblem, Policy, Quadratic, constant, shift, solve
 from mckibben.control.model_based import Estimates, ModelBasedControl
-from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, lag_fraction
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
@@ -72,7 +72,7 @@ class PredictiveControl(ModelBasedControl):
     Parameters
     ----------
     model, load, pressure_observer, valve_time_constant, minimum_tension, friction_compensation, adaptation
-        As for `DecouplingControl`, and so is `stiffness_amplitude`.
+        As for `DecouplingControl`, and so are `valve_adaptation` and `stiffness_amplitude`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     bandwidth, stiffness_bandwidth
@@ -230,7 +230,7 @@ class PredictiveControl(ModelBasedControl):
             )
 
         (low1, low2), (high1, high2) = pressure_limits_of(self.model)
-        fraction, hold_weights = self._hold(stage)
+        fraction, hold_weights = _hold(self.valve_lag(estimates.valves), stage)
         # Backward differences lag by one period, their velocity by half of one.
         now = reference.acceleration_after(0.0, period)
         velocity = reference.velocity + period / 2 * now
@@ -256,15 +256,16 @@ class PredictiveControl(ModelBasedControl):
             command_upper=(high1 / bar, high2 / bar),
         )
 
-    def _hold(self, stage: Scalar) -> tuple[Scalar, Pair]:
-        """Valve fraction and hold weights of a stage [s]: see `HorizonProblem`."""
-        fraction, lag = self.valve_fraction(stage), jnp.asarray(self.valve_time_constant)
-        ratio = stage / jnp.where(lag > 0, lag, stage / 10)
-        series = ratio / 12 - ratio**3 / 720
-        slow = ratio < _SERIES
-        first = jnp.where(slow, 0.5 + series, 1 / fraction - 1 / ratio)
-        second = jnp.where(slow, 1 / 3 + series + ratio**2 / 360, (1 - 2 / ratio) / fraction + 2 / ratio**2)
-        return fraction, (jnp.where(lag > 0, first, 1.0), jnp.where(lag > 0, second, 1.0))
+
+def _hold(lag: Scalar, stage: Scalar) -> tuple[Scalar, Pair]:
+    """Valve fraction and hold weights of a stage [s], for a time constant [s] of the valves: see `HorizonProblem`."""
+    fraction = lag_fraction(lag, stage)
+    ratio = stage / jnp.where(lag > 0, lag, stage / 10)
+    series = ratio / 12 - ratio**3 / 720
+    slow = ratio < _SERIES
+    first = jnp.where(slow, 0.5 + series, 1 / fraction - 1 / ratio)
+    second = jnp.where(slow, 1 / 3 + series + ratio**2 / 360, (1 - 2 / ratio) / fraction + 2 / ratio**2)
+    return fraction, (jnp.where(lag > 0, first, 1.0), jnp.where(lag > 0, second, 1.0))
 
 
 def _second_order(function: Callable[[Array], Array], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:

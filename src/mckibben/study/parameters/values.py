@@ -134,9 +134,9 @@ def _builder(place: Place) -> Callable[[Any], object]:
         case ("joint",) | ("controller", "model"):
             return lambda spec: (building.build_geometry(spec), spec.spring and spec.spring.build())
         case ("controller", "decoupling"):
-            return lambda spec: (building.decoupling_parts(spec), _load_and_adaptation(spec))
+            return lambda spec: (building.decoupling_parts(spec), _load_and_adaptations(spec))
         case ("controller", "predictive"):
-            return lambda spec: (building.observers(spec), _load_and_adaptation(spec))
+            return lambda spec: (building.observers(spec), _load_and_adaptations(spec))
         case ("controller", "inverse_model"):
             return lambda spec: spec.load and spec.load.build()
         case ("load",) | ("valve",) | ("friction",) | ("controller", _) | ("reference", _):
@@ -145,9 +145,9 @@ def _builder(place: Place) -> Callable[[Any], object]:
             return _nothing
 
 
-def _load_and_adaptation(spec: ModelBasedSpec) -> tuple[object, ...]:
-    """Load and adaptation of a model-based controller."""
-    return spec.load and spec.load.build(), spec.adaptation and spec.adaptation.build()
+def _load_and_adaptations(spec: ModelBasedSpec) -> tuple[object, ...]:
+    """Load and adaptations of a model-based controller."""
+    return tuple(part and part.build() for part in (spec.load, spec.adaptation, spec.valve_adaptation))
 
 
 def _nothing(_: ConfigModel) -> None:

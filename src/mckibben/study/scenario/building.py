@@ -31,7 +31,13 @@ from mckibben.plant import AirValve, IdealValve, JointPlant, NoDisturbance, Perf
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
 from mckibben.study.parameters import Known, Table, batched
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.controller import ControllerSpec, DecouplingSpec, ModelBasedSpec, OwnControllerSpec
+from mckibben.study.scenario.controller import (
+    ADAPTATIONS,
+    ControllerSpec,
+    DecouplingSpec,
+    ModelBasedSpec,
+    OwnControllerSpec,
+)
 from mckibben.study.scenario.plant import (
     DisturbanceSpec,
     JointFrictionSpec,
@@ -41,7 +47,7 @@ from mckibben.study.scenario.plant import (
     ValveSpec,
 )
 
-_PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pressure_observer", "load", "adaptation")
+_PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pressure_observer", "load", *ADAPTATIONS)
 
 
 def build_plant(
@@ -123,7 +129,7 @@ def _build_control(spec: ControllerSpec) -> Controller:
         numbers: dict[str, Any] = {
             "friction_compensation": bool(spec.friction_compensation),
             "stiffness_amplitude": spec.stiffness_amplitude,
-            "adaptation": None if model_based.adaptation is None else model_based.adaptation.build(),
+            **{name: part and part.build() for name in ADAPTATIONS for part in [getattr(model_based, name)]},
             **explicit_fields(model_based, *_PARTS),
         }
         if isinstance(model_based, DecouplingSpec):

@@ -21,6 +21,7 @@ from mckibben.control import (
     PredictiveControl,
     SlidingMode,
     SupplyLimit,
+    ValveAdaptation,
 )
 from mckibben.study.scenario.plant import AnyLoad, JointSpec, LoadSpec, ValveSpec
 from mckibben.units import (
@@ -150,6 +151,11 @@ class AdaptationSpec(model_of(LawAdaptation)):
     """Parameters of `LawAdaptation`."""
 
 
+class ValveAdaptationSpec(model_of(ValveAdaptation)):
+    """Parameters of `ValveAdaptation`."""
+
+
+ADAPTATIONS = ("adaptation", "valve_adaptation")
 _MODEL_FIELDS = ("valve_time_constant", "minimum_tension", "friction_compensation", "stiffness_amplitude")
 
 
@@ -163,6 +169,7 @@ class ModelBasedSpec(ComponentModel):
     minimum_tension: Force | None = None
     load: AnyLoad | None = None
     adaptation: AdaptationSpec | None = None
+    valve_adaptation: ValveAdaptationSpec | None = None
 
     @field_validator("disturbance_observer", mode="after")
     @classmethod
@@ -272,10 +279,10 @@ class ControllerSpec(ConfigModel):
         return self.model_copy(update={name: part.model_copy(update={"load": load}) for name, part in parts.items()})
 
     def without_adaptation(self) -> ControllerSpec:
-        """The controller with the laws and the mass of its model as they are."""
+        """The controller with the laws, the mass and the valves of its model as they are."""
         parts = {name: part for name, part in self._with_load().items() if isinstance(part, ModelBasedSpec)}
         return self.model_copy(
-            update={name: part.model_copy(update={"adaptation": None}) for name, part in parts.items()}
+            update={name: part.model_copy(update=dict.fromkeys(ADAPTATIONS)) for name, part in parts.items()}
         )
 
     def _with_load(self) -> dict[str, Any]:
