@@ -170,6 +170,16 @@ def test_recordings_that_contradict_the_model_are_told_from_others(recorded, cha
         calibrate_joint(knee(), LOAD, wrong)
 
 
+def test_what_no_parameter_describes_is_told_by_the_residual(recorded, with_weight):
+    """The weight was in the other recording: estimates near the prior, and large errors."""
+    assert with_weight.residual < 1.5 * with_weight.noise
+    wrong = [dataclasses.replace(one, added_mass=0.5 - one.added_mass) for one, _, _ in recorded]
+    with pytest.warns(McKibbenWarning, match="above the noise"):
+        found = calibrate_joint(knee(), LOAD, wrong)
+    assert found.residual > 3 * found.noise
+    assert found.noise == pytest.approx(with_weight.noise, rel=0.5)
+
+
 def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded, tmp_path):
     rng, law = np.random.default_rng(3), knee().muscle1.law
     contraction, pressure = (one.ravel() for one in np.meshgrid(np.linspace(0.0, 0.2, 9), np.linspace(1e5, 6e5, 6)))

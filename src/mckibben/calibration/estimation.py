@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -45,6 +47,8 @@ _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
 _LEAST_VARIANCE = 1e-8
 _INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
+_UNEXPLAINED = 3.0  # residual over its noise, from which on the model does not describe the recordings
+_NEGLIGIBLE = 1e-3  # residual over the highest torque, up to which that does not matter
 _CONTRADICTION = 1e-6  # probability of estimates as far from the model, by their prior
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
@@ -83,6 +87,9 @@ class JointCalibration:
         be), ``zero`` (reading of the encoder at the angle 0), ``arm_scale``.
     residual
         Root mean square of the error of the equation of motion [N*m], low-pass filtered.
+    noise
+        Root mean square of its part that is noise of the sensors [N*m], which even and odd samples do not share; NaN
+        for recordings of commands.
     """
 
     joint: AntagonisticJoint
@@ -92,6 +99,7 @@ class JointCalibration:
     _problem: CalibrationProblem
     _estimate: Floats
     _covariance: Floats
+    noise: float = dataclasses.field(default=math.nan, kw_only=True)
 
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> tuple[Floats, Floats]:
         """Return stiffness [N*m/rad] and its standard deviation at angles [rad] and gauge pressures [Pa]."""
@@ -151,7 +159,8 @@ def calibrate_joint(
     Warns
     -----
     McKibbenWarning
-        If the estimates are farther from the model than their prior allows, with a probability of 1e-6.
+        If the estimates are farther from the model than their prior allows, with a probability of 1e-6; or if the
+        residual is above three times its noise and a thousandth of the highest torque.
 
     References
     ----------
@@ -163,7 +172,7 @@ def calibrate_joint(
     if not halves:
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
-    estimate, covariance, residual = _solve(problem, halves)
+    estimate, covariance, residual, noise = _solve(problem, halves)
     found = jax.tree.map(number, _model(problem, jnp.asarray(estimate)))
     try:
         recheck(found)
@@ -175,7 +184,12 @@ def calibrate_joint(
             f"{text} (chi-squared {distance:.3g} of {estimate.size}); {_CHECK}", McKibbenWarning, stacklevel=2
         )
     quantities = quantities_of(problem, estimate, covariance)
-    return JointCalibration(found.joint, found.load, quantities, residual, problem, estimate, covariance)
+    torque = max(np.asarray(problem.force)) * float(np.max(np.abs(joint.geometry.moment_arms(halves[0][0].angle))))
+    if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * torque):
+        text = f"the residual torque of {residual:.2g} N*m is far above the noise of the sensors, {noise:.2g} N*m"
+        remedy = "check which recordings had the weight, the units, and the encoder's zero"
+        warnings.warn(f"{text}: the model does not describe the recordings; {remedy}", McKibbenWarning, stacklevel=2)
+    return JointCalibration(found.joint, found.load, quantities, residual, problem, estimate, covariance, noise=noise)
 
 
 def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Floats) -> dict[str, JointEstimate]:
@@ -246,8 +260,8 @@ def _quantity_names(problem: CalibrationProblem, *, creep: bool) -> tuple[list[s
     return list(names), list(units)
 
 
-def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float]:
-    """Estimates and covariance of the parameters, and the residual torque [N*m]."""
+def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float, float]:
+    """Estimates and covariance of the parameters, the residual torque [N*m], and the noise in it."""
     count, edge, stride = parameters(problem), int(4 * _FILTER * RATE), int(_FILTER * RATE / 2)
     starts = [sliding_from(problem, half) + edge for half, _ in recordings]
     groups = 1 + len(recordings[0][0].tensions)
@@ -279,21 +293,22 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         return objective + float(z @ z) / 2, np.concatenate(gradients).sum(axis=0) + z, curvature + np.eye(count)
 
     means: list[Floats] = []
+    apart: list[Floats] = []  # half the differences of both halves
     begun = [minimised(terms, start(problem, strength), _FIRST) for strength in STARTS]
     z = min(begun, key=lambda found: found[1])[0]
     for _ in range(_STAGES):
         z, _ = minimised(terms, z)
         even, odd = raw(z)
-        means = [(a + b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)]
+        means, apart = ([(a + sign * b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)] for sign in (1, -1))
         variances = np.array([variance_of([one[:, i] for one in means]) for i in range(groups)])
-    torque = np.concatenate([one[:, 0] for one in means])
+    residual, noise = (float(np.sqrt(np.mean(np.concatenate(one)[:, 0] ** 2))) for one in (means, apart))
     bands = friction_places(problem)  # least ones have no derivative; the covariance is that at its edge
     z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
     _, gradients, curvature = data(z)
     inverse: Any = np.linalg.inv(curvature + np.eye(count))
     time = float(np.mean([correlation_time(one[:, i]) for one in means for i in range(groups)]))
     covariance = inverse @ (_long_run(gradients, time) + np.eye(count)) @ inverse
-    return z, covariance, float(np.sqrt(np.mean(torque**2)))
+    return z, covariance, residual, noise
 
 
 def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:

@@ -172,6 +172,7 @@ def _report(
     before, after = deviations(found, recordings)
     numbers = {
         "residual_angle_rad" if commanded else "residual_torque_Nm": found.residual,
+        **({} if commanded else {"noise_torque_Nm": found.noise}),
         "stiffness_deviation_before": before,
         "stiffness_deviation": after,
         "quantities": {
@@ -209,7 +210,7 @@ def _report(
         unit = "rad" if commanded else "N*m"
         echo(
             f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; "
-            f"residual {found.residual:.2g} {unit}"
+            f"residual {found.residual:.2g} {unit}" + ("" if commanded else f", noise {found.noise:.2g} {unit}")
         )
         if simulated:
             table(

@@ -18,6 +18,7 @@ from mckibben.units import PositiveTime, PressureScale, TimeConstantSpread
 Scalar = Float[Array, ""]
 
 _DEVIATIONS = np.linspace(-3.0, 3.0, 9)  # of the models, in prior standard deviations
+_LARGEST = 3.0  # innovation over its standard deviation; larger ones count as this
 
 
 class ValveAdaptationState(NamedTuple):
@@ -26,7 +27,7 @@ class ValveAdaptationState(NamedTuple):
     time_constant: Scalar  # [s]
     predicted: tuple[Array, Array]  # pressures of both muscles [Pa], shape (models,)
     variance: Array  # of a predicted pressure [Pa^2], shape (models,)
-    misfits: Array  # half the sums of squared innovations over their variance, shape (models,)
+    misfits: Array  # half the sums of squared innovations over their variances, shape (models,)
 
 
 class ValveAdaptation(eqx.Module):
@@ -39,10 +40,13 @@ class ValveAdaptation(eqx.Module):
 
     .. math::
 
-        J_j \leftarrow e^{-h / T} J_j + \sum_{i=1,2} \frac{(p_i - \hat p_{ij})^2}{2 (\sigma_p^2 + P_j)}, \quad
+        J_j \leftarrow e^{-h / T} J_j
+        + \frac12 \sum_{i=1,2} \min\Big(\frac{(p_i - \hat p_{ij})^2}{\sigma_p^2 + P_j}, 3^2\Big), \quad
         \hat\tau_v = \arg\min_\tau \Big(J(\tau) + \frac{\ln^2(\tau / \tau_v)}{2 \sigma^2}\Big)
 
-    Pressures at rest tell nothing: without changes of the commands the estimate returns to the model with the memory T.
+    Innovations above three standard deviations count as these: what is no lag, such as a supply below the commands,
+    hardly biases the estimate. Pressures at rest tell nothing: without changes of the commands it returns to the model
+    with the memory T.
 
     Parameters
     ----------
@@ -87,7 +91,8 @@ class ValveAdaptation(eqx.Module):
         predicted1, predicted2 = (p + fractions * (u - p) for p, u in zip(state.predicted, commands, strict=True))
         error1, error2 = measured[0] - predicted1, measured[1] - predicted2
         predicted = predicted1 + before / total * error1, predicted2 + before / total * error2
-        misfits = exp(-jnp.asarray(period) / self.memory) * state.misfits + (error1**2 + error2**2) / (2 * total)
+        squares = (jnp.minimum(error**2 / total, _LARGEST**2) for error in (error1, error2))
+        misfits = exp(-jnp.asarray(period) / self.memory) * state.misfits + sum(squares) / 2
         deviation = _lowest(misfits + _DEVIATIONS**2 / 2)
         estimate = floating(time_constant) * exp(self.time_constant_spread * deviation)
         return ValveAdaptationState(estimate, predicted, before * noise / total, misfits)
