@@ -158,6 +158,8 @@ def main():
         half = np.mean(np.asarray(covered) >= 0.5)
         share = f"covered {np.mean(covered):.3f} +- {np.std(covered) / given.runs**0.5:.3f} of the time"
         share += f", at least half of it in {half:.3f} of plants, +-{np.median(widths):.2f} N*m/rad"
+        low, middle, most = np.percentile([each.residual / each.noise for each in found], [0, 50, 100])
+        share += f"; residual {middle:.1f} ({low:.1f} to {most:.1f}) times its noise"
         print(f"{name}: {share}; {seconds:.1f} s each", flush=True)
     stiffness0 = rows["PID"][1]
     print("| | angle RMSE, median [deg] | stiffness RMSE, median (95 %) [N*m/rad] | against PID |")
