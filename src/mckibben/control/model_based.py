@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
@@ -67,10 +68,17 @@ class ModelBasedControl(Controller):
         if self.adaptation is not None:
             check_kind(name, adaptation=(self.adaptation, LawAdaptation))
             self.adaptation.check_load(self.load)
-        adapts = self.valve_adaptation is not None
-        if adapts:
+        check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
+        if self.valve_adaptation is not None:
             check_kind(name, valve_adaptation=(self.valve_adaptation, ValveAdaptation))
-        check_positive(name, "s", zero=not adapts, valve_time_constant=self.valve_time_constant)
+            if isinstance(self.valve_time_constant, Real) and self.valve_time_constant == 0:
+                raise RangeError(
+                    f"{name}: valve_time_constant is 0: there is no lag for valve_adaptation to estimate",
+                    field="valve_time_constant",
+                    value=self.valve_time_constant,
+                    unit="s",
+                    remedy="give that of the model above 0, or leave valve_adaptation out",
+                )
         check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
         if self.stiffness_amplitude is not None:
             check_positive(name, "rad", stiffness_amplitude=self.stiffness_amplitude)

@@ -60,7 +60,7 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
 def check_kind(owner: str, **fields: tuple[object, type]) -> None:
     """Raise `RangeError` unless each field is of its type: arguments are easily swapped."""
     for name, (value, kind) in fields.items():
-        if isinstance(value, Real | str):
+        if isinstance(value, Real | str | dict | type):
             given = repr(value)
         elif type(value).__module__.startswith("mckibben"):
             given = f"a {type(value).__name__}"
