@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize_scalar, nnls
 from scipy.signal import lfilter
 
 import mckibben as mk
@@ -39,16 +39,16 @@ def commands(moving=np.inf):
     return 3 * bar + change
 
 
-def pressures(time_constant, commands, first):
-    """Pressures [Pa] of first-order lags at each sample, each command being held until the next."""
-    pole = np.exp(-PERIOD / time_constant)
-    moved = lfilter([0, 1 - pole], [1, -pole], commands - first[:, None], axis=1)
-    return first[:, None] + moved
+def lagged(fraction, inputs, first=0.0):
+    """First-order lag in discrete time, from its first output on."""
+    return first + lfilter([fraction], [1, fraction - 1], inputs - first, axis=1)
 
 
-def measured(time_constant, commands, seed=0):
-    noise = np.random.default_rng(seed).normal(0.0, NOISE, commands.shape)
-    return pressures(time_constant, commands, np.full(2, 3 * bar)) + noise
+def measured(time_constant, commands, *, offset=0.0, delay=0, noise=NOISE):
+    """Pressures [Pa] at each sample, in equilibrium with the first command before it; each command is held."""
+    late = np.concatenate([np.full((2, 1 + delay), 3 * bar), commands], axis=1)[:, :PERIODS]
+    true = lagged(1 - np.exp(-PERIOD / time_constant), late, 3 * bar)
+    return true + offset + np.random.default_rng(0).normal(0.0, noise, commands.shape)
 
 
 @pytest.fixture(scope="module")
@@ -72,21 +72,39 @@ def followed():
     return followed
 
 
+def objective(deviation, adaptation, given, seen):
+    """Least misfit of a time constant over delays, with both priors: by SciPy's filter and least squares."""
+    fraction = 1 - np.exp(-PERIOD / (MODEL * np.exp(adaptation.time_constant_spread * deviation)))
+    slow = 1 - np.exp(-PERIOD / 0.1)
+    high_pass = lambda x: x - lagged(slow, x, seen[:, :1])  # noqa: E731
+    predicted = lagged(fraction, high_pass(given[:, :-1]))
+    errors = high_pass(seen[:, 1:]) - predicted
+    rates = np.diff(predicted, axis=1, prepend=0.0) / PERIOD
+    ages = TIMES[:-1]
+    variance = np.maximum(adaptation.pressure_error**2 + 0.5e5**2 * np.exp(-20 * ages), errors**2 / 9)
+    root = np.sqrt(np.exp((ages - ages[-1]) / adaptation.memory) / variance)
+    matrix, goal = (np.append((root * x).ravel(), last) for x, last in ((rates, 1 / 0.01), (-errors, 0.0)))
+    return nnls(matrix[:, None], goal)[1] ** 2 + deviation**2
+
+
 @pytest.mark.parametrize("true", [8 * ms, 14 * ms, 20 * ms, 35 * ms, 60 * ms])
 def test_it_is_the_most_probable_one_and_near_the_true_one(true, followed):
-    given = commands()
-    seen, adaptation = measured(true, given), ValveAdaptation(0.5, NOISE, memory=10.0)
-    weights = np.exp(-(TIMES[-1] - TIMES[1:]) / adaptation.memory)
-
-    def objective(deviation):
-        predicted = pressures(MODEL * np.exp(0.5 * deviation), given, seen[:, 0])
-        return float(((seen - predicted)[:, 1:] ** 2 @ weights).sum() / (2 * NOISE**2) + deviation**2 / 2)
-
-    best = minimize_scalar(objective, bounds=(-3, 3), method="bounded", options={"xatol": 1e-6})
+    given, adaptation = commands(), ValveAdaptation(0.5, NOISE, memory=1.0)
+    seen = measured(true, given)
+    best = minimize_scalar(objective, bounds=(-3, 3), args=(adaptation, given, seen), method="bounded")
     estimates = followed(adaptation, given, seen)
-    assert np.log(estimates[-1] / MODEL) / 0.5 == pytest.approx(best.x, abs=0.1)  # a parabola in place of the objective
-    assert estimates[-1] == pytest.approx(true, rel=0.06)
-    assert estimates[200:] == pytest.approx(true, rel=0.12)  # after 0.2 s
+    assert np.log(estimates[-1] / MODEL) / 0.5 == pytest.approx(best.x, abs=0.2)  # a parabola in place of the objective
+    assert estimates[-1] == pytest.approx(true, rel=0.1)
+    assert estimates[300:] == pytest.approx(true, rel=0.15)  # after 0.3 s
+
+
+@pytest.mark.parametrize(("offset", "delay"), [(0.3 * bar, 0), (-0.3 * bar, 0), (0.0, 5), (0.2 * bar, 10)])
+def test_offsets_and_delays_are_no_lag(offset, delay, followed):
+    """Half of a delay [periods] at most is taken for lag."""
+    given = commands()
+    for true in (10 * ms, 30 * ms):
+        estimate = followed(ValveAdaptation(), given, measured(true, given, offset=offset, delay=delay))[-1]
+        assert estimate == pytest.approx(true, abs=0.12 * true + PERIOD * delay / 2)
 
 
 def test_pressures_at_rest_leave_it_at_the_model_and_lead_it_back(followed):
@@ -94,7 +112,7 @@ def test_pressures_at_rest_leave_it_at_the_model_and_lead_it_back(followed):
     assert followed(ValveAdaptation(), rest, measured(50 * ms, rest)) == pytest.approx(MODEL, rel=0.05)
     given = commands(moving=0.5)
     estimates = followed(ValveAdaptation(memory=0.1), given, measured(50 * ms, given))
-    assert estimates[480] == pytest.approx(50 * ms, rel=0.1)
+    assert estimates[480] == pytest.approx(50 * ms, rel=0.15)
     assert estimates[-1] == pytest.approx(MODEL, rel=0.1)
 
 
@@ -118,12 +136,12 @@ def controllers(load):
     return {"decoupling": decoupling, "predictive": predictive}
 
 
-REFERENCE = Reference(Sine(5 * deg, 1.0), Step(14.0, 16.0, 0.5))
+REFERENCE = Reference(Sine(5 * deg, 1.0, phase=np.pi / 2), Step(14.0, 16.0, 0.5))
 
 
 @pytest.mark.parametrize("kind", ["decoupling", "predictive"])
 def test_a_controller_with_it_is_nearly_as_good_as_one_that_knows_its_valves(kind, controllers, knee, load):
-    """Slow valves of 50 ms, 20 ms in the model: with the estimate within a tenth of the error of the true model."""
+    """Slow valves of 50 ms, 20 ms in the model; errors after the first third of a second."""
     sensors = SampledSensors(pressure_noise=NOISE, seed=3)
     plant = JointPlant(knee, load, FirstOrderValve(50 * ms), sensors)
 
@@ -135,15 +153,20 @@ def test_a_controller_with_it_is_nearly_as_good_as_one_that_knows_its_valves(kin
     told = estimated["valve_time_constant_estimate"]
     assert told[0] == pytest.approx(MODEL) and told[-1] == pytest.approx(50 * ms, rel=0.1)
     assert "valve_time_constant_estimate" not in wrong
-    errors = [one.metrics["angle_rmse"] for one in (wrong, estimated, known)]
-    assert errors[1] < 1.1 * errors[2] and errors[1] < 0.8 * errors[0], errors
+    late = slice(333, None)
+    errors = [np.std(one["angle"][late] - one["desired_angle"][late]) for one in (wrong, estimated, known)]
+    assert errors[1] < 1.15 * errors[2] and errors[1] < 0.3 * errors[0], errors
 
 
 def test_runs_of_a_batch_are_those_alone(controllers, knee, load):
     lags = np.array([10 * ms, 40 * ms])
     plants = JointPlant(knee, load, FirstOrderValve(lags))
     control = controllers["decoupling"](knee, valve_adaptation=ValveAdaptation())
-    batch = mk.simulate_many(plants, control, REFERENCE, duration=0.3, metrics=("angle_rmse",))
+    batch, single = (
+        mk.simulate_many(plants, control, REFERENCE, duration=0.3, metrics=("angle_rmse",), precision=bits)
+        for bits in (64, 32)
+    )
+    assert single["angle_rmse"] == pytest.approx(batch["angle_rmse"], rel=0.03)
     for lag, error in zip(lags, batch["angle_rmse"], strict=True):
         alone = mk.simulate(
             dataclasses.replace(plants, valve=FirstOrderValve(float(lag))), control, REFERENCE, duration=0.3
@@ -152,13 +175,19 @@ def test_runs_of_a_batch_are_those_alone(controllers, knee, load):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("time_constant_spread", 0.0), ("time_constant_spread", 1.1), ("pressure_error", 0.0)]
+    ("name", "value"),
+    [("time_constant_spread", 0.0), ("time_constant_spread", 0.7), ("pressure_error", 0.0), ("memory", 0.0)],
 )
 def test_numbers_outside_of_their_ranges_are_refused(name, value):
     with pytest.raises(RangeError, match=name):
         ValveAdaptation(**{name: value})
 
 
-def test_valves_without_lag_are_refused(controllers, knee):
-    with pytest.raises(RangeError, match="valve_time_constant"):
+def test_valves_without_lag_and_what_is_no_adaptation_are_refused(controllers, knee):
+    with pytest.raises(RangeError, match="no lag") as caught:
         controllers["decoupling"](knee, valve_time_constant=0.0, valve_adaptation=ValveAdaptation())
+    assert caught.value.field == "valve_time_constant"
+    for wrong in ({}, ValveAdaptation, 1.0):
+        with pytest.raises(RangeError) as caught:
+            controllers["decoupling"](knee, valve_adaptation=wrong)
+        assert caught.value.field == "valve_adaptation"
