@@ -21,7 +21,7 @@ _DEVIATIONS = np.linspace(-3.0, 3.0, 9)  # of the models, in prior standard devi
 _WASHOUT = 0.1  # s, time constant of the high-pass filter of commands and pressures
 _OFFSET = 0.5e5  # Pa, standard deviation of a measured pressure from its command in equilibrium
 _DELAY = 0.01  # s, prior standard deviation of a delay of the commands
-_LARGEST = 3.0  # error over its standard deviation; larger ones weigh as this
+_LARGEST = 3.0  # error over its standard deviation; larger ones count as this
 
 
 class ValveAdaptationState(NamedTuple):
@@ -47,14 +47,15 @@ class ValveAdaptation(eqx.Module):
 
     .. math::
 
-        \hat\tau = \arg\min_{\tau, d} \sum_k w_k e^{-(t - t_k)/T} \frac{(p_k - \hat p_k(\tau) + d\,\dot{\hat p}_k)^2}
+        \hat\tau = \arg\min_{\tau,\, d \ge 0} \sum_k w_k e^{-(t - t_k)/T} \frac{(p_k - \hat p_k(\tau) + d\,\dot{\hat p}_k)^2}
         {2 \sigma_p^2} + \frac{\ln^2(\tau / \tau_v)}{2 \sigma^2} + \frac{d^2}{2 \sigma_d^2}, \quad
-        \tau_v \dot{\hat p} = u - \hat p,
+        \tau \dot{\hat p} = u - \hat p,
 
     the vertex of the parabola through the best model and its neighbours. An unknown delay d of the commands, of up to
-    some 10 ms, is estimated beside it, or it would be taken for lag. Errors above three standard deviations have the
-    weight of these, so that what is no lag, such as a supply below the commands, biases the estimate little. Without
-    changes of the commands it stays, and returns to the model when all evidence is forgotten.
+    some 10 ms, is estimated beside it, or it would be taken for lag. The weights w are 1 up to three standard
+    deviations, and fall above them so that a larger error counts as three: what is no lag, such as a supply below the
+    commands, biases the estimate little. Without changes of the commands it stays, and returns to the model when all
+    evidence is forgotten.
 
     Both valves are taken for equal.
 
