@@ -48,7 +48,8 @@ class ValveAdaptation(eqx.Module):
     .. math::
 
         \hat\tau = \arg\min_{\tau,\, d \ge 0} \sum_k w_k e^{-(t - t_k)/T}
-        \frac{(p_k - \hat p_k(\tau) + d\,\dot{\hat p}_k)^2}{2 \sigma_p^2} + \frac{\ln^2(\tau / \tau_v)}{2 \sigma^2} + \frac{d^2}{2 \sigma_d^2}, \quad
+        \frac{(p_k - \hat p_k(\tau) + d\,\dot{\hat p}_k)^2}{2 \sigma_p^2}
+        + \frac{\ln^2(\tau / \tau_v)}{2 \sigma^2} + \frac{d^2}{2 \sigma_d^2}, \quad
         \tau \dot{\hat p} = u - \hat p,
 
     the vertex of the parabola through the best model and its neighbours. An unknown delay d of the commands, of up to
