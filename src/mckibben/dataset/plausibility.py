@@ -26,7 +26,7 @@ C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-10
 _LIKE_SPECIMEN = (0.4, 2.0, 3.0)  # implied over given diameter: usual from, usual to, impossible above
 _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
 _FIRST = 0.1  # least contraction of a test that begins near the initial length
-_COPIES = (2, 3, 4, 5)
+_COPIED = 4  # rows in the same order as before that are copies
 _SMALL_FORCE = 0.05  # of the largest one
 _LENGTH = "check initial_length (command line: --initial-length)"
 _UNIT = "check the unit of the column, and give the right one: columns={...} (command line: --column 'HEADER=NAME')"
@@ -105,13 +105,16 @@ def _pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
 
 
 def _copies(rows: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Rows that were pasted more than once."""
-    for times in _COPIES:
-        part = len(rows) // times
-        if part > 1 and len(rows) == times * part and (rows.reshape(times, part, -1) == rows[:part]).all():
-            text = f"the first {part} rows are there {times} times: copies make intervals too narrow"
-            yield Problem(text, remedy="leave them out"), False
-            return
+    """Rows in a row that were there before in the same order; equal points of one measurement are not."""
+    first: dict[bytes, int] = {}
+    earlier = np.array([first.setdefault(row.tobytes(), place) for place, row in enumerate(rows)])
+    copied = earlier < np.arange(len(rows))
+    follows = np.flatnonzero(copied[1:] & copied[:-1] & (np.diff(earlier) == 1))  # and the row after each
+    runs = np.split(follows, np.flatnonzero(np.diff(follows) > 1) + 1)
+    count = sum(run.size + 1 for run in runs if run.size + 1 >= _COPIED)
+    if count:
+        text = f"{count} of {len(rows)} rows repeat others in the same order: copies make intervals too narrow"
+        yield Problem(text, remedy="leave them out"), False
 
 
 def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Iterator[tuple[Problem, bool]]:
