@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -99,7 +98,7 @@ class JointCalibration:
     _problem: CalibrationProblem
     _estimate: Floats
     _covariance: Floats
-    noise: float = dataclasses.field(default=math.nan, kw_only=True)
+    noise: float = field(default=math.nan, kw_only=True)
 
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> tuple[Floats, Floats]:
         """Return stiffness [N*m/rad] and its standard deviation at angles [rad] and gauge pressures [Pa]."""

@@ -25,6 +25,11 @@ def lag_fraction(time_constant: ArrayLike, duration: ArrayLike) -> Scalar:
     return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
 
 
+def lagged(last: Pair, inputs: Pair, fraction: ArrayLike) -> Pair:
+    """Outputs of two first-order lags after a further sample, from the last ones; `fraction` as by `lag_fraction`."""
+    return last[0] + fraction * (inputs[0] - last[0]), last[1] + fraction * (inputs[1] - last[1])
+
+
 class MotionEstimate(NamedTuple):
     """Estimated motion of the joint."""
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.observer import lag_fraction
+from mckibben.control.observer import lag_fraction, lagged
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
@@ -80,16 +80,13 @@ class SupplyLimit(Controller):
     ) -> tuple[SupplyLimitState, Pair]:
         fraction = lag_fraction(self.valve_time_constant, period)
 
-        def after(lagged: Pair, inputs: Pair) -> Pair:
-            return lagged[0] + fraction * (inputs[0] - lagged[0]), lagged[1] + fraction * (inputs[1] - lagged[1])
-
         def shortfall(i: int) -> Scalar:
             pressure = measurement.pressures[i]
             short = expected[i] - pressure - _SLOWER * jnp.maximum(pressure - filtered[i], 0.0)
             return jnp.where(state.commands[i] >= _AT_LIMIT * state.supply, jnp.maximum(short, 0.0), 0.0)
 
-        expected = after(state.expected, state.commands)
-        filtered = after(state.filtered, measurement.pressures)
+        expected = lagged(state.expected, state.commands, fraction)
+        filtered = lagged(state.filtered, measurement.pressures, fraction)
         short = jnp.maximum(shortfall(0), shortfall(1))
         supply = state.supply + period * (self.recovery - short / self.time_constant)
         supply = jnp.clip(supply, jnp.minimum(jnp.maximum(*measurement.pressures), self._rated), self._rated)

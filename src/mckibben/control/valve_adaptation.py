@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.observer import lag_fraction
+from mckibben.control.observer import lag_fraction, lagged
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp, floating
@@ -103,13 +103,11 @@ class ValveAdaptation(eqx.Module):
         spread, noise = jnp.asarray(self.time_constant_spread), jnp.asarray(self.pressure_error) ** 2
         fractions = lag_fraction(time_constant * exp(spread * deviations), period)
         noise = noise + _OFFSET**2 * exp(-2 / _WASHOUT * state.age)
-        new, keep = 1 - exp(-jnp.asarray(period) / _WASHOUT), exp(-jnp.asarray(period) / self.memory)
+        washout, keep = lag_fraction(_WASHOUT, period), exp(-jnp.asarray(period) / self.memory)
+        slow = lagged(state.slow[0], commands, washout), lagged(state.slow[1], measured, washout)
         squares, products, sensitivities = keep * state.squares, keep * state.products, keep * state.sensitivities
-        predicted, slow = [], ([], [])
+        predicted = []
         for i in (0, 1):
-            before = [state.slow[n][i] for n in (0, 1)]
-            slow[0].append(before[0] + new * (commands[i] - before[0]))
-            slow[1].append(before[1] + new * (measured[i] - before[1]))
             moved = fractions * (commands[i] - slow[0][i] - state.predicted[i])
             predicted.append(state.predicted[i] + moved)
             error = measured[i] - slow[1][i] - predicted[i]
@@ -120,9 +118,8 @@ class ValveAdaptation(eqx.Module):
         explained = jnp.maximum(products, 0.0) ** 2 / (sensitivities + (period / _DELAY) ** 2)  # by a delay above 0
         deviation = _lowest((squares - explained + deviations**2) / 2, deviations)
         estimate = floating(time_constant) * exp(spread * deviation)
-        filtered = (slow[0][0], slow[0][1]), (slow[1][0], slow[1][1])
         return ValveAdaptationState(
-            estimate, filtered, (predicted[0], predicted[1]), squares, products, sensitivities, state.age + period
+            estimate, slow, (predicted[0], predicted[1]), squares, products, sensitivities, state.age + period
         )
 
 

@@ -58,9 +58,8 @@ class DatasetSummary:
 
 def domain_of(points: IsobaricDataset) -> Domain:
     """Range of contractions and pressure levels of some points; of measured pressures that are not at their levels."""
-    contraction, levels = points.contraction, points.levels
-    levels = points.pressure if off_levels(points) else levels
-    return Domain(float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max()))
+    contraction, pressure = points.contraction, points.pressure if off_levels(points) else points.levels
+    return Domain(float(contraction.min()), float(contraction.max()), float(pressure.min()), float(pressure.max()))
 
 
 _OFF_LEVEL = 0.05  # of the range of levels

@@ -129,7 +129,7 @@ def _build_control(spec: ControllerSpec) -> Controller:
         numbers: dict[str, Any] = {
             "friction_compensation": bool(spec.friction_compensation),
             "stiffness_amplitude": spec.stiffness_amplitude,
-            **{name: part and part.build() for name in ADAPTATIONS for part in [getattr(model_based, name)]},
+            **{name: (part := getattr(model_based, name)) and part.build() for name in ADAPTATIONS},
             **explicit_fields(model_based, *_PARTS),
         }
         if isinstance(model_based, DecouplingSpec):
