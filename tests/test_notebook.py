@@ -71,6 +71,6 @@ def test_components_show_their_fields_in_the_units_of_files():
     assert "<td>joint_radius</td><td>30 mm</td>" in joint.geometry._repr_html_()
     assert "<td>hanging_angle</td><td>30 deg</td>" in plant.load._repr_html_()
     assert "<td>initial_diameter</td><td>10 mm</td>" in joint.muscle1.specimen._repr_html_()
-    assert "<td>decay</td><td>30.0</td>" in joint.muscle1.law._repr_html_()
+    assert "<td>decay</td><td>0.3 1/percent</td>" in joint.muscle1.law._repr_html_()
     assert "Muscle(MAS-10-180N-AA-MC-O" in joint._repr_html_()
     assert "IdealValve()" in plant._repr_html_()

@@ -202,7 +202,10 @@ class ScenarioError(FileError):
 
 
 def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
-    """Raise a `RangeError` with all problems, if there are any."""
+    """Raise a `RangeError` with all problems, if there are any; its field and value are those of the first."""
     if problems:
         heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
-        raise RangeError("\n  ".join([heading, *map(str, problems)]))
+        text, first = "\n  ".join([heading, *map(str, problems)]), problems[0]
+        raise RangeError(
+            text, field=first.field, value=first.value, lower=first.lower, upper=first.upper, unit=first.unit
+        )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
 from html import escape
-from typing import Any, TypeAlias, get_args, get_type_hints
+from typing import Any, TypeAlias
 
 from mckibben.errors import printable
-from mckibben.units import Quantity, show
 
 Progress: TypeAlias = Callable[[str, float], None]
 """Called with the present step of a long computation and its finished fraction, 0 to 1."""
@@ -31,28 +29,6 @@ def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object
 
     table = row(header, "th") + "".join(row(cells, "td") for cells in rows)
     return f"<p>{escape(title)}</p><table>{table}</table>" + "".join(f"<p>{escape(note)}</p>" for note in notes)
-
-
-class Displayed:
-    """Base of components with a table of their fields, in the units shown, in notebooks."""
-
-    def _repr_html_(self) -> str:
-        return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
-
-
-def _rows(component: Any) -> Iterator[tuple[str, str]]:
-    hints = get_type_hints(type(component), include_extras=True)
-    for field in dataclasses.fields(component):
-        if not field.repr:
-            continue
-        value = getattr(component, field.name)
-        parts = [hints[field.name], *get_args(hints[field.name])]  # such as of Length | None
-        units = [each for part in parts for each in getattr(part, "__metadata__", ()) if isinstance(each, Quantity)]
-        try:
-            text = show(float(value), units[0].shown) if units else repr(value)
-        except TypeError:  # an array, a tracer or None
-            text = repr(value)
-        yield field.name, printable(" ".join(text.split()), _LONGEST)
 
 
 def silent(step: str, part: float) -> None:

@@ -316,12 +316,12 @@ class Quantity:
     @property
     def example(self) -> str:
         """A value as it is written."""
-        return f"'12.5 {self.shown}'" if self.unit != "1" else "0.5"
+        return f"'12.5 {self.shown}'" if self.shown != "1" else "0.5"
 
     @property
     def range(self) -> str:
         """The range as text."""
-        unit = f" {self.shown}" if self.unit != "1" else ""
+        unit = f" {self.shown}" if self.shown != "1" else ""
         lower = f"above {self.lower:g}" if self.open_lower else f"{self.lower:g}"
         upper = f"below {self.upper:g}" if self.open_upper else f"{self.upper:g}"
         return f"{lower} to {upper}{unit}"
@@ -351,6 +351,7 @@ class BoundedInt:
 
     lower: int
     upper: int
+    unit = shown = "1"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
@@ -375,15 +376,24 @@ class BoundedInt:
         return value
 
     @property
+    def limits(self) -> tuple[float, float]:
+        """Both ends of the range."""
+        return self.lower, self.upper
+
+    def holds(self, number: Any) -> Any:
+        """Test whether a number, or each of an array, is whole and in the range."""
+        return (number >= self.lower) & (number <= self.upper) & (number % 1 == 0)
+
+    @property
     def range(self) -> str:
         """The range as text."""
         return f"{self.lower} to {self.upper}"
 
 
 SIGNAL_UNIT = "signal"
+"""Stands for the unit of the quantity that a signal is of."""
 COMPONENT = "component"
 """Metadata of a field whose value is a component of any class; files name the class."""
-"""Stands for the unit of the quantity that a signal is of."""
 
 
 class Percent(Quantity):
@@ -412,12 +422,14 @@ Duration = Annotated[float, Quantity("s", "s", 0, 1e6, open_lower=True)]
 Instant = Annotated[float, Quantity("s", "s", -1e6, 1e6)]
 ShortTime = Annotated[float, Quantity("s", "ms", 0, 1e6)]
 PositiveTime = Annotated[float, Quantity("s", "ms", 0, 1e6, open_lower=True)]
+ValveTime = Annotated[float, Quantity("s", "ms", 0, 1e4, open_lower=True)]
 Frequency = Annotated[float, Quantity("1/s", "Hz", 0, 1e6)]
-Length = Annotated[float, Quantity("m", "mm", 0, 1e5, open_lower=True)]
-Distance = Annotated[float, Quantity("m", "mm", 0, 1e5)]
-Coordinate = Annotated[float, Quantity("m", "mm", -1e5, 1e5)]
-ArmSlope = Annotated[float, Quantity("m/rad", "mm/rad", -1e5, 1e5)]
-ArmCurvature = Annotated[float, Quantity("m/rad^2", "mm/rad^2", -1e5, 1e5)]
+Length = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]  # more is one in millimetres
+Diameter = Annotated[float, Quantity("m", "mm", 0, 1e3, open_lower=True)]
+Distance = Annotated[float, Quantity("m", "mm", 0, 1e4)]
+Coordinate = Annotated[float, Quantity("m", "mm", -1e4, 1e4)]
+ArmSlope = Annotated[float, Quantity("m/rad", "mm/rad", -1e4, 1e4)]
+ArmCurvature = Annotated[float, Quantity("m/rad^2", "mm/rad^2", -1e4, 1e4)]
 BraidAngle = Annotated[float, Quantity("rad", "deg", 0.6, 54.7)]  # above, a muscle extends
 Mass = Annotated[float, Quantity("kg", "kg", 0, 1e4)]
 PositiveMass = Annotated[float, Quantity("kg", "kg", 0, 1e4, open_lower=True)]
@@ -432,24 +444,14 @@ Gravity = Annotated[float, Quantity("m/s^2", "m/s^2", 0, 1e3)]
 SpringRate = Annotated[float, Quantity("N/m", "N/mm", 0, 1e6, open_lower=True)]
 Force = Annotated[float, Quantity("N", "N", 0, 1e6)]
 SignedForce = Annotated[float, Quantity("N", "N", -1e6, 1e6)]
-ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e6, 1e6)]
-FrictionForce = Annotated[float, Quantity("N", "N", 1e-6, 1e6)]
-FrictionGrowth = Annotated[float, Quantity("N/Pa", "N/bar", -1e4, 1e4)]
-TensionGrowth = Annotated[float, Quantity("1", "1", -1, 1)]
-Presliding = Annotated[float, Quantity("m", "mm", 0, 1e3, open_lower=True)]
+ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e5, 1e5)]  # an area: more is one in N/bar
 PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
-CreepTime = Annotated[float, Quantity("s", "s", 0.01, 1e6)]
-Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
 Tension = Annotated[float, Quantity("N", "N", 0, 1e6, open_lower=True)]
 Pressure = Annotated[float, Quantity("Pa", "bar", -1e3, 1e3)]
+SupplyPressure = Annotated[float, Quantity("Pa", "bar", 0.01, 1e3)]
 Conductance = Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4, open_lower=True)]
-CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
-PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
-DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
 Volume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e9, open_lower=True)]
 VolumeTerm = Annotated[float, Quantity("m^3", "cm^3", -1e9, 1e9)]
-DeadZone = Annotated[float, Percent("1", "%", 0, 90)]
-Compensation = Annotated[float, Percent("1", "%", 0, 99)]
 PressureNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e5)]
 AngleStep = Annotated[float, Quantity("rad", "deg", 0, 90)]
 Torque = Annotated[float, Quantity("N*m", "N*m", -1e6, 1e6)]

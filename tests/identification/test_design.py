@@ -18,7 +18,7 @@ def test_of_eq_2_is_the_basis_written_by_hand():
     decayed = np.exp(-30.0 * CONTRACTION)
     one = np.ones_like(CONTRACTION)
     hand = np.stack([one, PRESSURE, CONTRACTION, CONTRACTION * PRESSURE, decayed, decayed * PRESSURE], axis=1)
-    law = ExponentialLaw(1.0, 2.0, 3.0, 4.0, 5.0, 6.0, decay=30.0)
+    law = ExponentialLaw(1.0, 0.2, 3.0, 0.4, 5.0, 0.6, decay=30.0)
     np.testing.assert_allclose(design_matrix(law, LINEAR, CONTRACTION, PRESSURE), hand, rtol=1e-14)
 
 
@@ -30,7 +30,7 @@ def test_times_the_linear_parameters_is_the_force():
 
 
 def test_columns_come_in_the_order_asked_for():
-    law = ExponentialLaw(1.0, 2.0, 3.0, 4.0, 5.0, 6.0, decay=30.0)
+    law = ExponentialLaw(1.0, 0.2, 3.0, 0.4, 5.0, 0.6, decay=30.0)
     some = design_matrix(law, ["c2", "a1"], CONTRACTION, PRESSURE)
     every = design_matrix(law, LINEAR, CONTRACTION, PRESSURE)
     np.testing.assert_array_equal(some, every[:, [5, 0]])

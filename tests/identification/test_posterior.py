@@ -115,7 +115,7 @@ def test_what_cannot_be_drawn_is_said(monkeypatch):
         posterior(fit, draws=5)
     with pytest.raises(IdentificationError, match="record a column 'repeat'"):
         posterior(fit, by=Grouping.REPEAT)
-    slow = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.2)
+    slow = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.6)
     pressure, contraction = (a.ravel() for a in np.meshgrid(np.arange(1, 7) * bar, np.linspace(0, 0.2, 9)))
     force = np.asarray(slow.force(contraction, pressure))
     at_bound = identify(ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force))

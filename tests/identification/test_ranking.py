@@ -276,9 +276,10 @@ def test_a_law_without_a_force_somewhere_is_said_to_have_none():
 
 
 def test_all_parameters_at_their_bounds_are_an_error_of_units():
-    pressure, contraction = (a.ravel() for a in np.meshgrid(np.arange(1.0, 7.0), np.linspace(0, 0.2, 9)))
-    force = forces(catalog.law("lei-mas-10-180n"), contraction, pressure * bar)
-    bars_for_pascals = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=1.0)
+    pressure, contraction = (a.ravel() for a in np.meshgrid(PRESSURES, np.linspace(0, 0.2, 9)))
+    force = forces(catalog.law("lei-mas-10-180n"), contraction, pressure)
+    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=1.0)
+    bars_for_pascals = IsobaricDataset(data.table.assign(pressure=("point", pressure / bar)))
     with pytest.raises(IdentificationError, match="look for wrong units in the data"):
         identify(ChouLaw, bars_for_pascals)
 

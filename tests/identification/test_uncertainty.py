@@ -227,7 +227,7 @@ def test_one_group_gives_no_errors(chart):
 
 
 def test_a_parameter_at_its_bound_has_no_interval():
-    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.2)
+    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.6)
     fit = identify(ExponentialLaw, measured(law, np.arange(1, 7) * bar, np.linspace(0, 0.2, 9), 0.5))
     assert np.all(np.isnan(fit.intervals()["decay"]))
     assert np.all(np.isfinite(fit.intervals()["a1"]))
@@ -424,7 +424,7 @@ def test_what_a_bootstrap_draws(fit, chart):
 
 
 def test_a_parameter_at_its_bound_has_no_error_in_a_bootstrap():
-    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.2)
+    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.6)
     fit = identify(ExponentialLaw, measured(law, np.arange(1, 9) * bar, np.linspace(0, 0.2, 9), 0.5))
     found = bootstrap(fit, 50)
     assert np.isnan(found.standard_errors["decay"])

@@ -102,13 +102,13 @@ def test_the_torque_is_that_of_the_tensions_that_scipy_finds(paper, torque_and_s
 
 
 @pytest.mark.parametrize(
-    "stiff", [SeriesSpring(1e12, 0.0, 0.01), SeriesSpring(1e4, 1e6, 0.01), SeriesSpring(1e4, 0.0, 0.0)]
+    "stiff", [SeriesSpring(1e9, 0.0, 0.01), SeriesSpring(1e4, 1e6, 0.01), SeriesSpring(1e4, 0.0, 0.0)]
 )
 def test_a_spring_that_does_not_give_is_a_rigid_tendon(as_printed, stiff):
     held = (2e5, 3e5)
     rigid = as_printed.torque_and_stiffness(0.1, held)
     got = jax.jit(lambda t: dataclasses.replace(as_printed, tendon=t).torque_and_stiffness(0.1, held))(stiff)
-    np.testing.assert_allclose(got, rigid, rtol=1e-6)
+    np.testing.assert_allclose(got, rigid, rtol=2e-4)
 
 
 def test_a_spring_widens_the_range_of_the_knee_as_printed(as_printed, springy, load):

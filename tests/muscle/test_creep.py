@@ -177,17 +177,13 @@ def test_none_is_none(specimen, law):
 
 
 @pytest.mark.parametrize(
-    ("numbers", "message"),
-    [
-        ({"stiffness": 0.0}, "stiffness is 0 N/m"),
-        ({"stiffness": float("nan")}, "stiffness is nan"),
-        ({"time_constant": 0.001}, "time_constant is 0.001, outside 0.01"),
-        ({"arms": 0}, "arms is 0, outside 1..8"),
-    ],
+    ("field", "value", "lower"),
+    [("stiffness", 0.0, 0.0), ("stiffness", float("nan"), 0.0), ("time_constant", 0.001, 0.01), ("arms", 0, 1)],
 )
-def test_numbers_without_meaning_are_refused(numbers, message):
-    with pytest.raises(RangeError, match=message):
-        MaxwellCreep(**{"stiffness": 500.0, "time_constant": 5.0, **numbers})
+def test_numbers_without_meaning_are_refused(field, value, lower):
+    with pytest.raises(RangeError) as refused:
+        MaxwellCreep(**{"stiffness": 500.0, "time_constant": 5.0, field: value})
+    assert (refused.value.field, refused.value.lower) == (field, lower)
 
 
 def test_a_muscle_takes_creep_only_as_creep(specimen, law):

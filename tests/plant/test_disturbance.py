@@ -58,18 +58,13 @@ def test_nothing_is_nothing():
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("width", 0.0, "above 0"),
-        ("interval", -1.0, "above 0"),
-        ("start", -0.1, "0 or above"),
-        ("width", np.inf, "above"),
-    ],
+    ("field", "value"),
+    [("width", 0.0), ("interval", -1.0), ("start", -0.1), ("width", np.inf)],
 )
-def test_pulses_that_make_no_sense_are_refused(field, value, message):
-    with pytest.raises(RangeError, match=f"TorquePulses: {field} is .* s") as refused:
+def test_pulses_that_make_no_sense_are_refused(field, value):
+    with pytest.raises(RangeError, match="TorquePulses") as refused:
         TorquePulses(0.5, **{field: value})
-    assert message in refused.value.remedy
+    assert (refused.value.field, refused.value.value, refused.value.lower) == (field, value, 0.0)
 
 
 def test_pulses_do_not_overlap():

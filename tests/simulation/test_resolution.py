@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -91,7 +92,7 @@ def test_the_limit_is_that_of_the_runge_kutta_method():
 @pytest.mark.parametrize(
     ("field", "plant", "control", "reference"),
     [
-        ("plant.load.gravity", dataclasses.replace(PLANT, load=dataclasses.replace(LOAD, gravity=np.nan)), None, None),
+        ("plant.load.gravity", eqx.tree_at(lambda plant: plant.load.gravity, PLANT, np.nan), None, None),
         ("controller.position.kp", None, dataclasses.replace(CONTROL, position=PID(np.nan, 1.0, 1.0)), None),
         ("reference.stiffness.value", None, None, Reference(angle=0.0, stiffness=np.nan)),
         ("reference.angle.amplitude", None, None, Reference(angle=Sine(np.nan, 1.0), stiffness=72.5)),

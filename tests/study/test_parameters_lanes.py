@@ -31,6 +31,8 @@ BACKPROP = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
 
 def another(address):
     """A value near the nominal one that a scenario allows, too."""
+    if address.name.endswith("supply") and address.nominal is None:
+        return 5e5
     if address.nominal in (None, 0, 0.0):
         sign = -1 if address.name == "controller.stiffness.kd" and address.nominal == 0 else 1
         return 3 if address.is_integer else 1e-4 * sign
@@ -178,13 +180,10 @@ FORBIDDEN = [
         0,
         "connector_length 390 mm.* leaves no",
     ),
-    (PID, {"joint.geometry.joint_length": [0.37, 20.0]}, 1, "joint_length is 20"),
     (PID, {"controller.position.kp": [1e5, -1e5, 2e5]}, 1, "differ in sign"),
     (PID, {"controller.stiffness.kd": [0.0, -1.0]}, 1, "differ in sign"),
     (PID, {"controller.position.kp": [1e5, -1e5], "controller.position.ki": [1e5, -1e5]}, 1, "differ in sign"),
     (BACKPROP, {"controller.position.ki": [1e5, 0.0]}, 1, "sign of ki, which is zero"),
-    (BACKPROP, {"controller.position.momentum": [0.5, 0.9999999]}, 1, "momentum"),
-    (PID, {"valve.time_constant": [0.02, 11.0]}, 1, "time_constant is 11"),
     (PID, {"load.inertia": [0.0], "load.mass1": [0.0], "load.mass2": [0.0]}, 0, "inertia is 0"),
 ]
 

@@ -162,7 +162,7 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("208 mm", "208", "joint.connector_length", "'208' has no unit; write it like '208 mm'"),
         ("208 mm", "4,5 m", "joint.connector_length", "write it like '4.5 m'"),
         ("208 mm", "208 MM", "joint.connector_length", "unknown unit 'MM'"),
-        ("208 mm", "-1 mm", "joint.connector_length", "outside 0 to 100000 mm"),
+        ("208 mm", "-1 mm", "joint.connector_length", "outside 0 to 10000 mm"),
         ("208 mm", "1e400 m", "joint.connector_length", "not a finite number"),
         ("208 mm", "9**9**9 m", "joint.connector_length", "is not a"),
         ("208 mm", "1 " + "m*" * 2000 + "m", "joint.connector_length", "not a quantity"),

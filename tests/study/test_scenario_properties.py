@@ -111,7 +111,7 @@ def scenarios(draw) -> Scenario:
             "angle": draw(signal(KINDS["Angle"])),
             "stiffness": draw(signal(KINDS["Stiffness"])),
         },
-        "valve": draw(st.none() | st.fixed_dictionaries({"time_constant": floats(KINDS["PositiveTime"])})),
+        "valve": draw(st.none() | st.fixed_dictionaries({"time_constant": floats(KINDS["ValveTime"])})),
         "load": {"from": "knee-table-2", "mass2": draw(floats(KINDS["Mass"])), "hanging": draw(st.booleans())},
         "start": {"angle": draw(floats(KINDS["Angle"]))},
         "control_period": period,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from importlib import resources
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 from mckibben import plant
 from mckibben.catalog import FOLDER, find
@@ -12,6 +12,7 @@ from mckibben.config.schema import model_of
 from mckibben.joint import AntagonisticJoint, KneeGeometry, KneeLoad
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance
+from mckibben.numerics.component import field_quantities
 from mckibben.plant import AirValve
 from mckibben.units import quantity
 
@@ -101,8 +102,7 @@ def leg_section(name: str) -> dict[str, Any]:
 
 def _quantities(kind: type, entry: dict[str, Any]) -> dict[str, Any]:
     """Fields of a class with the unit of each, in SI."""
-    hints = get_type_hints(kind, include_extras=True).items()
-    return {name: mark.read(entry[name]) for name, hint in hints for mark in getattr(hint, "__metadata__", ())}
+    return {name: mark.read(entry[name]) for name, mark in field_quantities(kind).items()}
 
 
 def _domain(entry: dict[str, Any]) -> Domain:

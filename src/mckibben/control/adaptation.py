@@ -7,7 +7,6 @@ from collections.abc import Callable
 from numbers import Real
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -18,7 +17,7 @@ from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import scaled_law
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import Bandwidth, Duration, Mass, PositiveTorque, Share, StrengthSpread
 
@@ -28,7 +27,6 @@ Covariance = tuple[tuple[Scalar, ...], ...]
 _LAGS = 3
 _SETTLING = 8.0  # time constants of the filter: until the noise of the first sample has decayed
 _BOUND = 3.0  # prior standard deviations that limit an estimate
-_WIDEST = 0.3  # of a spread: three of them leave a muscle some strength
 
 
 class AdaptationState(NamedTuple):
@@ -45,7 +43,7 @@ class AdaptationState(NamedTuple):
     age: Scalar  # time since the start, in time constants of the filter
 
 
-class LawAdaptation(eqx.Module):
+class LawAdaptation(Component):
     r"""Recursive least squares on measured pressures and motion.
 
     The equation of motion (Eq. 6) is linear in the muscles' strengths s, an unknown mass of the load and the magnitude
@@ -92,16 +90,6 @@ class LawAdaptation(eqx.Module):
     torque_error: PositiveTorque = 0.05
     bandwidth: Bandwidth = 30.0
     drift_time: Duration | None = None
-
-    def __check_init__(self) -> None:
-        check_positive("LawAdaptation", strength_spread=self.strength_spread)
-        check_within("LawAdaptation", 0.0, _WIDEST, strength_spread=self.strength_spread)
-        check_positive("LawAdaptation", "kg", zero=True, mass_spread=self.mass_spread)
-        check_positive("LawAdaptation", zero=True, friction_spread=self.friction_spread)
-        check_positive("LawAdaptation", "N*m", torque_error=self.torque_error)
-        check_positive("LawAdaptation", "rad/s", bandwidth=self.bandwidth)
-        if self.drift_time is not None:
-            check_positive("LawAdaptation", "s", drift_time=self.drift_time)
 
     def check_load(self, load: Load) -> None:
         """Raise `RangeError` if the mass is to be estimated of a load that has none among its parameters."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
 from mckibben.units import Count, Momentum, PressureRate, Rate, Ratio, Seed
 
@@ -98,16 +98,8 @@ class BackpropPID(Loop):
     seed: Seed | Int[Array, ""] = eqx.field(kw_only=True, default=0)
 
     def __check_init__(self) -> None:
-        check_positive(
-            "BackpropPID",
-            signal_scale=self.signal_scale,
-            error_scale=self.error_scale,
-            output_scale=self.output_scale,
-            hidden=self.hidden,
-        )
-        check_positive("BackpropPID", zero=True, learning_rate=self.learning_rate)
-        check_within("BackpropPID", 0.0, 0.999999, momentum=self.momentum)
-        check_within("BackpropPID", 1.0, 1e6, gain_ratio=self.gain_ratio)
+        super().__check_init__()
+        check_positive("BackpropPID", signal_scale=self.signal_scale, error_scale=self.error_scale)
 
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.reference import Signal, as_signal
+from mckibben.control.reference import as_signal
 from mckibben.joint import Measurement
-from mckibben.notebook import Displayed
+from mckibben.numerics.component import Component
 
 Scalar = Float[Array, ""]
 
@@ -22,18 +22,18 @@ class Setpoint(NamedTuple):
     stiffness: Scalar
 
 
-class Reference(eqx.Module, Displayed):
+class Reference(Component):
     """Reference of the joint's angle [rad] and stiffness [N*m/rad] over time; a plain number is a constant."""
 
-    angle: Signal = eqx.field(converter=as_signal)
-    stiffness: Signal = eqx.field(converter=as_signal)
+    angle: Any = eqx.field(converter=as_signal)  # a signal, or another function of time by `jax.numpy`
+    stiffness: Any = eqx.field(converter=as_signal)
 
     def __call__(self, time: ArrayLike) -> Setpoint:
         """Setpoint at each time [s]."""
         return Setpoint(self.angle(time), self.stiffness(time))
 
 
-class Controller(eqx.Module, Displayed):
+class Controller(Component):
     """Interface from measurements to pressure commands.
 
     A controller may hold a model of the joint, never the plant. The simulation owns time: it calls `init` once and
@@ -61,7 +61,7 @@ class Controller(eqx.Module, Displayed):
         """
 
 
-class Loop(eqx.Module, Displayed):
+class Loop(Component):
     """Scalar feedback loop, a part of a controller."""
 
     @abc.abstractmethod

@@ -22,7 +22,6 @@ from mckibben.control.observer import Observer, PressureObserver, lag_fraction
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
 
@@ -95,9 +94,6 @@ class DecouplingControl(ModelBasedControl):
     feedback: Feedback
     observer: Observer
     pressure_observer: PressureObserver = PressureObserver()
-
-    def __check_init__(self) -> None:
-        check_kind("DecouplingControl", feedback=(self.feedback, Feedback))
 
     @property
     def observers(self) -> tuple[Observer, PressureObserver]:

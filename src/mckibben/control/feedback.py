@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, PositiveRate
 
@@ -16,7 +16,7 @@ from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, Positive
 Scalar = Float[Array, ""]
 
 
-class Feedback(eqx.Module):
+class Feedback(Component):
     r"""Outer loop of a linearised joint, :math:`\ddot\theta = a`, whose acceleration lags its command a_c.
 
     .. math:: T \dot a + a = a_c, \quad T = \mathrm{lag}\,[s]
@@ -57,10 +57,6 @@ class PolePlacement(Feedback):
     bandwidth: Bandwidth = 80.0
     integral: bool = eqx.field(static=True, default=False)
     damping: PoleDamping = 3.0
-
-    def __check_init__(self) -> None:
-        check_positive("PolePlacement", "rad/s", bandwidth=self.bandwidth)
-        check_within("PolePlacement", 2.0, 3.0, damping=self.damping)
 
     @property
     def lag(self) -> Any:
@@ -106,10 +102,6 @@ class SlidingMode(Feedback):
 
     slope: PositiveRate = 40.0
     reach: AngularAcceleration = 250.0
-
-    def __check_init__(self) -> None:
-        check_positive("SlidingMode", "1/s", slope=self.slope)
-        check_positive("SlidingMode", "rad/s^2", reach=self.reach)
 
     @property
     def lag(self) -> Any:

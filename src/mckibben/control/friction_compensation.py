@@ -14,7 +14,6 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import MuscleStates
 from mckibben.numerics.calculus import derivative
-from mckibben.numerics.checks import check_kind
 
 Scalar = Float[Array, ""]
 
@@ -44,9 +43,7 @@ class FrictionCompensation(Controller):
     model: AntagonisticJoint = eqx.field(kw_only=True)
 
     def __check_init__(self) -> None:
-        check_kind(
-            "FrictionCompensation", controller=(self.controller, Controller), model=(self.model, AntagonisticJoint)
-        )
+        super().__check_init__()
         if not self.model.has_friction:
             raise RangeError(
                 "FrictionCompensation: no muscle of its model has friction",

@@ -17,7 +17,6 @@ from mckibben.control.reference import ReferenceDerivatives
 from mckibben.joint import Load
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import (
@@ -147,24 +146,6 @@ class InverseModelControl(Controller):
     stiffness_scale: StiffnessScale = eqx.field(kw_only=True, default=3.0)
     pressure_scale: PressureScale = eqx.field(kw_only=True, default=1e5)
     seed: Seed | Int[Array, ""] = eqx.field(kw_only=True, default=0)
-
-    def __check_init__(self) -> None:
-        owner = "InverseModelControl"
-        check_kind(owner, loops=(self.loops, PositionStiffnessControl))
-        if self.load is not None:
-            check_kind(owner, load=(self.load, Load))
-        check_positive(owner, "1/s", zero=True, learning_rate=self.learning_rate)
-        check_positive(owner, "s", zero=True, valve_time_constant=self.valve_time_constant)
-        check_positive(
-            owner,
-            filter_bandwidth=self.filter_bandwidth,
-            angle_scale=self.angle_scale,
-            velocity_scale=self.velocity_scale,
-            acceleration_scale=self.acceleration_scale,
-            stiffness_scale=self.stiffness_scale,
-            pressure_scale=self.pressure_scale,
-            hidden=self.hidden,
-        )
 
     @property
     def minimum_tension(self) -> float | None:

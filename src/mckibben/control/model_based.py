@@ -19,7 +19,6 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import floating
 from mckibben.units import AngleScale, Force, ShortTime
 
@@ -56,32 +55,19 @@ class ModelBasedControl(Controller):
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         name = type(self).__name__
-        observer, pressure_observer = self.observers
-        check_kind(
-            name,
-            model=(self.model, AntagonisticJoint),
-            load=(self.load, Load),
-            observer=(observer, Observer),
-            pressure_observer=(pressure_observer, PressureObserver),
-        )
         if self.adaptation is not None:
-            check_kind(name, adaptation=(self.adaptation, LawAdaptation))
             self.adaptation.check_load(self.load)
-        check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
-        if self.valve_adaptation is not None:
-            check_kind(name, valve_adaptation=(self.valve_adaptation, ValveAdaptation))
-            if isinstance(self.valve_time_constant, Real) and self.valve_time_constant == 0:
-                raise RangeError(
-                    f"{name}: valve_time_constant is 0: there is no lag for valve_adaptation to estimate",
-                    field="valve_time_constant",
-                    value=self.valve_time_constant,
-                    unit="s",
-                    remedy="give that of the model above 0, or leave valve_adaptation out",
-                )
-        check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
-        if self.stiffness_amplitude is not None:
-            check_positive(name, "rad", stiffness_amplitude=self.stiffness_amplitude)
+        unlagged = isinstance(self.valve_time_constant, Real) and self.valve_time_constant == 0
+        if self.valve_adaptation is not None and unlagged:
+            raise RangeError(
+                f"{name}: valve_time_constant is 0: there is no lag for valve_adaptation to estimate",
+                field="valve_time_constant",
+                value=self.valve_time_constant,
+                unit="s",
+                remedy="give that of the model above 0, or leave valve_adaptation out",
+            )
         if self.friction_compensation and not self.model.has_friction:
             raise RangeError(
                 f"{name}: no muscle of its model has friction to compensate",

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import abc
 import math
-from numbers import Real
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp, floating, sincos
-from mckibben.units import Bandwidth, PoleDamping
+from mckibben.units import Bandwidth, PoleDamping, Quantity
 
 Scalar = Float[Array, ""]
 
@@ -44,7 +42,7 @@ class MotionEstimate(NamedTuple):
         return self.known + self.disturbance
 
 
-class Observer(eqx.Module):
+class Observer(Component):
     r"""Observer of the motion from the measured angle and the acceleration by a model.
 
     Prediction at constant acceleration between two samples, then correction by the innovation of the angle.
@@ -94,9 +92,6 @@ class VelocityObserver(Observer):
 
     bandwidth: Bandwidth = 250.0
 
-    def __check_init__(self) -> None:
-        check_positive("VelocityObserver", "rad/s", bandwidth=self.bandwidth)
-
     def gains(self, period: ArrayLike) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
         pole = exp(-jnp.asarray(self.bandwidth) * period)
         return 1 - pole**2, (1 - pole) ** 2 / period, 0.0
@@ -131,10 +126,6 @@ class ExtendedStateObserver(Observer):
     bandwidth: Bandwidth = 250.0
     damping: PoleDamping = 3.0
 
-    def __check_init__(self) -> None:
-        check_positive("ExtendedStateObserver", "rad/s", bandwidth=self.bandwidth)
-        check_within("ExtendedStateObserver", 2.0, 3.0, damping=self.damping)
-
     def gains(self, period: ArrayLike) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
         angle = jnp.asarray(self.bandwidth) * period
         real = (jnp.asarray(self.damping) - 1) / 2  # of the pair of poles, over the bandwidth
@@ -146,7 +137,10 @@ class ExtendedStateObserver(Observer):
         return 1 - pole * radius**2, velocity_gain, (1 - pole) * distance_sq / period**2
 
 
-class PressureObserver(eqx.Module):
+SensorBandwidth = Annotated[float, Quantity("rad/s", "rad/s", 0, math.inf, open_lower=True)]
+
+
+class PressureObserver(Component):
     r"""Observer of the pressures, by a first-order model of the valves.
 
     .. math:: \hat p^- = \hat p + (1 - e^{-h/\tau_v}) (p_{command} - \hat p), \quad
@@ -156,11 +150,7 @@ class PressureObserver(eqx.Module):
     omega_p [rad/s], infinite for no filter.
     """
 
-    bandwidth: Bandwidth = 200.0
-
-    def __check_init__(self) -> None:
-        if not (isinstance(self.bandwidth, Real) and math.isinf(self.bandwidth)):
-            check_positive("PressureObserver", "rad/s", bandwidth=self.bandwidth)
+    bandwidth: SensorBandwidth = 200.0
 
     def step(
         self, pressures: Pair, commands: Pair, measured: Pair, valve_fraction: ArrayLike, period: ArrayLike

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Loop
-from mckibben.numerics.checks import check_number, check_positive
+from mckibben.numerics.checks import check_number
 from mckibben.numerics.elementary import floating
 from mckibben.units import ShortTime
 
@@ -61,7 +61,7 @@ class PID(Loop):
     derivative_on_error: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
-        check_positive("PID", "s", zero=True, filter_time=self.filter_time, tracking_time=self.tracking_time)
+        super().__check_init__()
         check_number("PID", kp=self.kp, ki=self.ki, kd=self.kd)
 
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:

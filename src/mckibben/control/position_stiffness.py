@@ -13,8 +13,7 @@ from mckibben.control.base import Controller, Loop, Measurement, Setpoint
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative
-from mckibben.numerics.checks import check_kind, check_positive
-from mckibben.units import AngleScale
+from mckibben.units import AngleScale, Tension
 
 Scalar = Float[Array, ""]
 
@@ -61,20 +60,8 @@ class PositionStiffnessControl(Controller):
     position: Loop
     stiffness: Loop
     model: AntagonisticJoint = eqx.field(kw_only=True)
-    minimum_tension: float | None = eqx.field(kw_only=True, default=None)
+    minimum_tension: Tension | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
-
-    def __check_init__(self) -> None:
-        check_kind(
-            "PositionStiffnessControl",
-            position=(self.position, Loop),
-            stiffness=(self.stiffness, Loop),
-            model=(self.model, AntagonisticJoint),
-        )
-        if self.minimum_tension is not None:
-            check_positive("PositionStiffnessControl", "N", minimum_tension=self.minimum_tension)
-        if self.stiffness_amplitude is not None:
-            check_positive("PositionStiffnessControl", "rad", stiffness_amplitude=self.stiffness_amplitude)
 
     def init(self, measurement: Measurement) -> PositionStiffnessState:
         return self.init_with(None, measurement)

@@ -20,7 +20,6 @@ from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative, value_and_derivative
-from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
 from mckibben.units import AngleScale, Bandwidth, Count, Iterations, PoleDamping, PositiveTime, StiffnessScale, bar, deg
@@ -106,15 +105,6 @@ class PredictiveControl(ModelBasedControl):
     horizon: PositiveTime = eqx.field(kw_only=True, default=0.06)
     stages: Count = eqx.field(kw_only=True, static=True, default=12)
     iterations: Iterations = eqx.field(kw_only=True, static=True, default=1)
-
-    def __check_init__(self) -> None:
-        name = "PredictiveControl"
-        check_positive(name, "rad/s", bandwidth=self.bandwidth, stiffness_bandwidth=self.stiffness_bandwidth)
-        check_within(name, 2.0, 3.0, damping=self.damping)
-        check_positive(name, "rad", angle_scale=self.angle_scale)
-        check_positive(name, "N*m/rad", stiffness_scale=self.stiffness_scale)
-        check_positive(name, "s", horizon=self.horizon)
-        check_positive(name, stages=self.stages, iterations=self.iterations)
 
     @property
     def observers(self) -> tuple[Observer, PressureObserver]:

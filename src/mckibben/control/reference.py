@@ -15,12 +15,13 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating, sin
 from mckibben.units import Duration, Frequency, Instant, Phase, PositiveTime, Seed, SignalValue
 
 
-class Signal(eqx.Module):
+class Signal(Component):
     """Quantity over time [s], in SI."""
 
     @abc.abstractmethod
@@ -60,9 +61,6 @@ class Ramp(Signal):
     start: Instant
     duration: Duration
 
-    def __check_init__(self) -> None:
-        check_positive("Ramp", "s", duration=self.duration)
-
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         part = jnp.clip((floating(time) - self.start) / self.duration, 0.0, 1.0)
         return self.before + (jnp.asarray(self.after) - self.before) * part
@@ -87,7 +85,7 @@ class RandomSteps(Signal):
     seed: Seed = 0
 
     def __check_init__(self) -> None:
-        check_positive("RandomSteps", "s", dwell=self.dwell)
+        super().__check_init__()
         if isinstance(self.dwell, Real) and isinstance(self.longest_dwell, Real):
             check_within("RandomSteps", self.dwell, math.inf, "s", longest_dwell=self.longest_dwell)
 

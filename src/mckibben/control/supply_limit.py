@@ -16,7 +16,7 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import Domain
-from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.checks import check_kind
 from mckibben.units import PositiveTime, PressureRate, ShortTime, bar
 
 Scalar = Float[Array, ""]
@@ -66,10 +66,8 @@ class SupplyLimit(Controller):
     recovery: PressureRate = eqx.field(kw_only=True, default=0.2 * bar)
 
     def __check_init__(self) -> None:
-        check_kind("SupplyLimit", controller=(self.controller, Controller), model=(self._model, AntagonisticJoint))
-        check_positive("SupplyLimit", "s", zero=True, valve_time_constant=self.valve_time_constant)
-        check_positive("SupplyLimit", "s", time_constant=self.time_constant)
-        check_positive("SupplyLimit", "Pa/s", recovery=self.recovery)
+        super().__check_init__()
+        check_kind("SupplyLimit", "model", self._model, AntagonisticJoint)
 
     def init(self, measurement: Measurement) -> SupplyLimitState:
         pressures = measurement.pressures

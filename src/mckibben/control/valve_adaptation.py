@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.observer import lag_fraction, lagged
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import PositiveTime, PressureScale, TimeConstantSpread
 
@@ -36,7 +35,7 @@ class ValveAdaptationState(NamedTuple):
     age: Scalar  # time since the start [s]
 
 
-class ValveAdaptation(eqx.Module):
+class ValveAdaptation(Component):
     r"""Estimate of the time constant of the valves by a bank of models.
 
     Nine first-order lags, whose time constants :math:`\tau_j` lie up to three prior standard deviations from the
@@ -80,12 +79,6 @@ class ValveAdaptation(eqx.Module):
     time_constant_spread: TimeConstantSpread = 0.5
     pressure_error: PressureScale = 5000.0
     memory: PositiveTime = 10.0
-
-    def __check_init__(self) -> None:
-        check_positive("ValveAdaptation", time_constant_spread=self.time_constant_spread)
-        check_within("ValveAdaptation", 0.0, 0.6, time_constant_spread=self.time_constant_spread)
-        check_positive("ValveAdaptation", "Pa", pressure_error=self.pressure_error)
-        check_positive("ValveAdaptation", "s", memory=self.memory)
 
     def init(self, time_constant: ArrayLike, pressures: Pair) -> ValveAdaptationState:
         """Prior about the time constant [s] of the model, at measured pressures [Pa]."""

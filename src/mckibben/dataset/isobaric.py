@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.plausibility import check_pressures
 from mckibben.dataset.schema import (
     VARIABLES,
     assemble,
@@ -173,6 +174,9 @@ class IsobaricDataset:
             "pressure_samples": pressure_samples,
         }
         table, problems = assemble(variables, VARIABLES)
+        highest = 0.0 if problems else float(table["pressure"].to_numpy().max(initial=0.0))
+        if highest < 1 * bar:  # those of `read_dataset` are checked further
+            problems += [problem for problem, impossible in check_pressures(highest) if impossible]
         if problems:
             raise DatasetError("dataset", problems)
         return cls(

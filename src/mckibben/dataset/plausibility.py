@@ -29,7 +29,10 @@ _FIRST = 0.1  # least contraction of a test that begins near the initial length
 _COPIED = 4  # rows in the same order as before that are copies
 _SMALL_FORCE = 0.05  # of the largest one
 _LENGTH = "check initial_length (command line: --initial-length)"
-_UNIT = "check the unit of the column, and give the right one: columns={...} (command line: --column 'HEADER=NAME')"
+_UNIT = (
+    "check the unit: arrays are in SI, and columns={...} gives that of a file's column (command line: "
+    "--column 'HEADER=NAME')"
+)
 
 
 class Findings(NamedTuple):
@@ -56,7 +59,7 @@ def check_points(
         for problem, impossible in (
             *found,
             *_contractions(contraction, force > slack_force, initial_length),
-            *_pressures(float(pressure.max())),
+            *check_pressures(float(pressure.max())),
             *_forces(pressure, force, specimen),
             *_copies(np.column_stack([pressure, contraction, force])),
         ):
@@ -97,7 +100,8 @@ def _contractions(
         yield Problem(text, field="contraction", remedy=f"{_LENGTH}, and the unit"), high > _SHORTEST
 
 
-def _pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
+def check_pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
+    """Unusual highest pressure [Pa], and whether it is impossible."""
     lowest, least, most, limit = _PRESSURES
     if highest > 0 and not least <= highest <= most:
         text = f"the highest pressure is {highest / bar:.3g} bar, and pneumatic muscles are tested at 1 to 8 bar"

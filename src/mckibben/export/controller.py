@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,10 +19,10 @@ from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.component import field_quantities
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.problem import sampled
 from mckibben.study.scenario import Scenario
-from mckibben.units import Quantity
 
 UNITS = {
     "parameters.control_period": "s",
@@ -184,28 +184,20 @@ def units_of(tree: Any, prefix: str) -> dict[str, str]:
 
 def _units(tree: Any, path: str) -> Iterator[tuple[str, str]]:
     """Path and unit of each field below."""
-    hints: dict[str, Any]
     parts: dict[str, Any]
+    units: dict[str, str] = {}
     if isinstance(tree, dict):
-        parts, hints = tree, {}
+        parts = tree
     elif isinstance(tree, tuple | list):
-        parts, hints = {str(number): one for number, one in enumerate(tree)}, {}
+        parts = {str(number): one for number, one in enumerate(tree)}
     elif dataclasses.is_dataclass(tree):
         parts = {field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)}
-        hints = get_type_hints(type(tree), include_extras=True)
+        units = {name: mark.unit for name, mark in field_quantities(type(tree)).items()}
         if isinstance(tree, ForceLaw):
-            known = (*tree.linear_parameters, *tree.shape_parameters)
-            hints |= {one.name: Annotated[float, Quantity(one.unit)] for one in known}
+            units |= {one.name: one.unit for one in tree.parameters()}
     else:
         return
     for name, part in parts.items():
         here = f"{path}.{name}" if path else name
-        yield here, _unit(hints.get(name))
+        yield here, units.get(name, "")
         yield from _units(part, here)
-
-
-def _unit(hint: Any) -> str:
-    """Unit in a type hint."""
-    if get_origin(hint) is Annotated:
-        return next((mark.unit for mark in get_args(hint)[1:] if isinstance(mark, Quantity)), "")
-    return next(filter(None, map(_unit, get_args(hint))), "")

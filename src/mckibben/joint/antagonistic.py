@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
@@ -15,10 +14,10 @@ from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.muscle import warn_outside
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
-from mckibben.numerics.checks import check_kind, check_positive, check_within
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.compiled import compiled_alone, computed_once
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 
 MuscleStates = tuple[MuscleState, MuscleState]
@@ -86,7 +85,7 @@ class MuscleForces(NamedTuple):
     contractions: Pair
 
 
-class AntagonisticJoint(eqx.Module, Displayed):
+class AntagonisticJoint(Component):
     """A joint actuated by two antagonistic muscles.
 
     In all methods `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
@@ -108,13 +107,7 @@ class AntagonisticJoint(eqx.Module, Displayed):
     tendon: Tendon = RigidTendon()
 
     def __check_init__(self) -> None:
-        check_kind(
-            "AntagonisticJoint",
-            geometry=(self.geometry, Geometry),
-            muscle1=(self.muscle1, Muscle),
-            muscle2=(self.muscle2, Muscle),
-            tendon=(self.tendon, Tendon),
-        )
+        super().__check_init__()
         if all(self.springs):
             raise RangeError("AntagonisticJoint: two springs and no muscle", remedy="make one of them a muscle")
         for muscle in (self.muscle1, self.muscle2):

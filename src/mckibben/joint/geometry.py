@@ -6,14 +6,13 @@ import abc
 import math
 from numbers import Real
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.compiled import compiled_alone
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import sincos
 from mckibben.units import Angle, Distance, Length, Strength
 
@@ -27,10 +26,7 @@ Pressures = tuple[ArrayLike, ArrayLike]
 """Gauge pressures (p1, p2) [Pa]; each a number or an array."""
 
 
-_LONGEST = 10.0  # m: a longer joint is taken for one in millimetres
-
-
-class Geometry(eqx.Module, Displayed):
+class Geometry(Component):
     """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
 
     @property
@@ -86,8 +82,7 @@ class KneeGeometry(Geometry):
     connector_length: Distance
 
     def __check_init__(self) -> None:
-        check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)
-        check_within("KneeGeometry", 0.0, _LONGEST, "m", joint_length=self.joint_length)
+        super().__check_init__()
         plain = all(isinstance(x, Real) for x in (self.joint_length, self.joint_radius))
         longest = self.joint_length - self.joint_radius if plain else math.inf
         check_within("KneeGeometry", 0.0, longest, "m", connector_length=self.connector_length)
@@ -134,9 +129,6 @@ class ScaledArms(Geometry):
     geometry: Geometry
     scale: Strength
     angle: Angle = 0.0
-
-    def __check_init__(self) -> None:
-        check_positive("ScaledArms", "1", scale=self.scale)
 
     @property
     def angle_range(self) -> tuple[float, float]:

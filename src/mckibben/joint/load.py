@@ -9,8 +9,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import sincos
 from mckibben.units import (
     Angle,
@@ -28,7 +28,7 @@ from mckibben.units import (
 _GRAVITY = 9.81  # m/s^2
 
 
-class Load(eqx.Module, Displayed):
+class Load(Component):
     r"""A load with inertia, viscous damping and the gravity of a pendulum (Eq. 6).
 
     .. math:: I\ddot\theta + c\dot\theta = \tau + G \sin(\theta_h - \theta)
@@ -137,15 +137,12 @@ class KneeLoad(Load):
     hanging: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self) -> None:
-        check_positive("KneeLoad", "kg", zero=True, mass1=self.mass1, mass2=self.mass2)
-        check_positive("KneeLoad", "m", zero=True, distance1=self.distance1, distance2=self.distance2)
-        check_positive("KneeLoad", "kg*m^2", zero=True, inertia=self.inertia)
+        super().__check_init__()
         try:
             total = self.total_inertia
         except ValueError:  # arrays of different lengths, which are refused where runs are told apart
             return
         check_positive("KneeLoad", "kg*m^2", total_inertia=total)
-        check_positive("KneeLoad", "N*m*s/rad", zero=True, damping=self.damping)
 
     @property
     def total_inertia(self) -> Float[Array, ""]:
@@ -191,11 +188,6 @@ class PendulumLoad(Load):
     hanging_angle: Angle = 0.0
     gravity: Gravity = 9.81
 
-    def __check_init__(self) -> None:
-        check_positive("PendulumLoad", "kg", mass=self.mass)
-        check_positive("PendulumLoad", "m", length=self.length)
-        check_positive("PendulumLoad", "N*m*s/rad", zero=True, damping=self.damping)
-
     @property
     def total_inertia(self) -> Float[Array, ""]:
         """I [kg*m^2] about the axis."""
@@ -231,10 +223,6 @@ class GeneralLoad(Load):
     greatest_gravity_torque: Torque
     damping: Damping = 0.0
     hanging_angle: Angle = 0.0
-
-    def __check_init__(self) -> None:
-        check_positive("GeneralLoad", "kg*m^2", inertia=self.inertia)
-        check_positive("GeneralLoad", "N*m*s/rad", zero=True, damping=self.damping)
 
     @property
     def total_inertia(self) -> Float[Array, ""]:

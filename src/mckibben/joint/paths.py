@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint.geometry import Ends, Geometry, Pair
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating, sincos
 from mckibben.units import COMPONENT, Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, deg, mm
 
@@ -32,7 +32,7 @@ _SPARE = 2  # points of a table beyond the coefficients
 _ROUGH = 0.05  # error of a table, of the range of its lengths or of its largest arm
 
 
-class MusclePath(eqx.Module, Displayed):
+class MusclePath(Component):
     """Length of a muscle, with what is in series with it, over the joint angle."""
 
     @abc.abstractmethod
@@ -61,9 +61,6 @@ class Pulley(MusclePath):
     radius: Length
     rest_length: Length
 
-    def __check_init__(self) -> None:
-        check_positive("Pulley", "m", radius=self.radius, rest_length=self.rest_length)
-
     def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
         return self.rest_length + side * self.radius * floating(angle)
 
@@ -83,9 +80,6 @@ class Cam(MusclePath):
     rest_length: Length
     arm_slope: ArmSlope = 0.0
     arm_curvature: ArmCurvature = 0.0
-
-    def __check_init__(self) -> None:
-        check_positive("Cam", "m", arm=self.arm, rest_length=self.rest_length)
 
     def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
         x = floating(angle)
@@ -113,6 +107,7 @@ class TwoBonePath(MusclePath):
     connector_length: Distance = 0.0
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         values = (self.proximal_x, self.proximal_y, self.distal_x, self.distal_y, self.connector_length)
         if all(isinstance(value, Real) for value in values):
             closest = abs(math.hypot(*values[:2]) - math.hypot(*values[2:4]))
@@ -250,6 +245,7 @@ class PairedPaths(Geometry):
     path2: Annotated[MusclePath, COMPONENT]
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         low, high = self.angle_range
         if low >= high:
             raise RangeError("the tables of the two muscles have no angle in common", remedy="measure the same angles")

@@ -5,19 +5,18 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle import NO_STATE, Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import Distance, Force, SpringRate
 
 
-class Tendon(eqx.Module):
+class Tendon(Component):
     """Elastic element in series with a muscle: path = muscle length + extension, at one tension."""
 
     @abc.abstractmethod
@@ -71,11 +70,6 @@ class SeriesSpring(Tendon):
     stiffness: SpringRate
     preload: Force
     travel: Distance
-
-    def __check_init__(self) -> None:
-        check_positive("SeriesSpring", "N/m", stiffness=self.stiffness)
-        check_positive("SeriesSpring", "N", zero=True, preload=self.preload)
-        check_positive("SeriesSpring", "m", zero=True, travel=self.travel)
 
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.clip((jnp.asarray(tension) - self.preload) / self.stiffness, 0.0, self.travel)

@@ -16,8 +16,7 @@ from mckibben.control import Controller, Reference
 from mckibben.control.base import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
-from mckibben.notebook import Displayed
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp
 from mckibben.units import COMPONENT, Force, Instant, PositiveTime, Pressure, ShortTime, ms
 
@@ -33,7 +32,7 @@ class LegMeasurement(NamedTuple):
     ground_force: Scalar
 
 
-class LegController(eqx.Module, Displayed):
+class LegController(Component):
     """Interface from measurements to pressure commands of all muscles."""
 
     @abc.abstractmethod
@@ -74,6 +73,7 @@ class PressureSchedule(LegController):
     switches: tuple[tuple[Instant, ...], ...] = ()
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         times = self.switches or ((),) * len(self.levels)
         if len(times) != len(self.levels):
             raise RangeError(
@@ -112,7 +112,7 @@ class PressureSchedule(LegController):
         return (), tuple(commands)
 
 
-class LegReference(eqx.Module, Displayed):
+class LegReference(Component):
     """Interface from measurements to the setpoints of all joints."""
 
     @abc.abstractmethod
@@ -186,8 +186,7 @@ class PhasedReference(LegReference):
     extensor: int = eqx.field(static=True, default=-1)
 
     def __check_init__(self) -> None:
-        check_positive("PhasedReference", "N", threshold=self.threshold)
-        check_positive("PhasedReference", "s", lag=self.lag)
+        super().__check_init__()
         counts = {len(phase) for phase in (self.flight, self.touchdown, self.stance, self.push_off)}
         if len(counts) != 1:
             raise RangeError(

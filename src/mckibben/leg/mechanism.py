@@ -14,9 +14,9 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.errors import McKibbenError, RangeError, quoted
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
 from mckibben.muscle import Muscle
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.units import (
     COMPONENT,
     Angle,
@@ -39,7 +39,7 @@ Action = Literal["lengthens", "shortens"]
 """Change of a muscle's path as the angle of a joint increases."""
 
 
-class Trunk(eqx.Module, Displayed):
+class Trunk(Component):
     """Body above the hip.
 
     Parameters
@@ -58,8 +58,7 @@ class Trunk(eqx.Module, Displayed):
     freedom: Freedom = eqx.field(static=True, default="vertical")
 
     def __check_init__(self) -> None:
-        check_positive("Trunk", "kg", mass=self.mass)
-        check_positive("Trunk", "kg*m^2", zero=True, inertia=self.inertia)
+        super().__check_init__()
         if self.freedom not in get_args(Freedom):
             raise RangeError(
                 f"Trunk: freedom is {self.freedom!r}",
@@ -71,7 +70,7 @@ class Trunk(eqx.Module, Displayed):
             check_positive("Trunk", "kg*m^2", inertia=self.inertia)
 
 
-class Link(eqx.Module, Displayed):
+class Link(Component):
     """Rigid link between two joints, or of the foot.
 
     Parameters
@@ -90,15 +89,12 @@ class Link(eqx.Module, Displayed):
     inertia: Inertia
 
     def __check_init__(self) -> None:
-        check_positive("Link", "m", length=self.length)
-        check_positive("Link", "kg", mass=self.mass)
-        check_positive("Link", "m", zero=True, centre=self.centre)
-        check_positive("Link", "kg*m^2", zero=True, inertia=self.inertia)
+        super().__check_init__()
         if all(isinstance(one, Real) for one in (self.mass, self.centre, self.inertia)):
             check_positive("Link", "kg*m^2", inertia_about_joint=self.inertia + self.mass * self.centre**2)
 
 
-class LegJoint(eqx.Module, Displayed):
+class LegJoint(Component):
     """Hinge with two muscles between a link and the one above it.
 
     Parameters
@@ -133,10 +129,7 @@ class LegJoint(eqx.Module, Displayed):
     name: str = eqx.field(static=True, default="joint")
 
     def __check_init__(self) -> None:
-        check_kind("LegJoint", muscles=(self.muscles, AntagonisticJoint))
-        check_positive("LegJoint", "N*m*s/rad", zero=True, damping=self.damping)
-        check_positive("LegJoint", "N*m/rad", stop_stiffness=self.stop_stiffness)
-        check_positive("LegJoint", "s/rad", zero=True, stop_damping=self.stop_damping)
+        super().__check_init__()
         if not all(isinstance(one, Real) for one in (self.lower, self.upper)):
             return
         if not self.lower < self.upper:
@@ -166,7 +159,7 @@ class LegJoint(eqx.Module, Displayed):
         return 1 if self.forward else -1
 
 
-class BiarticularMuscle(eqx.Module, Displayed):
+class BiarticularMuscle(Component):
     """Muscle over two joints, through a point of the link between them: its length is the sum of two paths.
 
     Parameters
@@ -191,8 +184,7 @@ class BiarticularMuscle(eqx.Module, Displayed):
     name: str = eqx.field(static=True, default="biarticular")
 
     def __check_init__(self) -> None:
-        check_kind("BiarticularMuscle", muscle=(self.muscle, Muscle), path1=(self.path1, MusclePath))
-        check_kind("BiarticularMuscle", path2=(self.path2, MusclePath))
+        super().__check_init__()
         for field in ("action1", "action2"):
             if getattr(self, field) not in get_args(Action):
                 raise RangeError(
@@ -226,7 +218,7 @@ class RoutedMuscle(NamedTuple):
     slopes: dict[int, Array]
 
 
-class Leg(eqx.Module, Displayed):
+class Leg(Component):
     """Planar leg: a trunk, and a chain of links, each on a joint with two muscles.
 
     The plane is that of walking: x forwards, z up. A link with the angle 0 hangs below the one above. All sequences
@@ -259,7 +251,7 @@ class Leg(eqx.Module, Displayed):
     side_swing: LegJoint | None = None
 
     def __check_init__(self) -> None:
-        check_positive("Leg", "m", zero=True, foot_radius=self.foot_radius)
+        super().__check_init__()
         if len(self.links) != len(self.joints) or not self.links:
             raise RangeError(
                 f"a leg of {len(self.links)} links and {len(self.joints)} joints",

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from numbers import Real
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
@@ -16,9 +15,9 @@ from mckibben.joint import RigidTendon
 from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, frames, motion
 from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
 from mckibben.muscle import MuscleState
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import rk4, value_and_derivative
-from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.plant import AirValve, Valve, ValveModel
 from mckibben.plant.air_valve import AirState, AirVolume
@@ -37,7 +36,7 @@ def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, dam
     return jnp.asarray(stiffness) * pressed * jnp.maximum(1 + jnp.asarray(damping) * rate, 0.0)
 
 
-class Ground(eqx.Module, Displayed):
+class Ground(Component):
     """Level ground at the height 0: a compliant contact with friction.
 
     Parameters
@@ -54,12 +53,6 @@ class Ground(eqx.Module, Displayed):
     damping: ContactDamping = 0.5
     friction: Share = 0.8
     slip_speed: Speed = 100 * mm
-
-    def __check_init__(self) -> None:
-        check_positive("Ground", "N/m", stiffness=self.stiffness)
-        check_positive("Ground", "s/m", zero=True, damping=self.damping)
-        check_positive("Ground", "1", zero=True, friction=self.friction)
-        check_positive("Ground", "m/s", slip_speed=self.slip_speed)
 
     def force(self, point: Contact) -> tuple[Array, Array]:
         """Return the force [N] on the foot, forward and up."""
@@ -114,7 +107,7 @@ class LegForces(NamedTuple):
     ground: tuple[Array, Array]
 
 
-class LegPlant(eqx.Module, Displayed):
+class LegPlant(Component):
     """The simulated leg, of bodies, muscles, valves and ground; controllers have no access to it.
 
     Parameters
@@ -129,9 +122,6 @@ class LegPlant(eqx.Module, Displayed):
     valve: ValveModel
     ground: Ground = Ground()
     gravity: Gravity = 9.81
-
-    def __check_init__(self) -> None:
-        check_kind("LegPlant", leg=(self.leg, Leg), valve=(self.valve, ValveModel), ground=(self.ground, Ground))
 
     def __repr__(self) -> str:
         return f"LegPlant({self.leg!r}, {type(self.valve).__name__})"

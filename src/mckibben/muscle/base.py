@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.specimen import Domain
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import bracketed_root, derivative
 from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.units import atm, bar, deg, mm
 
 # No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
@@ -34,7 +34,7 @@ class Parameter:
     penalised: bool = False
 
 
-class ForceLaw(eqx.Module, Displayed):
+class ForceLaw(Component):
     """Static axial force of a muscle as a function of contraction and pressure.
 
     A law is the formula of its source and may be negative where the muscle is slack; `Muscle` clips it. Subclasses

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import BRAID_PARAMETERS, NEUTRAL_ANGLE, PressureAffineLaw, braid_gain
+from mckibben.muscle.base import BRAID_PARAMETERS, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.units import BraidAngle, Diameter
 
 if TYPE_CHECKING:
     from mckibben.muscle.specimen import Specimen
@@ -39,13 +39,9 @@ class ChouLaw(PressureAffineLaw):
     (386.3, 36.3)
     """
 
-    braid_angle: float
-    initial_diameter: float
+    braid_angle: BraidAngle
+    initial_diameter: Diameter
     domain: Domain = Domain()
-
-    def __check_init__(self) -> None:
-        check_within("ChouLaw", 0.01, NEUTRAL_ANGLE, "rad", braid_angle=self.braid_angle)
-        check_positive("ChouLaw", "m", initial_diameter=self.initial_diameter)
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0))"
     source = "Chou and Hannaford 1996; Eq. 1"

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
 from mckibben.muscle.base import ForceLaw, PressureAffineLaw, pressure_for, wrapped_law
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.units import Contraction, ForcePerPressure, SignedForce
 
 
-class ForceCorrection(eqx.Module):
+class ForceCorrection(Component):
     r"""Correction of a muscle's force, affine in pressure and polynomial in contraction.
 
     .. math:: \Delta F = \sum_i o_i v^i + p \sum_i g_i v^i, \quad
@@ -35,7 +34,7 @@ class ForceCorrection(eqx.Module):
     half_width: Contraction
 
     def __check_init__(self) -> None:
-        check_positive("ForceCorrection", "1", half_width=self.half_width)
+        super().__check_init__()
         if len(self.offset) != len(self.gain) or not self.offset:
             raise RangeError(
                 f"ForceCorrection: {len(self.offset)} offsets and {len(self.gain)} gains", remedy="give as many of each"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,19 +11,19 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
-from mckibben.units import CreepTime, SpringRate
+from mckibben.units import Quantity, SpringRate
 
 CreepState = tuple[Array, ...]
 """Force [N] in each Maxwell arm."""
 
-_ARMS = range(1, 9)
-_TIMES = (0.01, 1e7)  # s: a shorter time constant is viscous friction, a longer one a spring
+_ARMS = 1, 8
 _DECADE = 10.0
 
 
-class Creep(eqx.Module):
+class Creep(Component):
     """Creep force [N] added to a muscle's law, positive after stretching; its state is explicit."""
 
     @abc.abstractmethod
@@ -92,6 +93,9 @@ class NoCreep(Creep):
         return np.zeros((np.size(length), np.size(sample_times)))
 
 
+CreepTime = Annotated[float, Quantity("s", "s", 0.01, 1e6)]
+
+
 class MaxwellCreep(Creep):
     r"""Springs in series with dashpots, beside the law.
 
@@ -137,9 +141,8 @@ class MaxwellCreep(Creep):
     arms: int = eqx.field(default=1, kw_only=True, static=True)
 
     def __check_init__(self) -> None:
-        check_positive("MaxwellCreep", "N/m", stiffness=self.stiffness)
-        check_within("MaxwellCreep", *_TIMES, "s", time_constant=self.time_constant)
-        check_within("MaxwellCreep", _ARMS[0], _ARMS[-1], arms=self.arms)
+        super().__check_init__()
+        check_within("MaxwellCreep", *_ARMS, arms=self.arms)
 
     @property
     def time_constants(self) -> list[float]:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import Parameter, PressureAffineLaw
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import exp
+from mckibben.units import ForcePerPressure, Quantity, SignedForce
+
+Decay = Annotated[float, Quantity("1", "1/percent", 0.005, 10)]
+NegativeDecay = Annotated[float, Quantity("1", "1/percent", -10, -0.005)]
 
 
 class ExponentialLaw(PressureAffineLaw):
@@ -41,17 +46,14 @@ class ExponentialLaw(PressureAffineLaw):
     (584.72, 242.6)
     """
 
-    a1: float
-    a2: float
-    b1: float
-    b2: float
-    c1: float
-    c2: float
-    decay: float
+    a1: SignedForce
+    a2: ForcePerPressure
+    b1: SignedForce
+    b2: ForcePerPressure
+    c1: SignedForce
+    c2: ForcePerPressure
+    decay: Decay
     domain: Domain = Domain()
-
-    def __check_init__(self) -> None:
-        check_positive("ExponentialLaw", "per unit of contraction", decay=self.decay)
 
     equation = "F = (a1 + a2 p) + (b1 + b2 p) eps + (c1 + c2 p) exp(-mu eps)"
     source = "Eq. 2 of the paper (improved Tondu-Lopez)"
@@ -99,12 +101,12 @@ class SarosiLaw(PressureAffineLaw):
     595.2
     """
 
-    a1: float
-    a2: float
-    a4: float
-    a5: float
-    a6: float
-    a3: float
+    a1: ForcePerPressure
+    a2: SignedForce
+    a4: ForcePerPressure
+    a5: ForcePerPressure
+    a6: SignedForce
+    a3: NegativeDecay
     domain: Domain = Domain()
 
     equation = "F = (a1 p + a2) exp(a3 eps) + a4 eps p + a5 p + a6"

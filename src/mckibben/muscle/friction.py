@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,9 +13,10 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.numerics.batching import compute_once
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
-from mckibben.units import Force, FrictionForce, FrictionGrowth, Presliding, Pressure, TensionGrowth, Viscosity
+from mckibben.units import Force, Pressure, Quantity
 
 FrictionState = tuple[Array, ...]
 """Anchor of each element: the length [m] at which it is unstressed."""
@@ -23,13 +24,12 @@ FrictionState = tuple[Array, ...]
 MIN_HALF_WIDTH = 1e-6
 """Smallest half width [N] of a hysteresis band; below, use `NoFriction`."""
 
-_ELEMENTS = range(1, 17)
 _LEAST = 1e-9  # N: lower bound of the half width where it shrinks with pressure, to avoid a division by 0
-_LONGEST = 1.0  # m: a longer presliding length is one in millimetres
 _KNOT = 0.7  # knot spacing that minimises the largest distance between polygon and exponential
+ELEMENTS = 1, 16
 
 
-class Friction(eqx.Module):
+class Friction(Component):
     """Friction force [N] added to a muscle's law, positive while the muscle is stretched.
 
     The state is explicit. Over a short move the force is a function of the length alone; `project` then updates it. No
@@ -106,6 +106,13 @@ class NoFriction(Friction):
         return np.zeros(np.shape(length))
 
 
+FrictionForce = Annotated[float, Quantity("N", "N", 1e-6, 1e6)]
+FrictionGrowth = Annotated[float, Quantity("N/Pa", "N/bar", -1e4, 1e4)]
+TensionGrowth = Annotated[float, Quantity("1", "1", -1, 1)]
+Presliding = Annotated[float, Quantity("m", "mm", 0, 1e3, open_lower=True)]
+Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
+
+
 class MaxwellSlip(Friction):
     r"""Springs in parallel, each with a slider that gives way at a force of its own.
 
@@ -165,16 +172,8 @@ class MaxwellSlip(Friction):
     elements: int = eqx.field(default=6, kw_only=True, static=True)
 
     def __check_init__(self) -> None:
-        check_within("MaxwellSlip", MIN_HALF_WIDTH, 1e9, "N", half_width=self.half_width)
-        check_positive("MaxwellSlip", "m", presliding_length=self.presliding_length)
-        check_within("MaxwellSlip", 0.0, _LONGEST, "m", presliding_length=self.presliding_length)
-        check_positive("MaxwellSlip", "N*s/m", zero=True, viscous=self.viscous)
-        check_within("MaxwellSlip", -1.0, 1.0, "N/Pa", growth=self.growth)
-        check_within("MaxwellSlip", -1e9, 1e9, "Pa", reference_pressure=self.reference_pressure)
-        if self.tension_growth is not None:
-            check_within("MaxwellSlip", -1.0, 1.0, tension_growth=self.tension_growth)
-        check_positive("MaxwellSlip", "N", zero=True, reference_tension=self.reference_tension)
-        check_within("MaxwellSlip", _ELEMENTS[0], _ELEMENTS[-1], elements=self.elements)
+        super().__check_init__()
+        check_within("MaxwellSlip", *ELEMENTS, elements=self.elements)
 
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         tension, pressure = jnp.asarray(tension), jnp.asarray(pressure)

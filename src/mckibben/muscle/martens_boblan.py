@@ -5,9 +5,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import BRAID_PARAMETERS, NEUTRAL_ANGLE, Parameter, PressureAffineLaw, braid_gain
+from mckibben.muscle.base import BRAID_PARAMETERS, Parameter, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.units import BraidAngle, Diameter
 
 
 class MartensBoblanLaw(PressureAffineLaw):
@@ -45,13 +45,9 @@ class MartensBoblanLaw(PressureAffineLaw):
 
     axial_stiffness: float
     radial_stiffness: float
-    braid_angle: float
-    initial_diameter: float
+    braid_angle: BraidAngle
+    initial_diameter: Diameter
     domain: Domain = Domain()
-
-    def __check_init__(self) -> None:
-        check_within("MartensBoblanLaw", 0.01, NEUTRAL_ANGLE, "rad", braid_angle=self.braid_angle)
-        check_positive("MartensBoblanLaw", "m", initial_diameter=self.initial_diameter)
 
     equation = (
         "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0)) - S_l eps - S_d (D/d0 - 1) d(D/d0)/d(eps)"

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from numbers import Real
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -21,10 +20,9 @@ from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import derivative
-from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
+from mckibben.numerics.component import Component
 
 
 class MuscleState(NamedTuple):
@@ -37,7 +35,7 @@ class MuscleState(NamedTuple):
 NO_STATE = MuscleState()
 
 
-class Muscle(eqx.Module, Displayed):
+class Muscle(Component):
     """A specimen with its force law, friction and creep.
 
     Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction
@@ -59,13 +57,7 @@ class Muscle(eqx.Module, Displayed):
             self.specimen = dataclasses.replace(self.specimen, domain=domain)
 
     def __check_init__(self) -> None:
-        check_kind(
-            "Muscle",
-            specimen=(self.specimen, Specimen),
-            law=(self.law, ForceLaw),
-            friction=(self.friction, Friction),
-            creep=(self.creep, Creep),
-        )
+        super().__check_init__()
         self.domain  # noqa: B018  # raises if there is none
 
     def __repr__(self) -> str:

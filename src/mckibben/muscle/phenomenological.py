@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -11,8 +11,10 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root
-from mckibben.numerics.checks import check_positive
-from mckibben.units import kPa, percent
+from mckibben.units import Contraction, ForcePerPressure, Pressure, PressureScale, Quantity, SignedForce, kPa, percent
+
+PositiveContraction = Annotated[float, Quantity("1", "%", 0, 80, open_lower=True)]
+PressurePerForce = Annotated[float, Quantity("Pa/N", "kPa/N", 0, 1e3, open_lower=True)]
 
 
 class ReppergerLaw(PressureAffineLaw):
@@ -36,9 +38,9 @@ class ReppergerLaw(PressureAffineLaw):
     actuator", IEEE Conf. Decision and Control (1998) 4302-4307.
     """
 
-    k0: float
-    k1: float
-    rest: float
+    k0: SignedForce
+    k1: ForcePerPressure
+    rest: Contraction
     domain: Domain = Domain()
 
     equation = "F = (k0 + k1 p) (eps0 - eps)"
@@ -84,10 +86,10 @@ class ReynoldsLaw(PressureAffineLaw):
     285.4
     """
 
-    f0: float
-    f1: float
-    k0: float
-    k1: float
+    f0: SignedForce
+    f1: ForcePerPressure
+    k0: SignedForce
+    k1: ForcePerPressure
     domain: Domain = Domain()
 
     equation = "F = (f0 + f1 p) - (k0 + k1 p) eps"
@@ -136,16 +138,11 @@ class HuntLaw(ForceLaw):
     (363.6, 168.9)
     """
 
-    p0: float
-    c1: float
-    c2: float
-    largest: float
+    p0: Pressure
+    c1: PressurePerForce
+    c2: PressureScale
+    largest: PositiveContraction
     domain: Domain = Domain()
-
-    def __check_init__(self) -> None:
-        check_positive("HuntLaw", "Pa/N", c1=self.c1)
-        check_positive("HuntLaw", "Pa", c2=self.c2)
-        check_positive("HuntLaw", "1", largest=self.largest)
 
     equation = "F = root of p = p0 + c1 F + c2 tan(2.0265 (eps/(eps_max - 3.31e-4 F) - 0.461))"
     source = "Hunt et al. 2017, without its hysteresis"

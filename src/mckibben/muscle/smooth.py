@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
-from mckibben.muscle.exponential import ExponentialLaw
+from mckibben.muscle.exponential import Decay, ExponentialLaw
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import exp
+from mckibben.units import ForcePerPressure, Share, SignedForce
 
 DEGREE = 5
 """Degree of the polynomial of each deviation."""
@@ -31,12 +31,12 @@ def _deviation(order: int) -> tuple[Parameter, ...]:
 class _Deviations(ForceLaw):
     """Fields and terms that both laws share."""
 
-    a1: float
-    a2: float
-    b1: float
-    b2: float
-    c1: float
-    c2: float
+    a1: SignedForce
+    a2: ForcePerPressure
+    b1: SignedForce
+    b2: ForcePerPressure
+    c1: SignedForce
+    c2: ForcePerPressure
     s00: float
     s01: float
     s02: float
@@ -49,13 +49,9 @@ class _Deviations(ForceLaw):
     s13: float
     s14: float
     s15: float
-    decay: float
+    decay: Decay
     centre: float
-    half_width: float
-
-    def __check_init__(self) -> None:
-        check_positive(type(self).__name__, "per unit of contraction", decay=self.decay)
-        check_positive(type(self).__name__, "1", half_width=self.half_width)
+    half_width: Share
 
     source = "this project"
     shape_parameters = ExponentialLaw.shape_parameters

@@ -14,13 +14,12 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.errors import RangeError
-from mckibben.notebook import Displayed
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import polynomial
-from mckibben.units import BraidAngle, Contraction, Length, Pressure, Tension, VolumeTerm, bar, percent
+from mckibben.units import BraidAngle, Contraction, Diameter, Length, Pressure, Tension, VolumeTerm, bar, percent
 
 
-class Domain(eqx.Module, Displayed):
+class Domain(Component):
     """A box of contraction [-] and gauge pressure [Pa]."""
 
     contraction_min: Contraction | Array = -jnp.inf
@@ -29,6 +28,7 @@ class Domain(eqx.Module, Displayed):
     pressure_max: Pressure | Array = jnp.inf
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         for what, low, high in (
             ("contraction", self.contraction_min, self.contraction_max),
             ("pressure", self.pressure_min, self.pressure_max),
@@ -131,7 +131,7 @@ def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array
     return (jnp.maximum if pick is max else jnp.minimum)(one, other)
 
 
-class Specimen(eqx.Module, Displayed):
+class Specimen(Component):
     """Dimensions and ratings of a muscle; only its length is needed, unless a law or a result asks for more.
 
     Parameters
@@ -163,20 +163,11 @@ class Specimen(eqx.Module, Displayed):
 
     name: str = eqx.field(static=True)
     initial_length: Length
-    initial_diameter: Length | None = None
+    initial_diameter: Diameter | None = None
     braid_angle: BraidAngle | None = None
     rated_force: Tension | None = None
     domain: Domain = Domain()
     volume_terms: tuple[VolumeTerm, ...] | None = None
-
-    def __check_init__(self) -> None:
-        check_positive(self.name, "m", initial_length=self.initial_length)
-        if self.initial_diameter is not None:
-            check_positive(self.name, "m", initial_diameter=self.initial_diameter)
-        if self.rated_force is not None:
-            check_positive(self.name, "N", rated_force=self.rated_force)
-        if self.braid_angle is not None:
-            check_within(self.name, 0.01, 1.56, "rad", braid_angle=self.braid_angle)
 
     def __repr__(self) -> str:
         return f"Specimen({self.name})"

@@ -8,7 +8,6 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.muscle.base import PressureAffineLaw
 from mckibben.muscle.muscle import Muscle
 from mckibben.muscle.specimen import Domain, Specimen
-from mckibben.numerics.checks import check_positive
 from mckibben.units import Length, SpringRate
 
 _VOLUME = 1e-6  # m^3: a valve that is simulated beside it has a chamber, which stays at 0 bar
@@ -31,10 +30,6 @@ class SpringLaw(PressureAffineLaw):
 
     equation = "F = -k l0 eps"
     source = "Hooke"
-
-    def __check_init__(self) -> None:
-        check_positive("SpringLaw", "N/m", rate=self.rate)
-        check_positive("SpringLaw", "m", free_length=self.free_length)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)

@@ -9,9 +9,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import BRAID_PARAMETERS, ForceLaw, Parameter, PressureAffineLaw, braid_gain, pressure_for
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
-from mckibben.units import bar
+from mckibben.units import BraidAngle, Diameter, Factor, bar
 
 
 class TonduLopezLaw(PressureAffineLaw):
@@ -42,15 +41,10 @@ class TonduLopezLaw(PressureAffineLaw):
     (386.3, 101.9)
     """
 
-    braid_angle: float
-    initial_diameter: float
-    end_factor: float
+    braid_angle: BraidAngle
+    initial_diameter: Diameter
+    end_factor: Factor
     domain: Domain = Domain()
-
-    def __check_init__(self) -> None:
-        check_within("TonduLopezLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
-        check_positive("TonduLopezLaw", "m", initial_diameter=self.initial_diameter)
-        check_positive("TonduLopezLaw", "1", end_factor=self.end_factor)
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k eps)^2 - 1/sin^2(alpha0))"
     source = "Tondu and Lopez 2000"
@@ -78,16 +72,11 @@ class TonduLopezVariableLaw(ForceLaw):
     [11.1, 101.6]
     """
 
-    braid_angle: float
-    initial_diameter: float
+    braid_angle: BraidAngle
+    initial_diameter: Diameter
     end_rise: float
-    end_factor: float
+    end_factor: Factor
     domain: Domain = Domain()
-
-    def __check_init__(self) -> None:
-        check_within("TonduLopezVariableLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
-        check_positive("TonduLopezVariableLaw", "m", initial_diameter=self.initial_diameter)
-        check_positive("TonduLopezVariableLaw", "1", end_factor=self.end_factor)
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k(p) eps)^2 - 1/sin^2(alpha0)), k(p) = a_k exp(-p/1 bar) + b_k"
     source = "Tondu and Lopez 2000, k(p)"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import BRAID_PARAMETERS, Parameter, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import mm
+from mckibben.units import BraidAngle, Diameter, Distance, Percent, Pressure, mm
+
+EndShare = Annotated[float, Percent("1", "%", 0, 90)]
 
 
 class TsagarakisCaldwellLaw(PressureAffineLaw):
@@ -52,18 +55,12 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     306.0
     """
 
-    threshold_pressure: float
-    braid_angle: float
-    initial_diameter: float
-    wall_thickness: float
-    end_share: float
+    threshold_pressure: Pressure
+    braid_angle: BraidAngle
+    initial_diameter: Diameter
+    wall_thickness: Distance
+    end_share: EndShare
     domain: Domain = Domain()
-
-    def __check_init__(self) -> None:
-        check_within("TsagarakisCaldwellLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
-        check_positive("TsagarakisCaldwellLaw", "m", initial_diameter=self.initial_diameter)
-        check_positive("TsagarakisCaldwellLaw", "m", zero=True, wall_thickness=self.wall_thickness)
-        check_within("TsagarakisCaldwellLaw", 0.0, 0.9, "1", end_share=self.end_share)
 
     equation = (
         "F = (p - p_t) ((pi d0^2/4) (3/tan^2(alpha0) x^2 - 1/sin^2(alpha0)) + pi d_n t (2 sin(alpha) - 1/sin(alpha)) "

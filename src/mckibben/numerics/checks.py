@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from mckibben.errors import RangeError, quoted
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
     """Raise `RangeError` unless all numbers are finite and above 0 (or 0, where allowed)."""
     for name, value in values.items():
-        numbers = _known(owner, name, value)
+        numbers = known_numbers(owner, name, value)
         right = np.isfinite(numbers) & ((numbers > 0) | (zero & (numbers == 0)))
         if not right.all():
             kind = "0 or above" if zero else "above 0"
@@ -37,13 +38,13 @@ def whole_periods(duration: float, period: float) -> int | None:
 def check_number(owner: str, **values: object) -> None:
     """Raise `RangeError` for texts in place of numbers."""
     for name, value in values.items():
-        _known(owner, name, value)
+        known_numbers(owner, name, value)
 
 
 def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
     """Raise `RangeError` unless all numbers lie in a closed range."""
     for name, value in values.items():
-        numbers = _known(owner, name, value)
+        numbers = known_numbers(owner, name, value)
         right = (numbers >= lower) & (numbers <= upper)
         if not right.all():
             wrong = float(numbers[~right][0])
@@ -57,27 +58,24 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
             )
 
 
-def check_kind(owner: str, **fields: tuple[object, type]) -> None:
-    """Raise `RangeError` unless each field is of its type: arguments are easily swapped."""
-    for name, (value, kind) in fields.items():
-        if isinstance(value, Real | str | dict | type):
-            given = repr(value)
-        elif type(value).__module__.startswith("mckibben"):
-            given = f"a {type(value).__name__}"
-        else:
-            continue  # a placeholder of a transformation
-        if not isinstance(value, kind):
-            remedy = f"give a {kind.__name__}; are arguments swapped?"
-            raise RangeError(f"{owner}: {name} is {given}", field=name, value=value, remedy=remedy)
+def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
+    """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
+    if not isinstance(value, kind):
+        ours = type(value).__module__.startswith("mckibben")
+        given = f"a {type(value).__name__}" if ours else f"{value!r:.60}"
+        remedy = f"give a {getattr(kind, '__name__', kind)}; are arguments swapped?"
+        raise RangeError(f"{owner}: {name} is {given}", field=name, value=value, remedy=remedy)
 
 
-def _known(owner: str, name: str, value: object) -> NDArray[np.float64]:
-    """Numbers of a value, flat; none where it is traced, or a placeholder of a transformation; no texts."""
+def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
+    """Numbers of a value or tuple, flat; none where it is traced, or a placeholder of a transformation; no texts."""
     if isinstance(value, str):
         remedy = "give a number in SI units, such as 30 * mm with mckibben.units"
         raise RangeError(f"{owner}: {name} is {quoted(value)}", field=name, value=value, remedy=remedy)
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
+    if isinstance(value, tuple | list):
+        return np.concatenate([np.empty(0), *(known_numbers(owner, name, one) for one in value)])
     import jax  # slow; not needed for plain numbers
     import jax.core
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,19 +15,17 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.errors import RangeError
 from mckibben.muscle import Domain
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, FLOATS, LAMINAR, flow_share, mass_flow, pressure_rate
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_within
 from mckibben.numerics.elementary import floating
 from mckibben.plant.valve import ValveModel
 from mckibben.units import (
-    Compensation,
     Conductance,
-    CriticalRatio,
-    DeadVolume,
-    DeadZone,
-    PolytropicIndex,
-    PositiveTime,
+    Percent,
     PressureScale,
+    Quantity,
     ShortTime,
+    SupplyPressure,
+    ValveTime,
     Volume,
     bar,
     ms,
@@ -53,6 +51,13 @@ class AirVolume(NamedTuple):
     def effective(self, index: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the volume [m^3] for `pressure_rate` at an absolute pressure [Pa]."""
         return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
+
+
+CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
+PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
+DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
+DeadZone = Annotated[float, Percent("1", "%", 0, 90)]
+Compensation = Annotated[float, Percent("1", "%", 0, 99)]
 
 
 class AirValve(ValveModel):
@@ -84,7 +89,7 @@ class AirValve(ValveModel):
     """
 
     conductance: Conductance
-    supply: PressureScale
+    supply: SupplyPressure
     exhaust_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
     critical_ratio: CriticalRatio = eqx.field(kw_only=True, default=0.3)
     band: PressureScale = eqx.field(kw_only=True, default=1 * bar)
@@ -94,24 +99,12 @@ class AirValve(ValveModel):
     line_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
-        owner = type(self).__name__
-        optional = {
-            name: getattr(self, name)
-            for name in ("exhaust_conductance", "line_conductance")
-            if getattr(self, name) is not None
-        }
-        check_positive(owner, "m^3/(s*Pa)", conductance=self.conductance, **optional)
-        check_positive(owner, "Pa", supply=self.supply, band=self.band)
-        check_positive(owner, "m^3", zero=True, dead_volume=self.dead_volume)
-        check_within(owner, 0.0, 0.99, critical_ratio=self.critical_ratio)
-        check_within(owner, 1.0, 1.67, polytropic_index=self.polytropic_index)
+        super().__check_init__()
         if (self.reservoir_volume is None) != (self.line_conductance is None):
             raise RangeError(
-                f"{owner}: a reservoir has a volume and a line that fills it",
+                f"{type(self).__name__}: a reservoir has a volume and a line that fills it",
                 remedy="give reservoir_volume and line_conductance, or neither",
             )
-        if self.reservoir_volume is not None:
-            check_positive(owner, "m^3", reservoir_volume=self.reservoir_volume)
 
     @abc.abstractmethod
     def init(self, pressure: Scalar) -> Any:
@@ -253,16 +246,10 @@ class FlowValve(AirValve):
     A `band` below 4 times `spool_lag` times the fastest change of the pressure makes the loop oscillate visibly.
     """
 
-    spool_lag: PositiveTime = eqx.field(kw_only=True, default=2 * ms)
+    spool_lag: ValveTime = eqx.field(kw_only=True, default=2 * ms)
     dead_zone: DeadZone = eqx.field(kw_only=True, default=0.0)
     compensation: Compensation = eqx.field(kw_only=True, default=0.9)
     direct: bool = eqx.field(kw_only=True, default=False, static=True)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_positive("FlowValve", "s", spool_lag=self.spool_lag)
-        check_within("FlowValve", 0.0, 0.9, dead_zone=self.dead_zone)
-        check_within("FlowValve", 0.0, 0.99, compensation=self.compensation)
 
     @property
     def lag(self) -> ArrayLike:
@@ -302,11 +289,7 @@ class PressureRegulator(AirValve):
         Lag [s] of the command before the loop.
     """
 
-    time_constant: PositiveTime = eqx.field(kw_only=True)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_positive("PressureRegulator", "s", time_constant=self.time_constant)
+    time_constant: ValveTime = eqx.field(kw_only=True)
 
     @property
     def lag(self) -> ArrayLike:
@@ -350,17 +333,14 @@ class SwitchingValves(AirValve):
         Part of the delay by which pulses are longer. The rest over the period, times `band`, is the error at rest.
     """
 
-    period: PositiveTime = eqx.field(kw_only=True)
+    period: ValveTime = eqx.field(kw_only=True)
     opening_delay: ShortTime = eqx.field(kw_only=True, default=0.0)
     compensation: Compensation = eqx.field(kw_only=True, default=0.9)
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        check_positive("SwitchingValves", "s", period=self.period)
-        check_positive("SwitchingValves", "s", zero=True, opening_delay=self.opening_delay)
         if isinstance(self.period, float):  # else it is traced
             check_within("SwitchingValves", 0.0, self.period, "s", opening_delay=self.opening_delay)
-        check_within("SwitchingValves", 0.0, 0.99, compensation=self.compensation)
 
     @property
     def lag(self) -> ArrayLike:

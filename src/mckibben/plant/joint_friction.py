@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.friction import FrictionState, anchors, polygon, slip_forces
-from mckibben.notebook import Displayed
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.muscle.friction import ELEMENTS, FrictionState, anchors, polygon, slip_forces
+from mckibben.numerics.checks import check_within
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
-from mckibben.units import PositiveTorque, PreslidingAngle
+from mckibben.units import PreslidingAngle, Quantity
 
-_ELEMENTS = 1, 16
-_LEAST = 1e-9  # N*m: a division by the torque
-_LARGEST = 6.3  # rad: a larger presliding angle is one in degrees
+FrictionTorque = Annotated[float, Quantity("N*m", "N*m", 1e-9, 1e6)]  # it is divided by
 
 
-class JointFriction(eqx.Module, Displayed):
+class JointFriction(Component):
     r"""Coulomb friction of the joint, with presliding: springs in parallel, each with a slider (Maxwell slip).
 
     .. math::
@@ -54,15 +54,13 @@ class JointFriction(eqx.Module, Displayed):
     [0.3, -0.072, -0.3]
     """
 
-    torque: PositiveTorque
+    torque: FrictionTorque
     presliding: PreslidingAngle = 0.5 * jnp.pi / 180
     elements: int = eqx.field(default=4, kw_only=True, static=True)
 
     def __check_init__(self) -> None:
-        check_within("JointFriction", _LEAST, 1e6, "N*m", torque=self.torque)
-        check_positive("JointFriction", "rad", presliding=self.presliding)
-        check_within("JointFriction", 0.0, _LARGEST, "rad", presliding=self.presliding)
-        check_within("JointFriction", *_ELEMENTS, elements=self.elements)
+        super().__check_init__()
+        check_within("JointFriction", *ELEMENTS, elements=self.elements)
 
     @property
     def steepest(self) -> Float[Array, ""]:

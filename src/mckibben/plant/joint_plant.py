@@ -22,10 +22,9 @@ from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import MuscleState
 from mckibben.muscle.creep import CreepState
 from mckibben.muscle.friction import FrictionState
-from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import rk4, value_and_derivative
-from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.compiled import compiled
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.plant.air_valve import AirState, AirValve, AirVolume
 from mckibben.plant.joint_friction import JointFriction
@@ -93,7 +92,7 @@ class Motion(NamedTuple):
         )
 
 
-class JointPlant(eqx.Module, Displayed):
+class JointPlant(Component):
     """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it.
 
     `friction` is that of the joint itself, None for none; that of a muscle belongs to the muscle. `command_delay` is
@@ -110,17 +109,7 @@ class JointPlant(eqx.Module, Displayed):
     delay_periods: int = eqx.field(kw_only=True, default=0, static=True)
 
     def __check_init__(self) -> None:
-        check_kind(
-            "JointPlant",
-            joint=(self.joint, AntagonisticJoint),
-            load=(self.load, Load),
-            valve=(self.valve, ValveModel),
-            sensors=(self.sensors, Sensors),
-            disturbance=(self.disturbance, Disturbance),
-            **({} if self.friction is None else {"friction": (self.friction, JointFriction)}),
-        )
-        if self.command_delay is not None:
-            check_positive("JointPlant", "s", zero=True, command_delay=self.command_delay)
+        super().__check_init__()
         if isinstance(self.valve, AirValve):
             for muscle in (self.joint.muscle1, self.joint.muscle2):
                 if not muscle.specimen.has_volume:

@@ -11,12 +11,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.joint import Measurement
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import Angle, AngleStep, Delay, Duration, PositiveTime, PressureNoise, Seed, ShortTime, Torque
 
 
-class Sensors(eqx.Module):
+class Sensors(Component):
     """Sensor model: maps the true state to a measurement once per control period."""
 
     @abc.abstractmethod
@@ -52,11 +53,6 @@ class SampledSensors(Sensors):
     seed: Seed = 0
     encoder_offset: Angle = eqx.field(kw_only=True, default=0.0)
 
-    def __check_init__(self) -> None:
-        check_positive("SampledSensors", "rad", zero=True, encoder=self.encoder)
-        check_positive("SampledSensors", "Pa", zero=True, pressure_noise=self.pressure_noise)
-        check_within("SampledSensors", 0.0, 1.0, "periods", delay=self.delay)
-
     def init(self, true: Measurement) -> Measurement:
         return self._sample(0, true)
 
@@ -76,7 +72,7 @@ class SampledSensors(Sensors):
         return Measurement(quantised, (pressure1 + noise[0], pressure2 + noise[1]))
 
 
-class Disturbance(eqx.Module):
+class Disturbance(Component):
     """External torque on the joint over time, constant over each control period."""
 
     @abc.abstractmethod
@@ -107,9 +103,8 @@ class TorquePulses(Disturbance):
     start: ShortTime = 0.5
 
     def __check_init__(self) -> None:
-        check_positive("TorquePulses", "s", width=self.width, interval=self.interval)
-        overlap = {"interval minus width": self.interval - self.width}
-        check_positive("TorquePulses", "s", zero=True, start=self.start, **overlap)
+        super().__check_init__()
+        check_positive("TorquePulses", "s", zero=True, **{"interval minus width": self.interval - self.width})
 
     def torque(self, time: ArrayLike) -> Float[Array, "..."]:
         time, start = floating(time), jnp.asarray(self.start)

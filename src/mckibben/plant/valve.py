@@ -9,12 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle import Domain
-from mckibben.notebook import Displayed
-from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import PositiveTime, PressureRate, PressureScale
+from mckibben.numerics.component import Component
+from mckibben.units import PressureRate, SupplyPressure, ValveTime
 
 
-class ValveModel(eqx.Module, Displayed):
+class ValveModel(Component):
     """Base of `Valve`, whose pressures are known in closed form, and `AirValve`, whose pressures are integrated."""
 
     def command_range(self, rated: Domain) -> tuple[ArrayLike, ArrayLike]:
@@ -60,9 +59,6 @@ class IdealValve(Valve):
         return jnp.asarray(pressure)
 
 
-_SLOWEST = 10.0  # s: a slower valve is one in milliseconds
-
-
 class FirstOrderValve(Valve):
     """First-order lag, p(t) = u + (p(0) - u) exp(-t / T) under a constant command u.
 
@@ -75,17 +71,9 @@ class FirstOrderValve(Valve):
     [1.0, 2.0, 2.632]
     """
 
-    time_constant: PositiveTime
-    supply: PressureScale | None = eqx.field(kw_only=True, default=None)
+    time_constant: ValveTime
+    supply: SupplyPressure | None = eqx.field(kw_only=True, default=None)
     rate: PressureRate | None = eqx.field(kw_only=True, default=None)
-
-    def __check_init__(self) -> None:
-        check_positive("FirstOrderValve", "s", time_constant=self.time_constant)
-        if self.supply is not None:
-            check_positive("FirstOrderValve", "Pa", supply=self.supply)
-        if self.rate is not None:
-            check_positive("FirstOrderValve", "Pa/s", rate=self.rate)
-        check_within("FirstOrderValve", 0.0, _SLOWEST, "s", time_constant=self.time_constant)
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)

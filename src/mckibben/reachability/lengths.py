@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import reduce
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import ArrayLike
 
 from mckibben.errors import ParameterError, suggest
 from mckibben.joint import Geometry
+from mckibben.numerics.component import field_quantities
 from mckibben.plant import JointPlant
-from mckibben.units import Quantity
+from mckibben.units import BoundedInt, Quantity
 
 Place = tuple[str, ...]
 """Names of attributes that lead from the joint to a length."""
@@ -75,14 +76,12 @@ def _leaves(plant: JointPlant, name: str) -> list[Any]:
     return [reduce(getattr, place, plant.joint) for place in design_lengths(plant)[name]]
 
 
-def _lengths(part: Geometry | eqx.Module) -> Iterator[tuple[Place, Quantity]]:
+def _lengths(part: Geometry | eqx.Module) -> Iterator[tuple[Place, Quantity | BoundedInt]]:
     """Place and quantity of each length among the fields of a geometry and its parts."""
-    for name, hint in get_type_hints(type(part), include_extras=True).items():
-        value = getattr(part, name, None)
+    quantities = field_quantities(type(part))
+    for name, value in vars(part).items():
+        quantity = quantities.get(name)
         if isinstance(value, eqx.Module):
-            yield from (((name, *place), quantity) for place, quantity in _lengths(value))
-            continue
-        marks = (mark for one in (hint, *get_args(hint)) for mark in getattr(one, "__metadata__", ()))
-        quantity = next((mark for mark in marks if isinstance(mark, Quantity) and mark.unit == "m"), None)
-        if quantity is not None and value is not None and not isinstance(value, tuple):
+            yield from (((name, *place), found) for place, found in _lengths(value))
+        elif quantity and quantity.unit == "m" and value is not None and not isinstance(value, tuple):
             yield (name,), quantity

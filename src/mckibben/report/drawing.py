@@ -179,7 +179,7 @@ def draw_joint(
     body = joint if plant is None else plant.joint
     muscles = body if isinstance(body, AntagonisticJoint) else None
     geometry: Any = body if muscles is None else muscles.geometry
-    check_kind("draw_joint", joint=(geometry, Geometry))
+    check_kind("draw_joint", "joint", geometry, Geometry)
     mechanism = Mechanism(geometry, (angle,))
     limb, masses = limb_and_masses(plant, mechanism)
     lengths: Sequence[Any] = geometry.path_lengths(angle)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,7 +20,8 @@ from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, Paire
 from mckibben.joint.mechanism import Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
-from mckibben.units import Quantity, bar, deg, mm, percent, show
+from mckibben.numerics.component import field_quantities
+from mckibben.units import bar, deg, mm, percent, show
 from mckibben.web.layout import BLUE, VERMILLION
 
 _MUSCLES = {"MAS-10-180N-AA-MC-O": "lei-mas-10-180n", "DMSP-10-250": "sarosi-dmsp-10"}
@@ -197,10 +198,9 @@ def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
 def _section(part: eqx.Module) -> dict[str, Any]:
     """The section of a file that gives a component, with the units of its fields."""
     found: dict[str, Any] = {"class": type(part).__name__}
-    for name, hint in get_type_hints(type(part), include_extras=True).items():
-        value = getattr(part, name)
-        units = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Quantity)]
-        found[name] = show(value, units[0].shown, 10) if units else _section(value)
+    for name, value in vars(part).items():
+        mark = field_quantities(type(part)).get(name)
+        found[name] = show(value, mark.shown, 10) if mark else _section(value)
     return found
 
 

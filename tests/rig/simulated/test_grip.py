@@ -8,7 +8,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import RangeError
-from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellCreep, MaxwellSlip, Muscle, forces
+from mckibben.muscle import ChouLaw, ExponentialLaw, HuntLaw, MaxwellCreep, MaxwellSlip, Muscle, forces
 from mckibben.rig.simulated.machine import Grip, force_table
 from mckibben.units import bar, percent
 
@@ -36,7 +36,7 @@ def test_law_that_is_too_rough_or_has_no_number_is_refused():
     assert force_table(Muscle(SPECIMEN, rough)).error < 0.5
     for law, text in (
         (ExponentialLaw(0.0, 0.0, 0.0, 0.0, 10.0, 0.0, decay=300.0), "not smooth enough"),
-        (ExponentialLaw(0.0, 0.0, 0.0, 0.0, 1e308, 0.0, decay=300.0), "no finite force"),
+        (HuntLaw(254.3e3, 1230.0, 192e3, 0.16), "no finite force"),
     ):
         with pytest.raises(RangeError, match=text):
             force_table(Muscle(SPECIMEN, law))

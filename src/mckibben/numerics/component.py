@@ -1,0 +1,121 @@
+"""Base of components: fields are checked against their types at construction, and shown with units in notebooks."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+from contextlib import suppress
+from numbers import Real
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+
+from mckibben.errors import Problem, RangeError, printable, quoted, refuse_problems
+from mckibben.notebook import html_table
+from mckibben.numerics.checks import check_kind, known_numbers
+from mckibben.units import SIGNAL_UNIT, BoundedInt, Quantity, factor, show
+
+_LONGEST = 120  # characters of a value
+
+
+class Component(eqx.Module):
+    """Module whose fields are of their types and numbers in range; the check of a subclass begins with this one."""
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
+
+
+@functools.cache
+def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
+    """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``."""
+    return {name: mark for name, hint in _hints(kind).items() for mark in [*_marks(hint)][:1]}
+
+
+def check_fields(instance: Any) -> None:
+    """Raise `RangeError` for fields of another type, and numbers outside their range; defaults and tracers pass."""
+    errors = list(field_errors(instance))
+    if len(errors) == 1:
+        raise errors[0]
+    refuse_problems(type(instance).__name__, [Problem.of(error, field=error.field) for error in errors])
+
+
+def field_errors(instance: Any) -> Iterator[RangeError]:
+    """Errors of all fields, see `check_fields`."""
+    kind, owner = type(instance), type(instance).__name__
+    for field in dataclasses.fields(instance):
+        name, value, mark = field.name, getattr(instance, field.name), field_quantities(kind).get(field.name)
+        words = _words(kind).get(name)
+        try:
+            if name in _kinds(kind):
+                check_kind(owner, name, value, _kinds(kind)[name])
+            elif words and value not in words:
+                remedy = f"give one of {', '.join(map(repr, words))}"
+                yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
+            elif mark and value is not None and not (isinstance(value, Real) and value == field.default):
+                numbers = known_numbers(owner, name, value)
+                if mark.unit != SIGNAL_UNIT and not (right := mark.holds(numbers)).all():
+                    yield _outside(owner, name, float(numbers[~right][0]), mark)
+        except RangeError as error:
+            yield error
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    """Types of the fields; none where some name a class that is not found, as one of a function is not."""
+    with suppress(NameError):
+        hints = get_type_hints(kind, include_extras=True)
+        return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+    return {}
+
+
+def _marks(hint: Any) -> Iterator[Quantity | BoundedInt]:
+    """Metadata of a type or of its parts."""
+    for part in (*getattr(hint, "__metadata__", ()), *get_args(hint)):
+        if isinstance(part, Quantity | BoundedInt):
+            yield part
+        else:
+            yield from _marks(part)
+
+
+@functools.cache
+def _kinds(kind: type) -> dict[str, Any]:
+    """Types of the fields that are components."""
+    found = {}
+    for name, hint in _hints(kind).items():
+        plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+        kinds = get_args(plain) if get_origin(plain) in (Union, UnionType) else (plain,)
+        if all(isinstance(one, type) and issubclass(one, Component | NoneType) for one in kinds):
+            found[name] = plain
+    return found
+
+
+@functools.cache
+def _words(kind: type) -> dict[str, tuple[Any, ...]]:
+    """Values of the fields that take one of some words."""
+    return {name: get_args(hint) for name, hint in _hints(kind).items() if get_origin(hint) is Literal}
+
+
+def _outside(owner: str, name: str, value: float, mark: Quantity | BoundedInt) -> RangeError:
+    lower, upper = mark.limits
+    scale, unit = factor(mark.shown, mark.unit), "" if mark.unit == "1" else f" {mark.unit}"
+    text, remedy = f"{owner}: {name} is {value:g}{unit}, outside {mark.range}", "choose a value inside"
+    if scale != 1 and mark.holds(value * scale):
+        remedy = f"numbers are in SI: {value:g} {mark.shown} is {value * scale:g}{unit}"
+    return RangeError(text, field=name, value=value, lower=lower, upper=upper, unit=mark.unit, remedy=remedy)
+
+
+def _rows(component: Any) -> Iterator[tuple[str, str]]:
+    for field in dataclasses.fields(component):
+        if not field.repr:
+            continue
+        value, mark = getattr(component, field.name), field_quantities(type(component)).get(field.name)
+        try:
+            text = show(float(value), mark.shown) if isinstance(mark, Quantity) else repr(value)
+        except TypeError:  # an array, a tracer or None
+            text = repr(value)
+        yield field.name, printable(" ".join(text.split()), _LONGEST)
