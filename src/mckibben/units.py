@@ -448,7 +448,7 @@ ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e5, 1e5)]  # an 
 PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
 Tension = Annotated[float, Quantity("N", "N", 0, 1e6, open_lower=True)]
 Pressure = Annotated[float, Quantity("Pa", "bar", -1e3, 1e3)]
-SupplyPressure = Annotated[float, Quantity("Pa", "bar", 0.01, 1e3)]
+PositivePressure = Annotated[float, Quantity("Pa", "bar", 0.01, 1e3)]
 Conductance = Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4, open_lower=True)]
 Volume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e9, open_lower=True)]
 VolumeTerm = Annotated[float, Quantity("m^3", "cm^3", -1e9, 1e9)]

@@ -42,24 +42,26 @@ def problems(*steps, bench=BENCH, **arguments):
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "field", "message"),
     [
-        (lambda: Move(to=10.0), "to: 10 is no contraction; it is a ratio below 1"),
-        (lambda: Move(to=0.1, speed=0.0), r"speed: 0 m/s is not above 0"),
-        (lambda: Dwell(duration=math.nan), "duration: nan s is not 0 or above"),
-        (lambda: Pressurise(pressure=math.inf), "pressure: is not finite"),
-        (lambda: Acquire(samples=0), "samples: 0 is not a whole number"),
-        (lambda: Acquire(direction="up"), "'up' is none of"),
-        (lambda: Walk(to=0.1, step=-1 * mm), "step: -0.001 m is not above 0"),
-        (lambda: Repeat(times=2, steps=()), "steps: is empty"),
-        (lambda: HoldForce(force=-1.0), "force: -1 N is not above 0"),
-        (lambda: IsometricProtocol(pressures=[2e5, 1e5]), "pressures: do not rise"),
-        (lambda: IsotonicProtocol(forces=[]), "forces: give at least one"),
+        (lambda: Move(to=10.0), "to", "10 % is 0.1"),
+        (lambda: Move(to=0.1, speed=0.0), "speed", "0 m/s"),
+        (lambda: Dwell(duration=math.nan), "duration", "nan s"),
+        (lambda: Pressurise(pressure=math.inf), "pressure", "inf Pa"),
+        (lambda: Acquire(samples=0), "samples", "is 0"),
+        (lambda: Acquire(samples=10.5), "samples", "is 10.5"),
+        (lambda: Acquire(direction="up"), "direction", "'loading'"),
+        (lambda: Walk(to=0.1, step=1), "step", "1 mm is 0.001 m"),
+        (lambda: Repeat(times=2, steps=()), "steps", "at least one"),
+        (lambda: HoldForce(force=-1.0), "force", "-1 N"),
+        (lambda: IsometricProtocol(pressures=[2e5, 1e5]), "pressures", "do not rise"),
+        (lambda: IsotonicProtocol(forces=[]), "forces", "give at least one"),
     ],
 )
-def test_a_step_without_a_meaning_is_refused(make, message):
-    with pytest.raises(RangeError, match=message):
+def test_a_step_without_a_meaning_is_refused(make, field, message):
+    with pytest.raises(RangeError) as refused:
         make()
+    assert refused.value.field == field and message in str(refused.value)
 
 
 def test_the_papers_test_adds_up():

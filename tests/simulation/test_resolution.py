@@ -89,13 +89,26 @@ def test_the_limit_is_that_of_the_runge_kutta_method():
     assert caught.value.lower == 5
 
 
+SINE = Reference(Sine(0.1, 1.0), 72.5)
+
+
 @pytest.mark.parametrize(
     ("field", "plant", "control", "reference"),
     [
         ("plant.load.gravity", eqx.tree_at(lambda plant: plant.load.gravity, PLANT, np.nan), None, None),
         ("controller.position.kp", None, dataclasses.replace(CONTROL, position=PID(np.nan, 1.0, 1.0)), None),
-        ("reference.stiffness.value", None, None, Reference(angle=0.0, stiffness=np.nan)),
-        ("reference.angle.amplitude", None, None, Reference(angle=Sine(np.nan, 1.0), stiffness=72.5)),
+        (
+            "reference.stiffness.value",
+            None,
+            None,
+            eqx.tree_at(lambda one: one.stiffness.value, SINE, np.nan),
+        ),
+        (
+            "reference.angle.amplitude",
+            None,
+            None,
+            eqx.tree_at(lambda one: one.angle.amplitude, SINE, np.nan),
+        ),
     ],
 )
 def test_a_number_that_is_none_is_named(field, plant, control, reference):

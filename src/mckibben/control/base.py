@@ -8,11 +8,15 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.reference import as_signal
+from mckibben.control.reference import Samples, Signal, Sum, as_signal
 from mckibben.joint import Measurement
-from mckibben.numerics.component import Component
+from mckibben.numerics.checks import check_within
+from mckibben.numerics.component import Component, check_fields
+from mckibben.units import Angle, Stiffness
 
 Scalar = Float[Array, ""]
+
+_ANGLE, _STIFFNESS = (kind.__metadata__[0] for kind in (Angle, Stiffness))  # type: ignore[attr-defined]
 
 
 class Setpoint(NamedTuple):
@@ -27,6 +31,15 @@ class Reference(Component):
 
     angle: Any = eqx.field(converter=as_signal)  # a signal, or another function of time by `jax.numpy`
     stiffness: Any = eqx.field(converter=as_signal)
+
+    def __check_init__(self) -> None:
+        for signal, quantity in ((self.angle, _ANGLE), (self.stiffness, _STIFFNESS)):
+            lower, upper = quantity.limits
+            for part in signal.parts if isinstance(signal, Sum) else (signal,):
+                if isinstance(part, Samples):
+                    check_within("Samples", lower, upper, quantity.unit, values=part.values)
+                elif isinstance(part, Signal):
+                    check_fields(part, quantity)
 
     def __call__(self, time: ArrayLike) -> Setpoint:
         """Setpoint at each time [s]."""

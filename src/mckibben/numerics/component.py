@@ -30,21 +30,31 @@ class Component(eqx.Module):
         return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
 
 
+class Checked:
+    """Base of dataclasses whose fields are checked as those of components."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
 @functools.cache
 def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
     """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``."""
     return {name: mark for name, hint in _hints(kind).items() for mark in [*_marks(hint)][:1]}
 
 
-def check_fields(instance: Any) -> None:
-    """Raise `RangeError` for fields of another type, and numbers outside their range; defaults and tracers pass."""
-    errors = list(field_errors(instance))
+def check_fields(instance: Any, signal: Quantity | None = None) -> None:
+    """Raise `RangeError` for fields of another type, and numbers outside their range; defaults and tracers pass.
+
+    `signal` is the quantity that a signal is of.
+    """
+    errors = list(field_errors(instance, signal))
     if len(errors) == 1:
         raise errors[0]
     refuse_problems(type(instance).__name__, [Problem.of(error, field=error.field) for error in errors])
 
 
-def field_errors(instance: Any) -> Iterator[RangeError]:
+def field_errors(instance: Any, signal: Quantity | None = None) -> Iterator[RangeError]:
     """Errors of all fields, see `check_fields`."""
     kind, owner = type(instance), type(instance).__name__
     for field in dataclasses.fields(instance):
@@ -58,6 +68,7 @@ def field_errors(instance: Any) -> Iterator[RangeError]:
                 yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
             elif mark and value is not None and not (isinstance(value, Real) and value == field.default):
                 numbers = known_numbers(owner, name, value)
+                mark = signal or mark if mark.unit == SIGNAL_UNIT else mark
                 if mark.unit != SIGNAL_UNIT and not (right := mark.holds(numbers)).all():
                     yield _outside(owner, name, float(numbers[~right][0]), mark)
         except RangeError as error:

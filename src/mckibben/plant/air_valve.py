@@ -21,10 +21,10 @@ from mckibben.plant.valve import ValveModel
 from mckibben.units import (
     Conductance,
     Percent,
+    PositivePressure,
     PressureScale,
     Quantity,
     ShortTime,
-    SupplyPressure,
     ValveTime,
     Volume,
     bar,
@@ -89,7 +89,7 @@ class AirValve(ValveModel):
     """
 
     conductance: Conductance
-    supply: SupplyPressure
+    supply: PositivePressure
     exhaust_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
     critical_ratio: CriticalRatio = eqx.field(kw_only=True, default=0.3)
     band: PressureScale = eqx.field(kw_only=True, default=1 * bar)

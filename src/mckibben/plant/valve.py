@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle import Domain
 from mckibben.numerics.component import Component
-from mckibben.units import PressureRate, SupplyPressure, ValveTime
+from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 
 class ValveModel(Component):
@@ -72,7 +72,7 @@ class FirstOrderValve(Valve):
     """
 
     time_constant: ValveTime
-    supply: SupplyPressure | None = eqx.field(kw_only=True, default=None)
+    supply: PositivePressure | None = eqx.field(kw_only=True, default=None)
     rate: PressureRate | None = eqx.field(kw_only=True, default=None)
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:

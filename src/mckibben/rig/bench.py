@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle, Specimen
 from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Checked, check_fields
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.protocol import specimen_of
 from mckibben.units import (
@@ -22,9 +23,10 @@ from mckibben.units import (
     Force,
     Hz,
     N,
+    PositivePressure,
     PositiveTime,
-    Pressure,
     PressureRate,
+    PressureScale,
     SampleRate,
     Tension,
     Travel,
@@ -94,24 +96,19 @@ class Drive:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RigLimits:
+class RigLimits(Checked):
     """Limits of a test rig; a single sample beyond one of them stops the test."""
 
-    pressure: Pressure  # highest
+    pressure: PositivePressure  # highest
     force: Tension  # highest
     stretch: Travel  # travel from where the muscle was mounted, either way
     shorten: Travel
     pressure_rate: PressureRate = 50 * bar / s  # between the means of two cycles; not checked during venting
-    pressure_error: Pressure = 0.3 * bar  # highest deviation from the set pressure after `settling`
+    pressure_error: PressureScale = 0.3 * bar  # highest deviation from the set pressure after `settling`
     settling: Duration = 10 * s  # of the pressure
     gap: PositiveTime = 500 * ms  # highest age of the newest sample, and longest time without one
     frozen: Duration = math.inf  # longest time for which a sensor may read the same volts; for sensors with noise
     deviation: Tension = math.inf  # highest deviation of a point's mean force from the law
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if not value > 0 or (value == math.inf and name not in ("frozen", "deviation")):
-                raise RangeError(f"limits: {name} is {value:g}", value=value, remedy="it has to be finite and above 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,25 +132,22 @@ class JointLimits:
     Raises
     ------
     RangeError
-        If one is not finite and above 0, or the angles are in the wrong order.
+        If one is out of its range, or the angles are in the wrong order.
     """
 
     lowest_angle: Angle
     highest_angle: Angle
-    pressure: Pressure
+    pressure: PositivePressure
     angle_rate: AngularRate = 720 * deg
     pressure_rate: PressureRate = math.inf
     window: PositiveTime = 10 * ms
-    pressure_error: Pressure = 1 * bar
+    pressure_error: PressureScale = 1 * bar
     following: PositiveTime = 250 * ms
     silence: PositiveTime = 20 * ms
     late: PositiveTime = 50 * ms
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            unlimited = name == "pressure_rate" and value == math.inf
-            if not (math.isfinite(value) or unlimited) or (not name.endswith("angle") and value <= 0):
-                raise RangeError(f"limits: {name} is {value:g}", value=value, remedy="it has to be finite and above 0")
+        check_fields(self)
         if not self.lowest_angle < self.highest_angle:
             raise RangeError(
                 f"limits: the angle may be {self.lowest_angle / deg:g}..{self.highest_angle / deg:g} deg",
@@ -179,6 +173,7 @@ class Bench:
     slack_force: Force = 1 * N  # highest mean force of a slack muscle, for the zero error of a sensor
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 1 <= self.rate * self.cycle:
             raise RangeError(f"no sample is taken within a cycle of {self.cycle:g} s", remedy="lengthen it")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
+from mckibben.numerics.component import field_errors
 from mckibben.units import (
     Contraction,
     Duration,
     ForceReserve,
     Pressure,
+    Quantity,
     Repeats,
     Samples,
     Speed,
-    Travel,
     WaitTime,
     bar,
     mm,
@@ -106,6 +107,7 @@ def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
 MOST_POINTS, MOST_STEPS = 100_000, 1_000_000
 """Most points and steps of a test with all its repeats: more are refused before they are laid out."""
 
+StepTravel = Annotated[float, Quantity("m", "mm", 0, 100, open_lower=True)]  # more is one in millimetres
 PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
 
 
@@ -170,7 +172,7 @@ class IsobaricProtocol:
     pressures: Sequence[Pressure] = PAPER_PRESSURES
     contraction_min: Contraction | None = None
     contraction_max: Contraction | None = None
-    step: Travel = 1 * mm
+    step: StepTravel = 1 * mm
     speed: Speed = 0.2 * mm / s
     dwell: WaitTime = 5 * s
     acquisition: Duration = 1 * s
@@ -181,40 +183,12 @@ class IsobaricProtocol:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pressures", tuple(float(pressure) for pressure in self.pressures))
-        problems: list[Problem] = []
-        if not self.pressures or not all(map(math.isfinite, self.pressures)):
-            problems.append(Problem("give at least one, all finite", field="pressures"))
+        problems = [Problem.of(error, field=error.field) for error in field_errors(self)]
+        if not self.pressures:
+            problems.append(Problem("give at least one", field="pressures"))
         if len(set(self.pressures)) < len(self.pressures):
             problems.append(
                 Problem("one is given twice", field="pressures", remedy="raise repeats to test it more often")
-            )
-        for name, unit, kind, example in (
-            ("step", "m", "length", "metres, such as 1 * mm"),
-            ("speed", "m/s", "speed", "metres per second, such as 0.2 * mm"),
-            ("acquisition", "s", "duration", "seconds"),
-        ):
-            value = getattr(self, name)
-            if not 0 < value < math.inf:
-                problems.append(
-                    Problem(
-                        f"{value:g} {unit} is not a positive {kind}",
-                        field=name,
-                        remedy=f"give it in {example}",
-                    )
-                )
-        if not 0 <= self.dwell < math.inf:
-            problems.append(Problem(f"{self.dwell:g} s is not a duration", field="dwell", remedy="give seconds, or 0"))
-        for name in ("samples", "repeats", "slack_steps"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or value < 1:
-                problems.append(Problem(f"{value!r} is not a whole number from 1 up", field=name))
-        if not 0 <= self.force_reserve < 1:
-            problems.append(
-                Problem(
-                    f"{self.force_reserve:g} is not a share from 0 to below 1",
-                    field="force_reserve",
-                    remedy="it is a ratio: 0.05 leaves 5 % of the rated force unused",
-                )
             )
         refuse_problems("isobaric protocol", problems)
 

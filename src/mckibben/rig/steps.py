@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -12,9 +11,11 @@ import numpy as np
 
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
+from mckibben.numerics.component import Checked, check_fields, field_errors
 from mckibben.rig.protocol import (
     PAPER_PRESSURES,
     IsobaricProtocol,
+    StepTravel,
     boundaries,
     specimen_of,
 )
@@ -29,7 +30,6 @@ from mckibben.units import (
     Samples,
     Speed,
     Tension,
-    Travel,
     WaitTime,
     bar,
     mm,
@@ -45,14 +45,11 @@ SPEED = 0.2 * mm / s
 
 
 @dataclass(frozen=True, kw_only=True)
-class Move:
+class Move(Checked):
     """Move of the motor to a contraction."""
 
     to: Contraction
     speed: Speed = SPEED
-
-    def __post_init__(self) -> None:
-        _refuse("move", _contraction("to", self.to), _positive("speed", self.speed, "m/s"))
 
     def describe(self) -> str:
         """Description as text."""
@@ -60,13 +57,10 @@ class Move:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dwell:
+class Dwell(Checked):
     """Wait for a duration [s]."""
 
     duration: WaitTime
-
-    def __post_init__(self) -> None:
-        _refuse("dwell", _positive("duration", self.duration, "s", zero=True))
 
     def describe(self) -> str:
         """Description as text."""
@@ -74,20 +68,12 @@ class Dwell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pressurise:
+class Pressurise(Checked):
     """Change of the set pressure, until the muscle has it."""
 
     pressure: Pressure
     rate: PressureRate | None = None  # of the set pressure; a step unless given
     holding: Tension | None = None  # force held meanwhile by moving, see `HoldForce`; constant length unless given
-
-    def __post_init__(self) -> None:
-        _refuse(
-            "pressurise",
-            None if math.isfinite(self.pressure) else Problem("is not finite", field="pressure"),
-            None if self.rate is None else _positive("rate", self.rate, "Pa/s"),
-            None if self.holding is None else _positive("holding", self.holding, "N"),
-        )
 
     def describe(self) -> str:
         """Description as text."""
@@ -97,7 +83,7 @@ class Pressurise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HoldForce:
+class HoldForce(Checked):
     """Move until the muscle has a force, by feedback of the force."""
 
     force: Tension
@@ -105,22 +91,13 @@ class HoldForce:
     speed: Speed = SPEED  # highest
     longest: Duration = 300 * s  # timeout, after which the test is stopped
 
-    def __post_init__(self) -> None:
-        _refuse(
-            "hold_force",
-            *(
-                _positive(name, getattr(self, name), unit)
-                for name, unit in (("force", "N"), ("tolerance", "N"), ("speed", "m/s"), ("longest", "s"))
-            ),
-        )
-
     def describe(self) -> str:
         """Description as text."""
         return f"move until the force is {self.force:g} N +- {self.tolerance:g} N"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Acquire:
+class Acquire(Checked):
     """Acquisition of a point: the samples of a plateau."""
 
     samples: Samples = 1000
@@ -129,44 +106,23 @@ class Acquire:
     phase: Phase = ""
     keep: bool = True  # whether it is a point of the dataset, not one that only finds a boundary
 
-    def __post_init__(self) -> None:
-        _refuse(
-            "acquire",
-            _whole("samples", self.samples),
-            _positive("duration", self.duration, "s"),
-            _among("direction", self.direction, DIRECTIONS),
-            _among("phase", self.phase, PHASES),
-        )
-
     def describe(self) -> str:
         """Description as text."""
         return f"acquire {self.samples} samples in {self.duration:g} s"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Walk:
+class Walk(Checked):
     """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire."""
 
     to: Contraction | None  # None: the start of the walk before
-    step: Travel = 1 * mm
+    step: StepTravel = 1 * mm
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
     acquire: Acquire = field(default_factory=Acquire)
     force: Tension | None = None  # ends before a step that is predicted to exceed it
     slack: Repeats | None = None  # ends this number of plateaus after the last one above `slack_force`
     slack_force: Force = 1 * N
-
-    def __post_init__(self) -> None:
-        _refuse(
-            "walk",
-            None if self.to is None else _contraction("to", self.to),
-            _positive("step", self.step, "m"),
-            _positive("speed", self.speed, "m/s"),
-            _positive("dwell", self.dwell, "s", zero=True),
-            None if self.force is None else _positive("force", self.force, "N"),
-            None if self.slack is None else _whole("slack", self.slack),
-            _positive("slack_force", self.slack_force, "N", zero=True),
-        )
 
     def describe(self) -> str:
         """Description as text."""
@@ -199,11 +155,9 @@ class Repeat:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", tuple(self.steps))
-        _refuse(
-            "repeat",
-            _whole("times", self.times),
-            None if self.steps else Problem("is empty", field="steps", remedy="give at least one"),
-        )
+        check_fields(self)
+        if not self.steps:
+            raise RangeError("Repeat: no steps", field="steps", remedy="give at least one")
 
     def describe(self) -> str:
         """Description as text, without its steps."""
@@ -230,33 +184,6 @@ def count_steps(steps: Sequence[Step]) -> int:
     34
     """
     return sum(step.times * count_steps(step.steps) if isinstance(step, Repeat) else 1 for step in steps)
-
-
-def _refuse(what: str, *problems: Problem | None) -> None:
-    if any(problems):
-        raise RangeError("; ".join(f"{what}: {problem}" for problem in problems if problem))
-
-
-def _positive(name: str, value: float, unit: str, *, zero: bool = False) -> Problem | None:
-    if math.isfinite(value) and (value > 0 or (zero and value == 0)):
-        return None
-    return Problem(f"{value:g} {unit} is not {'0 or above' if zero else 'above 0'}", field=name)
-
-
-def _contraction(name: str, value: float) -> Problem | None:
-    if math.isfinite(value) and abs(value) < 1:
-        return None
-    return Problem(f"{value:g} is no contraction", field=name, remedy="it is a ratio below 1: divide percent by 100")
-
-
-def _whole(name: str, value: object) -> Problem | None:
-    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
-        return None
-    return Problem(f"{value!r} is not a whole number from 1 up", field=name)
-
-
-def _among(name: str, value: str, words: Sequence[str]) -> Problem | None:
-    return None if value in words else Problem(f"{value!r} is none of {words}", field=name)
 
 
 _ADJUSTED = 5 * mm  # stretch before the first plateau: after 2 mm 2 % of a loop would be left, some 0.5 N
@@ -412,9 +339,9 @@ def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequenc
 
 def _check_lists(what: str, protocol: IsometricProtocol | IsotonicProtocol, name: str) -> None:
     pressures, values = protocol.pressures, getattr(protocol, name)
-    problems: list[Problem] = []
-    if not (pressures and all(map(math.isfinite, pressures)) and all(a < b for a, b in itertools.pairwise(pressures))):
+    problems = [Problem.of(error, field=error.field) for error in field_errors(protocol)]
+    if not (pressures and all(a < b for a, b in itertools.pairwise(pressures))):
         problems.append(Problem("do not rise", field="pressures", remedy="give at least one, ascending"))
-    if not (values and all(map(math.isfinite, values))):
-        problems.append(Problem("give at least one, all finite", field=name))
+    if not values:
+        problems.append(Problem("give at least one", field=name))
     refuse_problems(what, problems)
