@@ -57,6 +57,15 @@ def test_numbers_in_other_units_are_refused_and_given_in_si(make, field, value, 
     assert in_si in str(refused.value)
 
 
+def test_a_highest_pressure_in_bar_is_refused():
+    muscle = mk.Muscle(
+        mk.Specimen("mine", 0.18, domain=mk.Domain(-0.03, 0.25, 0.0, 6)), mk.catalog.law("lei-mas-10-180n")
+    )
+    with pytest.raises(RangeError) as refused:
+        mk.AntagonisticJoint(mk.catalog.joint("knee-table-2").geometry, muscle, muscle)
+    assert (refused.value.field, refused.value.value) == ("pressure_max", 6.0)
+
+
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64])
 def test_numpy_scalars_are_checked_as_any_number(kind):
     with pytest.raises(RangeError, match="joint_radius is -3"):

@@ -34,6 +34,8 @@ class MuscleState(NamedTuple):
 
 NO_STATE = MuscleState()
 
+_LEAST_PRESSURE = 1e3  # Pa: a lower highest pressure is one in bar or kPa
+
 
 class Muscle(Component):
     """A specimen with its force law, friction and creep.
@@ -71,15 +73,16 @@ class Muscle(Component):
         return self.specimen.domain.intersection(self.law.domain).intersection(self.law.formula_domain)
 
     def check_pressure_limit(self) -> None:
-        """Raise `RangeError` if neither the specimen nor the law limits the pressure."""
-        highest = self.domain.pressure_max if isinstance(self.specimen, Specimen) else 0.0
-        if isinstance(highest, Real) and not highest < jnp.inf:
+        """Raise `RangeError` if neither the specimen nor the law limits the pressure, or to that of one in bar."""
+        highest = self.domain.pressure_max
+        if isinstance(highest, Real) and not (highest <= 0 or _LEAST_PRESSURE <= highest < jnp.inf):
+            given = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
             raise RangeError(
-                f"the highest pressure of {self.specimen.name} is unknown",
+                f"the highest pressure of {self.specimen.name} is {given}",
                 field="pressure_max",
                 value=float(highest),
                 unit="Pa",
-                remedy="give the specimen a domain with its pressure_max",
+                remedy="give the specimen a domain with its pressure_max, such as 6 * bar",
             )
 
     @property

@@ -1,0 +1,91 @@
+"""Checks of the fields of components by their types."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.errors import RangeError
+from mckibben.numerics.component import Component, field_quantities
+from mckibben.units import BoundedInt, Length, Mass, Quantity
+
+
+class Part(Component):
+    length: Length
+
+
+class Whole(Component):
+    part: Part
+    mass: Mass = 1.0
+    spare: Part | None = None
+    lengths: tuple[Length, ...] | None = None
+    limit: Annotated[float, Quantity("m", "mm", 0, 10)] = np.inf
+    count: Annotated[int, BoundedInt(1, 9)] = eqx.field(default=3, static=True)
+    side: Literal["left", "right"] = "left"
+
+
+PART = Part(0.2)
+
+
+@pytest.mark.parametrize(
+    ("fields", "name", "value", "upper"),
+    [
+        ({"part": 0.2}, "part", 0.2, None),
+        ({"part": None}, "part", None, None),
+        ({"spare": "none"}, "spare", "none", None),
+        ({"mass": -1.0}, "mass", -1.0, 1e4),
+        ({"mass": np.nan}, "mass", np.nan, 1e4),
+        ({"mass": "1 kg"}, "mass", "1 kg", None),
+        ({"mass": np.array([1.0, 2e4])}, "mass", 2e4, 1e4),
+        ({"mass": jnp.array([1.0, 2e4])}, "mass", 2e4, 1e4),
+        ({"lengths": (0.1, 20.0)}, "lengths", 20.0, 10.0),
+        ({"limit": 5.0}, "limit", 5.0, 0.01),
+        ({"count": 10}, "count", 10.0, 9),
+        ({"count": 2.5}, "count", 2.5, 9),
+        ({"side": "up"}, "side", "up", None),
+    ],
+)
+def test_a_field_of_another_type_or_out_of_range_is_refused(fields, name, value, upper):
+    with pytest.raises(RangeError, match=f"Whole: {name} is ") as refused:
+        Whole(**{"part": PART, **fields})
+    assert refused.value.field == name
+    np.testing.assert_equal(refused.value.value, value)
+    assert refused.value.upper == (upper if upper is None else pytest.approx(upper))
+
+
+def test_what_is_right_passes_and_so_do_defaults_and_tracers():
+    assert Whole(PART, lengths=(0.1, 0.2), spare=PART, limit=np.inf).limit == np.inf
+    made = jax.jit(lambda mass: Whole(PART, mass).mass)(-1.0)
+    assert float(made) == -1.0
+    assert jax.vmap(lambda mass: Whole(PART, mass=mass).mass)(jnp.array([1.0, 2.0])).shape == (2,)
+
+
+def test_all_that_is_wrong_is_told_at_once():
+    with pytest.raises(RangeError, match="2 problems") as refused:
+        Whole(PART, mass=-1.0, count=0)
+    assert "mass is -1 kg" in str(refused.value) and "count is 0" in str(refused.value)
+    assert (refused.value.field, refused.value.value) == ("mass", -1.0)
+
+
+def test_a_check_of_ones_own_does_not_take_the_place_of_it():
+    class Heavy(Whole):
+        def __check_init__(self) -> None:
+            assert self.mass > 1
+
+    assert Heavy(PART, mass=2.0).mass == 2.0
+    with pytest.raises(RangeError):
+        Heavy(PART, mass=2e4)
+
+
+def test_a_class_of_a_function_is_made_though_its_types_are_not_found():
+    class Local(Component):
+        inner: NotThere
+        mass: Mass
+
+    assert Local(1, -2.0).mass == -2.0
+    assert field_quantities(Local) == {}
