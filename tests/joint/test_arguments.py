@@ -66,6 +66,13 @@ def test_a_highest_pressure_in_bar_is_refused():
     assert (refused.value.field, refused.value.value) == ("pressure_max", 6.0)
 
 
+def test_pressures_in_bar_are_warned_of():
+    knee = mk.catalog.joint("knee-table-2")
+    for at in (lambda: knee.muscle1.force(0.1, 3.0), lambda: knee.torque(0.1, (2.0, 3.0))):
+        with pytest.warns(mk.errors.McKibbenWarning, match="3 Pa"):
+            at()
+
+
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64])
 def test_numpy_scalars_are_checked_as_any_number(kind):
     with pytest.raises(RangeError, match="joint_radius is -3"):

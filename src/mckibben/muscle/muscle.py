@@ -15,7 +15,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.errors import DomainWarning, RangeError
+from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
@@ -34,7 +34,7 @@ class MuscleState(NamedTuple):
 
 NO_STATE = MuscleState()
 
-_LEAST_PRESSURE = 1e3  # Pa: a lower highest pressure is one in bar or kPa
+_LEAST_PRESSURE = 1e3  # Pa: if the highest is lower, it is one in bar or kPa
 
 
 class Muscle(Component):
@@ -108,7 +108,8 @@ class Muscle(Component):
         """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0; the arguments broadcast.
 
         Friction and creep of an internal state contribute at most half of the law's force each. Outside the domain,
-        where the law is extrapolated, a `DomainWarning` is issued, except inside `jax.jit`.
+        where the law is extrapolated, a `DomainWarning` is issued, and a warning for pressures up to 1 kPa, which are
+        ones in bar; except inside `jax.jit`.
         """
         warn_outside((self, contraction, pressure))
         return self.tension(contraction, pressure, state)
@@ -157,9 +158,13 @@ class Muscle(Component):
 
 
 def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
-    """Issue one `DomainWarning` for concrete contractions and pressures outside their muscle's domain."""
+    """Issue one `DomainWarning` for concrete values outside their muscle's domain; a warning for pressures in bar."""
     if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
+    highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
+    if 0 < highest < _LEAST_PRESSURE:
+        text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
+        warnings.warn(text, McKibbenWarning, stacklevel=_user_level())
     texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]
     if found := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
         text = f"{'; '.join(found)}; the law is extrapolated there"
