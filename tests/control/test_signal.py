@@ -161,8 +161,8 @@ def test_a_reference_wants_both_at_once():
     np.testing.assert_array_equal(setpoint.stiffness, [13, 13, 13, 13, 17, 17])
 
 
-@pytest.mark.parametrize("number", [15, np.int64(15), np.float32(15), np.float64(15)], ids=lambda x: type(x).__name__)
+@pytest.mark.parametrize("number", [3, np.int64(3), np.float32(3), np.float64(3)], ids=lambda x: type(x).__name__)
 def test_any_number_is_a_constant(number):
     setpoint = jax.jit(lambda r, t: r(t))(numeric(Reference(angle=number, stiffness=number)), TIMES)
-    np.testing.assert_array_equal(setpoint, np.full((2, TIMES.size), 15.0))
+    np.testing.assert_array_equal(setpoint, np.full((2, TIMES.size), 3.0))
     assert setpoint.stiffness.dtype == TIMES.dtype

@@ -68,7 +68,7 @@ def test_what_is_right_passes_and_so_do_defaults_and_tracers():
 def test_all_that_is_wrong_is_told_at_once():
     with pytest.raises(RangeError, match="2 problems") as refused:
         Whole(PART, mass=-1.0, count=0)
-    assert "mass is -1 kg" in str(refused.value) and "count is 0" in str(refused.value)
+    assert "mass: is -1 kg" in str(refused.value) and "count: is 0" in str(refused.value)
     assert (refused.value.field, refused.value.value) == ("mass", -1.0)
 
 

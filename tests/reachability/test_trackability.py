@@ -1,5 +1,6 @@
 """Stiffness bands along a trajectory against the paper's equations in plain NumPy, and against a simulation."""
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -107,7 +108,8 @@ def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_p
         return at[1] + lag * (at[2] - at[0]) / (2 * h)
 
     commands = np.array([command(time + 5e-4) for time in times])  # held over a period: its middle counts
-    reference = Reference(Samples(times, commands[:, 0]), Samples(times, commands[:, 1]))
+    signals = Samples(times, commands[:, 0]), Samples(times, commands[:, 1])
+    reference = eqx.tree_at(lambda one: (one.angle, one.stiffness), Reference(0.0, 0.0), signals)
     start = PlantState(0.0, a * 2 * np.pi * f, tuple(tried.pressures(0.0, 15.0)[0]))
     with pytest.warns(ReachabilityWarning):  # the reference is pressures, not an angle and a stiffness
         run = simulate(plant, playback, reference, duration=0.5, initial=start)

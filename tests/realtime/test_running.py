@@ -114,7 +114,7 @@ def test_beyond_a_limit_it_stops(knee, limits, text):
 
 
 def test_rates_are_those_of_a_straight_line(stiff):
-    limits, sensors = JointLimits(lowest_angle=-9, highest_angle=9, pressure=9 * bar, angle_rate=2.0), Wiring().sensors
+    limits, sensors = JointLimits(lowest_angle=-6, highest_angle=6, pressure=9 * bar, angle_rate=2.0), Wiring().sensors
     monitor = JointMonitor(stiff.joint(), limits, sensors, PERIOD)
 
     def check(i, angle):

@@ -114,9 +114,9 @@ def test_numbers_without_meaning_are_refused_together():
         )  # type: ignore[arg-type]
     text = str(error.value)
     assert text.startswith("isobaric protocol: 7 problems\n")
-    assert "pressures: one is given twice" in text and "samples is 10.5" in text
-    assert "step is 0 m" in text and "speed is nan m/s" in text and "dwell is -1 s" in text
-    assert "repeats is 0" in text and "force_reserve is 5" in text and "5 % is 0.05" in text
+    assert "pressures: one is given twice" in text and "samples: is 10.5" in text
+    assert "step: is 0 m" in text and "speed: is nan m/s" in text and "dwell: is -1 s" in text
+    assert "repeats: is 0" in text and "force_reserve: is 5" in text and "5 % is 0.05" in text
     with pytest.raises(RangeError, match="give at least one"):
         IsobaricProtocol(pressures=[])
 

@@ -48,14 +48,23 @@ def check_fields(instance: Any, signal: Quantity | None = None) -> None:
 
     `signal` is the quantity that a signal is of.
     """
-    errors = list(field_errors(instance, signal))
+    errors = list(_errors(instance, signal))
     if len(errors) == 1:
         raise errors[0]
-    refuse_problems(type(instance).__name__, [Problem.of(error, field=error.field) for error in errors])
+    refuse_problems(type(instance).__name__, [_problem(instance, error) for error in errors])
 
 
-def field_errors(instance: Any, signal: Quantity | None = None) -> Iterator[RangeError]:
-    """Errors of all fields, see `check_fields`."""
+def field_problems(instance: Any) -> list[Problem]:
+    """What `check_fields` would raise."""
+    return [_problem(instance, error) for error in _errors(instance)]
+
+
+def _problem(instance: Any, error: RangeError) -> Problem:
+    found = Problem.of(error, field=error.field)
+    return dataclasses.replace(found, message=found.message.removeprefix(f"{type(instance).__name__}: {error.field} "))
+
+
+def _errors(instance: Any, signal: Quantity | None = None) -> Iterator[RangeError]:
     kind, owner = type(instance), type(instance).__name__
     for field in dataclasses.fields(instance):
         name, value, mark = field.name, getattr(instance, field.name), field_quantities(kind).get(field.name)

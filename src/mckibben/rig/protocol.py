@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.numerics.component import field_errors
+from mckibben.numerics.component import field_problems
 from mckibben.units import (
     Contraction,
     Duration,
@@ -165,8 +165,8 @@ class IsobaricProtocol:
     Traceback (most recent call last):
         ...
     mckibben.errors.RangeError: isobaric protocol: 2 problems
-      step: -0.001 m is not a positive length; give it in metres, such as 1 * mm
-      repeats: 0 is not a whole number from 1 up
+      step: is -0.001 m, outside above 0 to 100 mm; choose a value inside
+      repeats: is 0, outside 1 to 10000; choose a value inside
     """
 
     pressures: Sequence[Pressure] = PAPER_PRESSURES
@@ -183,7 +183,7 @@ class IsobaricProtocol:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pressures", tuple(float(pressure) for pressure in self.pressures))
-        problems = [Problem.of(error, field=error.field) for error in field_errors(self)]
+        problems = field_problems(self)
         if not self.pressures:
             problems.append(Problem("give at least one", field="pressures"))
         if len(set(self.pressures)) < len(self.pressures):

@@ -11,7 +11,7 @@ import numpy as np
 
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.numerics.component import Checked, check_fields, field_errors
+from mckibben.numerics.component import Checked, check_fields, field_problems
 from mckibben.rig.protocol import (
     PAPER_PRESSURES,
     IsobaricProtocol,
@@ -339,7 +339,7 @@ def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequenc
 
 def _check_lists(what: str, protocol: IsometricProtocol | IsotonicProtocol, name: str) -> None:
     pressures, values = protocol.pressures, getattr(protocol, name)
-    problems = [Problem.of(error, field=error.field) for error in field_errors(protocol)]
+    problems = field_problems(protocol)
     if not (pressures and all(a < b for a, b in itertools.pairwise(pressures))):
         problems.append(Problem("do not rise", field="pressures", remedy="give at least one, ascending"))
     if not values:
