@@ -11,6 +11,7 @@ import numpy as np
 
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import check_fields
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
 from mckibben.realtime.config import Wiring
@@ -24,7 +25,7 @@ from mckibben.rig.simulated.faults import (
     SensorDisconnected,
     SupplyLost,
 )
-from mckibben.units import deg, kPa, ms
+from mckibben.units import AngleStep, PressureNoise, deg, kPa, ms
 
 _SPIN = 80e-6  # s of spinning, by which a sleep may end late
 _DRAWN = 1024  # samples of noise drawn at once
@@ -44,13 +45,12 @@ class Sensing:
         Resolution of the converter [V]; 0 for none. 16 bits over 20 V are 0.31 mV.
     """
 
-    angle_step: float = 0.022 * deg
-    pressure_noise: float = 4 * kPa
+    angle_step: AngleStep = 0.022 * deg
+    pressure_noise: PressureNoise = 4 * kPa
     volts_step: float = 20 / 2**16
 
     def __post_init__(self) -> None:
-        check_positive("Sensing", "rad", zero=True, angle_step=self.angle_step)
-        check_positive("Sensing", "Pa", zero=True, pressure_noise=self.pressure_noise)
+        check_fields(self)
         check_positive("Sensing", "V", zero=True, volts_step=self.volts_step)
 
 

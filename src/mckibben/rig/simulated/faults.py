@@ -4,25 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.muscle.air import L_PER_S_BAR
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import Checked
+from mckibben.units import Conductance, Duration, PositiveTime, Quantity, Samples, WaitTime
 
 _MAINS = 50.0  # Hz
 
 
 @dataclass(frozen=True)
-class Fault:
+class Fault(Checked):
     """A fault of simulated hardware, at a time since the rig was first opened [s]."""
 
-    at: float
-
-    def __post_init__(self) -> None:
-        check_positive(type(self).__name__, "s", zero=True, at=self.at)
+    at: WaitTime
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,7 @@ class SupplyLost(Fault):
 class ValveStuck(Fault):
     """Regulator stuck at an opening, from -1 (exhaust) to 1 (supply), whatever its signal."""
 
-    opening: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not -1 <= self.opening <= 1:
-            raise RangeError(f"ValveStuck: opening {self.opening:g} is outside -1..1", value=self.opening)
+    opening: Annotated[float, Quantity("1", lower=-1, upper=1)] = 1.0
 
 
 @dataclass(frozen=True)
@@ -71,11 +65,7 @@ class Slipped(Fault):
 class Burst(Fault):
     """Burst bladder, of a sonic conductance [m^3/(s*Pa)], 5 dm^3/(s*bar) unless given."""
 
-    conductance: float = 5 * L_PER_S_BAR
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive("Burst", "m^3/(s*Pa)", conductance=self.conductance)
+    conductance: Conductance = 5 * L_PER_S_BAR
 
 
 @dataclass(frozen=True)
@@ -87,11 +77,7 @@ class Stalled(Fault):
 class HostDelayed(Fault):
     """Host is busy for a duration [s]: its next read returns that much later."""
 
-    duration: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive("HostDelayed", "s", duration=self.duration)
+    duration: Duration = 1.0
 
 
 @dataclass(frozen=True)
@@ -103,23 +89,12 @@ class SamplesStopped(Fault):
 class SamplesDropped(Fault):
     """Samples are lost: a number of them and all that wait to be read; again each period [s] `every`, if given."""
 
-    samples: int = 10
-    every: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.samples < 1:
-            raise RangeError(f"SamplesDropped: {self.samples} samples", value=self.samples, lower=1)
-        if self.every is not None:
-            check_positive("SamplesDropped", "s", every=self.every)
+    samples: Samples = 10
+    every: Duration | None = None
 
 
 @dataclass(frozen=True)
 class SamplesDelayed(Fault):
     """Samples come with a delay [s]."""
 
-    delay: float = 0.2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive("SamplesDelayed", "s", delay=self.delay)
+    delay: PositiveTime = 0.2

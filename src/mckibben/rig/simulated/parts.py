@@ -5,15 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, RigError
 from mckibben.muscle.air import ATMOSPHERE, ENERGY, FLOATS, L_PER_S_BAR, mass_flow
-from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.component import check_fields
 from mckibben.rig.bench import Drive
-from mckibben.units import N, bar, kPa, mm, ms
+from mckibben.units import (
+    Conductance,
+    Distance,
+    Force,
+    N,
+    PositivePressure,
+    PositiveTime,
+    PressureNoise,
+    PressureScale,
+    Quantity,
+    ShortTime,
+    Volume,
+    bar,
+    kPa,
+    mm,
+    ms,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,28 +69,21 @@ class Regulator:
         C [m^3/(s*Pa)] of all leaks: 1e-5 dm^3/(s*bar) (ours).
     """
 
-    supply: float = 8 * bar
-    conductance: float = 0.0091 * L_PER_S_BAR
-    critical: float = 0.3
-    band: float = 0.1 * bar
-    lag: float = 30 * ms
-    hysteresis: float = 4.5 * kPa
-    repeatability: float = 4.5 * kPa
-    highest: float = 9 * bar
-    dead_volume: float = 5e-6
-    exhaust: float = 0.1 * L_PER_S_BAR
-    exhaust_delay: float = 20 * ms
-    leak: float = 1e-5 * L_PER_S_BAR
+    supply: PositivePressure = 8 * bar
+    conductance: Conductance = 0.0091 * L_PER_S_BAR
+    critical: Annotated[float, Quantity("1", lower=0, upper=0.99)] = 0.3
+    band: PressureScale = 0.1 * bar
+    lag: PositiveTime = 30 * ms
+    hysteresis: PressureNoise = 4.5 * kPa
+    repeatability: PressureNoise = 4.5 * kPa
+    highest: PositivePressure = 9 * bar
+    dead_volume: Volume = 5e-6
+    exhaust: Conductance = 0.1 * L_PER_S_BAR
+    exhaust_delay: ShortTime = 20 * ms
+    leak: Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4)] = 1e-5 * L_PER_S_BAR
 
     def __post_init__(self) -> None:
-        check_positive("regulator", "m^3/(s*Pa)", conductance=self.conductance, exhaust=self.exhaust)
-        check_positive("regulator", "m^3/(s*Pa)", zero=True, leak=self.leak)
-        check_positive("regulator", "Pa", supply=self.supply, band=self.band, highest=self.highest)
-        check_positive("regulator", "Pa", zero=True, hysteresis=self.hysteresis, repeatability=self.repeatability)
-        check_positive("regulator", "s", lag=self.lag)
-        check_positive("regulator", "s", zero=True, exhaust_delay=self.exhaust_delay)
-        check_positive("regulator", "m^3", dead_volume=self.dead_volume)
-        check_within("regulator", 0.0, 0.99, critical=self.critical)
+        check_fields(self)
         if self.supply <= self.band:
             raise RangeError("regulator: a supply below its band gives no pressure", remedy="raise the supply")
 
@@ -193,13 +204,12 @@ class Stretcher:
     """
 
     drive: Drive = field(default_factory=Drive)
-    backlash: float = 0.02 * mm
-    guide_friction: float = 5 * N
+    backlash: Distance = 0.02 * mm
+    guide_friction: Force = 5 * N
     acceleration: float = math.inf
 
     def __post_init__(self) -> None:
-        check_positive("stretcher", "m", zero=True, backlash=self.backlash)
-        check_positive("stretcher", "N", zero=True, guide_friction=self.guide_friction)
+        check_fields(self)
         if self.acceleration != math.inf:
             check_positive("stretcher", "Hz/s", acceleration=self.acceleration)
 
