@@ -321,7 +321,7 @@ def test_a_damping_outside_its_range_is_refused():
 
 
 def test_arguments_that_are_swapped_are_named(knee, load):
-    with pytest.raises(RangeError, match=r"feedback is a ExtendedStateObserver.*swapped"):
+    with pytest.raises(RangeError, match=r"feedback: is a ExtendedStateObserver.*swapped"):
         DecouplingControl(knee, load, ExtendedStateObserver(), PolePlacement())
     with pytest.raises(RangeError, match="minimum_tension is -1 N"):
         eso(knee, load, minimum_tension=-1.0)

@@ -273,7 +273,7 @@ def test_motion_and_pressures_are_of_one_moment(alone):
 
 
 def test_numbers_that_make_no_sense_are_named(knee, load):
-    with pytest.raises(RangeError, match=r"loops is a KneeLoad.*swapped"):
+    with pytest.raises(RangeError, match=r"loops: is a KneeLoad.*swapped"):
         InverseModelControl(load, loops(knee))
     with pytest.raises(RangeError, match="learning_rate is -1"):
         InverseModelControl(loops(knee), learning_rate=-1.0)

@@ -138,5 +138,5 @@ def test_invalid_sensors_are_refused(field, value, unit):
 
 
 def test_arguments_that_are_swapped_are_named(knee, load):
-    with pytest.raises(RangeError, match=r"sensors is a NoDisturbance.*swapped"):
+    with pytest.raises(RangeError, match=r"sensors: is a NoDisturbance.*swapped"):
         JointPlant(knee, load, IdealValve(), NoDisturbance(), PerfectSensors())

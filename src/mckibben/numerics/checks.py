@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from numbers import Real
-from typing import Any
+from types import NoneType
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,8 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     if not isinstance(value, kind):
         ours = type(value).__module__.startswith("mckibben")
         given = f"a {type(value).__name__}" if ours else f"{value!r:.60}"
-        remedy = f"give a {getattr(kind, '__name__', kind)}; are arguments swapped?"
+        kinds = [one.__name__ for one in get_args(kind) or (kind,) if one is not NoneType]
+        remedy = f"give a {' or '.join(kinds)}; are arguments swapped?"
         raise RangeError(f"{owner}: {name} is {given}", field=name, value=value, remedy=remedy)
 
 
