@@ -411,11 +411,6 @@ class Percent(Quantity):
         """A value as it is written."""
         return "'10 %'"
 
-    @property
-    def range(self) -> str:
-        """The range as text."""
-        return f"{self.lower:g} to {'below ' if self.open_upper else ''}{self.upper:g} %"
-
 
 # Types of fields, for runtime classes and configuration files.
 Duration = Annotated[float, Quantity("s", "s", 0, 1e6, open_lower=True)]
@@ -473,7 +468,7 @@ PositiveRate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6, open_lower=True)]
 Bandwidth = Annotated[float, Quantity("rad/s", "rad/s", 0, 1e6, open_lower=True)]
 AngularAcceleration = Annotated[float, Quantity("rad/s^2", "rad/s^2", 0, 1e6, open_lower=True)]
 PoleDamping = Annotated[float, Quantity("1", "1", 2, 3)]
-Momentum = Annotated[float, Quantity("1", "1", 0, 1, open_upper=True)]
+Momentum = Annotated[float, Quantity("1", "1", 0, 0.999999)]
 Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 Count = Annotated[int, BoundedInt(1, 1000)]
 Iterations = Annotated[int, BoundedInt(1, 100)]

@@ -106,6 +106,7 @@ def test_too_few_points_for_a_fit(cli, tmp_path, loading):
         (("--repeats", "0"), "0 repeats"),
         (("--directions", "up"), "'up' is not a direction"),
         (("--contraction", "0.7"), "lie outside contraction"),
+        (("--contraction", "3"), "3 % is 0.03"),
         (("--contraction-step", "0 mm"), "the contraction step is 0, not above 0"),
         (("--contraction-step", "1 bar"), "--contraction-step: 'bar' is not a unit"),
         (("--pressure-step", "-1 bar"), "the pressure step is -100000 Pa"),

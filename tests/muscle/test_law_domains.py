@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.muscle import HuntLaw, MartensBoblanLaw, Muscle, TonduLopezVariableLaw, forces
+from mckibben.errors import RangeError
+from mckibben.muscle import ForceCorrection, HuntLaw, MartensBoblanLaw, Muscle, TonduLopezVariableLaw, forces
 from mckibben.units import deg, mm
 
 
@@ -42,3 +43,10 @@ def test_threads_cannot_be_stretched_beyond_straight():
     straight = 1 / np.cos(25 * deg) - 1
     assert np.isfinite(float(law.force(-0.99 * straight, 1e5)))
     assert np.isnan(float(law.force(-1.01 * straight, 1e5)))
+
+
+@pytest.mark.parametrize("half_width", [0.0, -0.1])
+def test_a_correction_has_a_width(half_width):
+    with pytest.raises(RangeError) as refused:
+        ForceCorrection((1.0,), (0.0,), centre=0.1, half_width=half_width)
+    assert (refused.value.field, refused.value.value) == ("half_width", half_width)

@@ -46,7 +46,10 @@ PART = Part(0.2)
         ({"lengths": (0.1, 20.0)}, "lengths", 20.0, 10.0),
         ({"limit": 5.0}, "limit", 5.0, 0.01),
         ({"count": 10}, "count", 10.0, 9),
-        ({"count": 2.5}, "count", 2.5, 9),
+        ({"count": 2.5}, "count", 2.5, None),
+        ({"count": 3.0}, "count", 3.0, None),
+        ({"count": True}, "count", True, None),
+        ({"mass": None}, "mass", None, None),
         ({"side": "up"}, "side", "up", None),
     ],
 )

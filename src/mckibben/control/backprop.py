@@ -71,7 +71,7 @@ class BackpropPID(Loop):
     learning_rate, momentum
         eta [1/s]; alpha, 0 to below 1.
     gain_ratio
-        R, 1 (no freedom) or above.
+        R, above 1.
     hidden
         Number of hidden neurons.
     jacobian

@@ -18,7 +18,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp
-from mckibben.units import COMPONENT, Force, Instant, PositiveTime, Pressure, ShortTime, ms
+from mckibben.units import COMPONENT, Instant, PositiveTime, Pressure, ShortTime, Tension, ms
 
 Scalar = Float[Array, ""]
 
@@ -179,7 +179,7 @@ class PhasedReference(LegReference):
     touchdown: tuple[Setpoint, ...]
     stance: tuple[Setpoint, ...]
     push_off: tuple[Setpoint, ...]
-    threshold: Force = 5.0
+    threshold: Tension = 5.0
     touchdown_time: ShortTime = 20 * ms
     blanking: ShortTime = 30 * ms
     lag: PositiveTime = 5 * ms

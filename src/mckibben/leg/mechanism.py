@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Annotated, Literal, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -59,13 +59,6 @@ class Trunk(Component):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        if self.freedom not in get_args(Freedom):
-            raise RangeError(
-                f"Trunk: freedom is {self.freedom!r}",
-                field="freedom",
-                value=self.freedom,
-                remedy=f"give one of {', '.join(get_args(Freedom))}",
-            )
         if self.freedom == "free":
             check_positive("Trunk", "kg*m^2", inertia=self.inertia)
 
@@ -185,14 +178,6 @@ class BiarticularMuscle(Component):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        for field in ("action1", "action2"):
-            if getattr(self, field) not in get_args(Action):
-                raise RangeError(
-                    f"{self.name}: {field} is {getattr(self, field)!r}",
-                    field=field,
-                    value=getattr(self, field),
-                    remedy=f"give {' or '.join(get_args(Action))}",
-                )
         self.muscle.check_pressure_limit()
 
     @property

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any
+from typing import Annotated, Any
 
 import jax.numpy as jnp
 
-from mckibben.units import bar
+from mckibben.units import Quantity, bar
+
+CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
 
 ATMOSPHERE = 1.01325e5
 """Atmospheric pressure [Pa, absolute]."""

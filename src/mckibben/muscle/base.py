@@ -1,9 +1,8 @@
 """Interface of a force law, its numerical inverse in pressure, scaled laws, and the ideal braid (Eq. 1)."""
 
 import abc
-import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,9 +12,12 @@ from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.component import Component
-from mckibben.units import atm, bar, deg, mm
+from mckibben.units import Percent, atm, bar, deg, mm
 
 # No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
+
+
+PositiveContraction = Annotated[float, Percent("1", "%", 0, 80, open_lower=True)]
 
 
 @dataclass(frozen=True)
@@ -143,9 +145,6 @@ def wrapped_law(law: ForceLaw, affine: Any, general: Any, **parameters: Any) -> 
     domain = law.domain.intersection(law.formula_domain)
     return (affine if isinstance(law, PressureAffineLaw) else general)(law=law, domain=domain, **parameters)
 
-
-NEUTRAL_ANGLE = math.atan(math.sqrt(2))
-"""Braid angle [rad], 54.7 deg, from which on pressure does not shorten a muscle."""
 
 BRAID_PARAMETERS = (
     Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),

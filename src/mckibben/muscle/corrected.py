@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
-from mckibben.muscle.base import ForceLaw, PressureAffineLaw, pressure_for, wrapped_law
+from mckibben.muscle.base import ForceLaw, PositiveContraction, PressureAffineLaw, pressure_for, wrapped_law
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.component import Component
 from mckibben.units import Contraction, ForcePerPressure, SignedForce
@@ -31,7 +31,7 @@ class ForceCorrection(Component):
     offset: Sequence[SignedForce]
     gain: Sequence[ForcePerPressure]
     centre: Contraction
-    half_width: Contraction
+    half_width: PositiveContraction
 
     def __check_init__(self) -> None:
         super().__check_init__()

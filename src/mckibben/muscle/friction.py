@@ -106,7 +106,7 @@ class NoFriction(Friction):
         return np.zeros(np.shape(length))
 
 
-FrictionForce = Annotated[float, Quantity("N", "N", 1e-6, 1e6)]
+FrictionForce = Annotated[float, Quantity("N", "N", MIN_HALF_WIDTH, 1e6)]
 FrictionGrowth = Annotated[float, Quantity("N/Pa", "N/bar", -1e4, 1e4)]
 TensionGrowth = Annotated[float, Quantity("1", "1", -1, 1)]
 Presliding = Annotated[float, Quantity("m", "mm", 0, 1e3, open_lower=True)]

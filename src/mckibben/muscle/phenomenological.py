@@ -8,12 +8,11 @@ from typing import Annotated, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
+from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root
 from mckibben.units import Contraction, ForcePerPressure, Pressure, PressureScale, Quantity, SignedForce, kPa, percent
 
-PositiveContraction = Annotated[float, Quantity("1", "%", 0, 80, open_lower=True)]
 PressurePerForce = Annotated[float, Quantity("Pa/N", "kPa/N", 0, 1e3, open_lower=True)]
 
 

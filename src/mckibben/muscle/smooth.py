@@ -7,11 +7,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
+from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw
 from mckibben.muscle.exponential import Decay, ExponentialLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
-from mckibben.units import ForcePerPressure, Share, SignedForce
+from mckibben.units import ForcePerPressure, SignedForce
 
 DEGREE = 5
 """Degree of the polynomial of each deviation."""
@@ -51,7 +51,7 @@ class _Deviations(ForceLaw):
     s15: float
     decay: Decay
     centre: float
-    half_width: Share
+    half_width: PositiveContraction
 
     source = "this project"
     shape_parameters = ExponentialLaw.shape_parameters

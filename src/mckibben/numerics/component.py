@@ -55,7 +55,7 @@ def check_fields(instance: Any, signal: Quantity | None = None) -> None:
 
 
 def field_problems(instance: Any) -> list[Problem]:
-    """What `check_fields` would raise."""
+    """Problems of the fields, as by `check_fields`."""
     return [_problem(instance, error) for error in _errors(instance)]
 
 
@@ -75,7 +75,12 @@ def _errors(instance: Any, signal: Quantity | None = None) -> Iterator[RangeErro
             elif words and value not in words:
                 remedy = f"give one of {', '.join(map(repr, words))}"
                 yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
-            elif mark and value is not None and not (isinstance(value, Real) and value == field.default):
+            elif mark and value is None:
+                if NoneType not in get_args(_hints(kind)[name]):
+                    yield RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
+            elif mark and isinstance(mark, BoundedInt) and isinstance(value, bool | float):
+                yield RangeError(f"{owner}: {name} is {value}, no whole number", field=name, value=value)
+            elif mark and not (isinstance(value, Real) and value == field.default):
                 numbers = known_numbers(owner, name, value)
                 mark = signal or mark if mark.unit == SIGNAL_UNIT else mark
                 if mark.unit != SIGNAL_UNIT and not (right := mark.holds(numbers)).all():

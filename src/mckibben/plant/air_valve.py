@@ -14,7 +14,17 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
 from mckibben.muscle import Domain
-from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, FLOATS, LAMINAR, flow_share, mass_flow, pressure_rate
+from mckibben.muscle.air import (
+    ATMOSPHERE,
+    DENSITY,
+    ENERGY,
+    FLOATS,
+    LAMINAR,
+    CriticalRatio,
+    flow_share,
+    mass_flow,
+    pressure_rate,
+)
 from mckibben.numerics.checks import check_within
 from mckibben.numerics.elementary import floating
 from mckibben.plant.valve import ValveModel
@@ -53,7 +63,6 @@ class AirVolume(NamedTuple):
         return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
 
 
-CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
 PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
 DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
 DeadZone = Annotated[float, Percent("1", "%", 0, 90)]

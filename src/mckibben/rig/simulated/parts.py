@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, RigError
-from mckibben.muscle.air import ATMOSPHERE, ENERGY, FLOATS, L_PER_S_BAR, mass_flow
+from mckibben.muscle.air import ATMOSPHERE, ENERGY, FLOATS, L_PER_S_BAR, CriticalRatio, mass_flow
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.component import check_fields
 from mckibben.rig.bench import Drive
@@ -71,7 +71,7 @@ class Regulator:
 
     supply: PositivePressure = 8 * bar
     conductance: Conductance = 0.0091 * L_PER_S_BAR
-    critical: Annotated[float, Quantity("1", lower=0, upper=0.99)] = 0.3
+    critical: CriticalRatio = 0.3
     band: PressureScale = 0.1 * bar
     lag: PositiveTime = 30 * ms
     hysteresis: PressureNoise = 4.5 * kPa
