@@ -260,7 +260,7 @@ def test_bad_signals(signal, words):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("momentum: 0.25", "momentum: 1"), "outside 0 to below 1"),
+        (("momentum: 0.25", "momentum: 1"), "outside 0 to 0.999999"),
         (("momentum: 0.25", "gain_ratio: 1"), "outside above 1"),
         (("seed: 3", "seed: -1"), "outside 0 to 2147483647"),
         (("jacobian: model", "jacobian: signs"), "did you mean 'sign'"),

@@ -69,7 +69,7 @@ class BackpropPID(Loop):
     signal_scale, error_scale, output_scale
         Typical magnitude of the controlled quantity, e_s of a relevant error, u_s of the rate of the output; in SI.
     learning_rate, momentum
-        eta [1/s]; alpha, 0 to below 1.
+        eta [1/s]; alpha, 0 to 0.999999.
     gain_ratio
         R, above 1.
     hidden
