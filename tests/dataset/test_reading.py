@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from mckibben.dataset import read_dataset
-from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.dataset import read_dataset, read_recording
+from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar
 
 # Rows of Martens and Boblan 2017, a DMSP-10-250 (zeros mean slack), and of the maker's chart for 10 mm.
@@ -383,3 +383,11 @@ def test_mutated_files_raise_nothing_but_dataset_errors(edits, initial_length, s
 
 def test_the_file_that_the_fuzz_begins_with_is_valid(file):
     assert len(read_dataset(file(VALID))) == 3
+
+
+@pytest.mark.parametrize("read", [read_dataset, read_recording])
+@pytest.mark.parametrize("argument", ["initial_length", "slack_force"])
+def test_arguments_are_numbers_in_si(read, argument, file):
+    with pytest.raises(RangeError) as error:
+        read(file(VALID), **{argument: "200 mm"})
+    assert error.value.field == argument

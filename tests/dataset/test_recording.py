@@ -314,8 +314,9 @@ def test_what_cannot_have_been_recorded_is_refused(bad, message):
     [{"dwell": 0.0}, {"settle": 2.0}, {"settle": -1.0}, {"pressure_tolerance": np.nan}, {"force_tolerance": -1.0}],
 )
 def test_arguments_without_a_meaning_are_refused(argument):
-    with pytest.raises(RangeError, match=r"is (not above|below) 0"):
+    with pytest.raises(RangeError) as error:
         RUN.record().plateaus(**argument)
+    assert error.value.field in (*argument, "dwell_after_settle")
 
 
 def test_a_pressure_that_a_motion_disturbs_is_no_filling():

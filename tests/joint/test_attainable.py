@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import linprog
 
 from mckibben.errors import RangeError, UnreachableError
-from mckibben.joint import SeriesSpring
+from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, SeriesSpring
 from mckibben.joint.attainable import solve_static, solve_static_and_range
 from mckibben.numerics.compiled import numeric
 from mckibben.units import bar, deg
@@ -140,6 +140,27 @@ def test_a_torque_beyond_the_range_cannot_be_held_and_one_inside_can(knee):
     for torque, holdable in ((low - 1e-6, False), (low + 1e-6, True), (high - 1e-6, True), (high + 1e-6, False)):
         assert np.isfinite(attainable(knee, 0.1, torque)[0]) == holdable
     assert high == pytest.approx(float(knee.torque(0.1, (0.0, 6e5))), rel=1e-12)
+
+
+@pytest.mark.parametrize(("slope1", "slope2"), [(0.1, 0.0), (0.0, 0.1), (0.1, 0.1), (0.0, 0.0)])
+def test_moment_arms_may_be_negative(knee, slope1, slope2):
+    cams = (Cam(arm=0.02, rest_length=0.165, arm_slope=slope) for slope in (slope1, slope2))
+    joint, angle = AntagonisticJoint(PairedPaths(*cams), knee.muscle1, knee.muscle2), -0.4
+    arms = [float(arm) for arm in joint.geometry.moment_arms(angle)]
+    assert arms == pytest.approx([0.02 - 0.4 * slope1, 0.02 - 0.4 * slope2])
+    grid = np.meshgrid(np.linspace(0, 6e5, 301), np.linspace(0, 6e5, 301))
+    torque = np.asarray(joint.torque(angle, tuple(grid)))
+    low, high = (float(limit) for limit in joint.attainable_torque(angle))
+    assert (low, high) == pytest.approx((torque.min(), torque.max()), abs=1e-9)
+
+    middle, p1 = (low + high) / 2, np.linspace(0, 6e5, 20001)
+    per_pascal = (joint.torque(angle, (p1, 6e5)) - joint.torque(angle, (p1, 5e5))) / 1e5
+    p2 = 6e5 + np.asarray((middle - joint.torque(angle, (p1, 6e5))) / per_pascal)
+    taut = np.min(joint.tensions(angle, (p1, p2)), axis=0) > 0
+    there = (p2 >= 0) & (p2 <= 6e5) & taut
+    stiffness = np.asarray(joint.evaluate(angle, (p1[there], p2[there]))[1])
+    limits = [float(limit) for limit in attainable(joint, angle, middle)]
+    assert limits == pytest.approx((stiffness.min(), stiffness.max()), rel=1e-3)
 
 
 def test_bands_broadcast(knee):

@@ -10,8 +10,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.errors import RangeError
-from mckibben.units import factor, show
+from mckibben.units import show
 
 _LEAST = 10  # samples in a row
 _LONGER = 10  # times what is usual in the channel
@@ -175,11 +174,3 @@ def format_counts(counts: Mapping[str, int], notes: tuple[str, ...] | list[str])
     """Counts and notes as text."""
     parts = ", ".join(f"{count} {reason}" for reason, count in counts.items())
     return "\n".join([f"{sum(counts.values())} samples: {parts}", *notes])
-
-
-def check_positive(name: str, value: float, unit: str, *, may_be_zero: bool = False) -> None:
-    """Raise a `RangeError` unless an argument is finite and above 0."""
-    if not (np.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
-        shown = f"{value / factor(unit):g}" + ("" if unit == "1" else f" {unit}")
-        what = "below" if may_be_zero else "not above"
-        raise RangeError(f"{name} {shown} is {what} 0", value=value, lower=0.0, unit=unit)

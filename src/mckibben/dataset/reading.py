@@ -21,6 +21,7 @@ from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import SIGNATURE, decode, read_bytes, read_lvm, read_text
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.muscle import Specimen
+from mckibben.numerics.checks import check_number
 
 _OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -111,12 +112,15 @@ def read_dataset(
     DatasetError
         With every problem of the file, its line and column; also if more than half of the rows are corrupt, or the
         points are of no muscle: negative forces, or a wrong unit or initial length.
+    RangeError
+        If an argument is a text in place of a number in SI units.
 
     Warns
     -----
     McKibbenWarning
         If forces, pressures or contractions are unusual for a muscle, or rows are left out.
     """
+    check_number("read_dataset", initial_length=initial_length, slack_force=slack_force)
     path = Path(path)
     if path.suffix.lower() == ".nc":
         return _from_netcdf(
@@ -208,9 +212,11 @@ def read_recording(
 
     Raises
     ------
-    DatasetError
+    DatasetError, RangeError
         As `read_dataset`, which has the warnings too.
     """
+    numbers = {"initial_length": initial_length, "slack_force": slack_force}
+    check_number("read_recording", **numbers, contraction=contraction, sample_rate=sample_rate)
     path = Path(path)
     if path.suffix.lower() == ".nc":
         found = _from_netcdf(

@@ -24,10 +24,11 @@ from mckibben.dataset.isometric import (
     refuse_staircase,
     split_phases,
 )
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
 from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
+from mckibben.numerics.checks import check_positive
 from mckibben.units import bar, kPa, percent
 
 
@@ -177,14 +178,12 @@ class Recording:
             If an argument has no meaning, the contraction is not known, or nothing was steady for so long; the error
             says what was left out and why.
         """
-        check_positive("pressure_tolerance", pressure_tolerance, "Pa")
-        check_positive("contraction_tolerance", contraction_tolerance, "1")
-        check_positive("dwell", dwell, "s")
-        check_positive("dwell - settle", dwell - settle, "s")
-        check_positive("settle", settle, "s", may_be_zero=True)
-        check_positive("level_tolerance", level_tolerance, "Pa")
+        check_positive("plateaus", "Pa", pressure_tolerance=pressure_tolerance, level_tolerance=level_tolerance)
+        check_positive("plateaus", contraction_tolerance=contraction_tolerance)
+        check_positive("plateaus", "s", dwell=dwell, dwell_after_settle=dwell - settle)
+        check_positive("plateaus", "s", zero=True, settle=settle)
         if force_tolerance is not None:
-            check_positive("force_tolerance", force_tolerance, "N")
+            check_positive("plateaus", "N", force_tolerance=force_tolerance)
         if self.contraction is None:
             raise RangeError(
                 "the recording has no contraction",
@@ -315,8 +314,8 @@ class Recording:
             raised and lowered in steps, for `plateaus`.
         """
         if reversal is not None:
-            check_positive("reversal", reversal, "Pa")
-        check_positive("contraction_tolerance", contraction_tolerance, "1")
+            check_positive("isometric", "Pa", reversal=reversal)
+        check_positive("isometric", contraction_tolerance=contraction_tolerance)
         time, pressure, force = self.time, self.pressure, self.force
         if not len(time):
             raise RangeError("the recording has no samples")
@@ -327,7 +326,7 @@ class Recording:
         spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
         if band is None:
             band = float(min(spacing / 2, np.ptp(wanted) / BAND)) if len(wanted) > 1 else 10 * kPa
-        check_positive("band", band, "Pa")
+        check_positive("isometric", "Pa", band=band)
         if 2 * band > spacing * (1 + 1e-9):
             raise RangeError(
                 f"bands of {band:g} Pa around levels {spacing:g} Pa apart overlap",

@@ -42,7 +42,8 @@ def torque_range(
     """See `AntagonisticJoint.attainable_torque`."""
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(floating(angle))
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
-    lowest, highest = low[1] * arm2 - high[0] * arm1, high[1] * arm2 - low[0] * arm1
+    flexing, extending = (low[0] * arm1, high[0] * arm1), (low[1] * arm2, high[1] * arm2)
+    lowest, highest = jnp.minimum(*extending) - jnp.maximum(*flexing), jnp.maximum(*extending) - jnp.minimum(*flexing)
     feasible = (low[0] <= high[0]) & (low[1] <= high[1])
     return jnp.where(feasible, lowest, jnp.nan), jnp.where(feasible, highest, jnp.nan)
 
@@ -248,7 +249,7 @@ Profile = _AffineProfile | _EvaluatedProfile
 
 
 class Segment(NamedTuple):
-    """States with one torque at one angle, from the slackest (fraction 0) to the tightest (fraction 1)."""
+    """States with one torque at one angle; fraction 0 has the lowest tension of muscle 1, fraction 1 the highest."""
 
     joint: Joint
     angle: Array
@@ -298,8 +299,9 @@ def cocontraction_segment(
     angle, torque = jnp.broadcast_arrays(floating(angle), floating(torque))
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
-    first = jnp.maximum(low[0], (low[1] * arm2 - torque) / arm1)
-    last = jnp.minimum(high[0], (high[1] * arm2 - torque) / arm1)
+    at_limits = (low[1] * arm2 - torque) / arm1, (high[1] * arm2 - torque) / arm1  # in order if both arms are positive
+    first = jnp.maximum(low[0], jnp.minimum(*at_limits))
+    last = jnp.minimum(high[0], jnp.maximum(*at_limits))
     if any(joint.springs):
         last = last + _ROUNDING * jnp.abs(last)  # its range is one tension, which may be rounded twice
         high = high[0] + _ROUNDING * jnp.abs(high[0]), high[1] + _ROUNDING * jnp.abs(high[1])

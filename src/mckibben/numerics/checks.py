@@ -70,7 +70,7 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
 
 
 def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
-    """Numbers of a value or tuple, flat; none where it is traced, or a placeholder of a transformation; no texts."""
+    """Numbers of a value or tuple, flat; none of None, a tracer, or a placeholder of a transformation; no texts."""
     if isinstance(value, str):
         remedy = "give a number in SI units, such as 30 * mm with mckibben.units"
         raise RangeError(f"{owner}: {name} is {quoted(value)}", field=name, value=value, remedy=remedy)
@@ -78,6 +78,8 @@ def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
         return np.asarray(value, float).ravel()
     if isinstance(value, tuple | list):
         return np.concatenate([np.empty(0), *(known_numbers(owner, name, one) for one in value)])
+    if value is None:
+        return np.empty(0)
     import jax  # slow; not needed for plain numbers
     import jax.core
 

@@ -186,13 +186,8 @@ def test_numbers_without_meaning_are_refused_together():
         SimulatedIsobaricTest(
             MUSCLE, hysteresis=-1, presliding_length=0, pressure_noise=float("nan"), force_drift=float("inf")
         )
-    assert str(error.value).splitlines() == [
-        "simulated isobaric test: 4 problems",
-        "  hysteresis: -1 N is out of range; 0 switches it off",
-        "  presliding_length: 0 m is out of range; take a tenth of the step for almost none",
-        "  pressure_noise: nan Pa is out of range; 0 switches it off",
-        "  force_drift: inf N/h is out of range; 0 switches it off",
-    ]
+    found = [line.split()[0].rstrip(":") for line in str(error.value).splitlines()[1:]]
+    assert found == ["hysteresis", "presliding_length", "pressure_noise", "force_drift"]
 
 
 def test_a_fit_finds_the_law_but_for_the_two_plateaus_at_the_stretched_turn(measured):

@@ -9,18 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import Problem, RangeError, refuse_problems
+from mckibben.errors import RangeError
 from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
-from mckibben.muscle.friction import MIN_HALF_WIDTH
+from mckibben.muscle.friction import MIN_HALF_WIDTH, Presliding
 from mckibben.muscle.muscle import half_widths
+from mckibben.numerics.component import Checked
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
-from mckibben.units import N, bar, kPa, mm, percent
+from mckibben.units import Force, N, PressureNoise, SignedForce, bar, kPa, mm, percent
 
 _HOUR = 3600.0  # s
 
 
 @dataclass(frozen=True)
-class SimulatedIsobaricTest:
+class SimulatedIsobaricTest(Checked):
     r"""Isobaric test on the paper's stretching device.
 
     At a plateau the muscle has the true pressure :math:`p` = set pressure + regulator offset, its law the
@@ -62,7 +63,7 @@ class SimulatedIsobaricTest:
     Raises
     ------
     RangeError
-        If a number is not finite, or negative (except the drift), or the presliding length is 0.
+        If a number is out of the range of its field.
 
     Examples
     --------
@@ -76,33 +77,13 @@ class SimulatedIsobaricTest:
 
     muscle: Muscle
     _: KW_ONLY
-    hysteresis: float = 12 * N
-    presliding_length: float = 0.5 * mm
-    force_noise: float = 0.5 * N
-    pressure_noise: float = 0.5 * kPa
-    regulator_offset: float = 4.5 * kPa
-    force_drift: float = 0.0
-    force_wander: float = 0.0
-
-    def __post_init__(self) -> None:
-        problems: list[Problem] = []
-        for name, unit in (
-            ("hysteresis", "N"),
-            ("presliding_length", "m"),
-            ("force_noise", "N"),
-            ("pressure_noise", "Pa"),
-            ("regulator_offset", "Pa"),
-            ("force_drift", "N/h"),
-            ("force_wander", "N"),
-        ):
-            value = getattr(self, name)
-            lowest = -math.inf if name == "force_drift" else 0
-            if not (math.isfinite(value) and value >= lowest) or (name == "presliding_length" and value == 0):
-                remedy = (
-                    "take a tenth of the step for almost none" if name == "presliding_length" else "0 switches it off"
-                )
-                problems.append(Problem(f"{value:g} {unit} is out of range", field=name, remedy=remedy))
-        refuse_problems("simulated isobaric test", problems)
+    hysteresis: Force = 12 * N
+    presliding_length: Presliding = 0.5 * mm
+    force_noise: Force = 0.5 * N
+    pressure_noise: PressureNoise = 0.5 * kPa
+    regulator_offset: PressureNoise = 4.5 * kPa
+    force_drift: SignedForce = 0.0
+    force_wander: Force = 0.0
 
     @property
     def friction(self) -> Friction:
