@@ -59,6 +59,18 @@ def test_plateaus_become_a_file_that_is_read_as_points(run):
     assert data.table.attrs["specimen"] == "DMSP-10"
 
 
+def test_the_sign_of_a_load_cell_is_turned(run):
+    write("rig.csv", LEVEL)
+    text = Path("rig.csv").read_text().replace("Force (N)", "Zug (N)")
+    Path("turned.csv").write_text(text)
+    turned = ("--column", "Zug (N)=force_N", "--force-sign", "-1")
+    run("rig.csv", *COLUMN, "--out", "as-is.csv")
+    run("turned.csv", *COLUMN, *turned, "--out", "turned-points.csv")
+    as_is, turned = (read_dataset(name, slack_force=0.0) for name in ("as-is.csv", "turned-points.csv"))
+    np.testing.assert_array_equal(turned.force, -as_is.force)
+    assert run("rig.csv", *COLUMN, "--force-sign", "2", error=RangeError)
+
+
 def test_a_file_that_cannot_be_kept_is_refused_before_the_work(run):
     write("rig.csv", LEVEL)
     for reading in (("rig.csv", *COLUMN), ("not there.csv",)):

@@ -6,7 +6,7 @@ import pytest
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import group_pressures, nominal_pressures, passes, slack_force
-from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning
+from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
 from mckibben.units import bar, mm
 
 TRUTH = {"a1": -200.0, "a2": 95.0, "b1": 1.0, "b2": -3.0, "c1": 170.0, "c2": -4.0, "decay": 0.36}  # bar, percent
@@ -185,10 +185,15 @@ def test_what_no_muscle_does_is_an_error_of_its_column(written, change, field, o
     assert field in {problem.field for problem in caught.value.problems}
 
 
-def test_the_sign_of_a_load_cell_is_turned(written):
+def test_the_sign_of_a_load_cell_is_turned(written, tmp_path):
     pressure, contraction, force, _ = measured()
     turned = read(written(pressure, contraction, -force), force_sign=-1)
     assert turned.table.identical(read(written(pressure, contraction, force)).table)
+    path = tmp_path / "points.nc"
+    turned.to_netcdf(path)
+    np.testing.assert_array_equal(read_dataset(path, force_sign=-1).force, -turned.force)
+    with pytest.raises(RangeError):
+        read_dataset(path, force_sign=0)
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,7 @@ def points(
     sample_rate: Annotated[str, Option(metavar="RATE", help="Of a file without times, such as '1000 Hz'.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
+    force_sign: ForceSign = 1,
     specimen: Annotated[str, Option(metavar="NAME", help="Name of the specimen.")] = "",
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
@@ -97,6 +98,7 @@ def points(
         sample_rate=parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
         specimen=specimen,
         slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
+        force_sign=force_sign,
         on_corrupt="report" if skip_corrupt else "raise",
     )
     between = parse_optional_quantity("--gap", gap, "s")

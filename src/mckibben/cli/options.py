@@ -59,8 +59,6 @@ def read_data(
     """Read a data file or a dataset of the catalog; ignored columns and preprocessing go to standard error."""
     from mckibben.study.inputs import data_named
 
-    if force_sign not in (1, -1):
-        raise ParameterError(f"--force-sign {force_sign} is no sign", value=force_sign, remedy="take 1 or -1")
     found = data_named(
         data,
         columns=parse_columns(columns),

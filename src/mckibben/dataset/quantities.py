@@ -82,9 +82,11 @@ class ColumnConverter:
             "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
         }
 
-    def columns(self) -> dict[str, np.ndarray]:
+    def columns(self, force_sign: int) -> dict[str, np.ndarray]:
         """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
+        if "force" in data:
+            data["force"] *= force_sign
         if (length := data.pop("length", None)) is not None:
             if "contraction" in data:
                 self._compare(data["contraction"], length)

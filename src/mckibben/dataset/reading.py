@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mckibben.dataset.quantities import ColumnConverter, OnCorrupt
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import SIGNATURE, decode, read_bytes, read_lvm, read_text
-from mckibben.errors import DatasetError, McKibbenWarning, Problem
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
 from mckibben.muscle import Specimen
 from mckibben.numerics.checks import check_number
 
@@ -69,7 +69,7 @@ def read_dataset(
     initial_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
-    force_sign: Literal[1, -1] = 1,
+    force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
 ) -> IsobaricDataset:
     """Read the points of isobaric tests from a file.
@@ -113,27 +113,24 @@ def read_dataset(
         With every problem of the file, its line and column; also if more than half of the rows are corrupt, or the
         points are of no muscle: negative forces, or a wrong unit or initial length.
     RangeError
-        If an argument is a text in place of a number in SI units.
+        If an argument is a text in place of a number in SI units, or `force_sign` is neither.
 
     Warns
     -----
     McKibbenWarning
         If forces, pressures or contractions are unusual for a muscle, or rows are left out.
     """
-    check_number("read_dataset", initial_length=initial_length, slack_force=slack_force)
+    _check_arguments(force_sign, initial_length=initial_length, slack_force=slack_force)
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        return _from_netcdf(
-            IsobaricDataset, path, columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
-        )
+        attrs = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
+        return _from_netcdf(IsobaricDataset, path, columns, force_sign, attrs)
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
     slack_known = slack_force is not None or "slack_force" in file.sheet.comments
-    data, found = file.settle(path, file.columns(), on_corrupt)
+    data, found = file.settle(path, file.columns(force_sign), on_corrupt)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    if force_sign < 0:
-        dataset = IsobaricDataset(dataset.table.assign(force=-dataset.table["force"]))
     if "preprocessing" in file.sheet.comments:  # written by `IsobaricDataset.to_csv`
         return dataset
     return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=slack_known)), str(path))
@@ -171,12 +168,24 @@ def _made(
     return kind(made.table.assign_attrs(found)) if found else made
 
 
-def _from_netcdf(kind: type[Kind], path: Path, columns: Mapping[str, str] | None, **given: float | str | None) -> Kind:
-    """Dataset or recording of a NetCDF file, with the attributes that are given."""
+def _check_arguments(force_sign: int, **numbers: object) -> None:
+    """Raise `RangeError` for texts in place of numbers, and for a sign that is none."""
+    check_number("reading", **numbers)
+    if force_sign not in (1, -1):
+        remedy = "give 1 or -1 (command line: --force-sign)"
+        raise RangeError(f"force_sign is {force_sign!r}", field="force_sign", value=force_sign, remedy=remedy)
+
+
+def _from_netcdf(
+    kind: type[Kind], path: Path, columns: Mapping[str, str] | None, force_sign: int, given: Mapping[str, Any]
+) -> Kind:
+    """Dataset or recording of a NetCDF file, with the sign and the attributes that are given."""
     if columns:
         raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
     found = kind.from_netcdf(path)
     changes = {name: value for name, value in given.items() if value not in (None, "")}
+    if force_sign < 0:
+        found = kind(found.table.assign(force=-found.table["force"]))
     return kind(found.table.assign_attrs(changes)) if changes else found
 
 
@@ -194,6 +203,7 @@ def read_recording(
     sample_rate: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
+    force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
 ) -> Recording:
     """Read a raw recording from a file of any format of `read_dataset`, with its columns and arguments.
@@ -215,13 +225,12 @@ def read_recording(
     DatasetError, RangeError
         As `read_dataset`, which has the warnings too.
     """
-    numbers = {"initial_length": initial_length, "slack_force": slack_force}
-    check_number("read_recording", **numbers, contraction=contraction, sample_rate=sample_rate)
+    attrs: dict[str, Any] = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
+    lengths = {"initial_length": initial_length, "contraction": contraction}
+    _check_arguments(force_sign, **lengths, slack_force=slack_force, sample_rate=sample_rate)
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        found = _from_netcdf(
-            Recording, path, columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
-        )
+        found = _from_netcdf(Recording, path, columns, force_sign, attrs)
         if contraction is None:
             return found
         if "contraction" in found.table:
@@ -231,7 +240,7 @@ def read_recording(
     sheet = read_sheet(path, mapping)
     file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"))
     attrs = file.attributes(path, specimen, slack_force)
-    data = {name: values for name, values in file.columns().items() if name in _KEPT}
+    data = {name: values for name, values in file.columns(force_sign).items() if name in _KEPT}
     file.ignored += [
         sheet.channels[file.places[name][0]].name for name in file.places if name not in (*_KEPT, "length")
     ]

@@ -6,7 +6,7 @@ import difflib
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from mckibben import catalog
 from mckibben.errors import NotInCatalogError
@@ -24,7 +24,7 @@ def data_named(
     initial_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
-    force_sign: Literal[1, -1] = 1,
+    force_sign: int = 1,
     skip_corrupt: bool = False,
 ) -> IsobaricDataset:
     """A dataset of the catalog, or a file of measurements, to which all options apply."""
