@@ -208,3 +208,10 @@ def test_force_samples_alone_leave_the_pressure():
     means = grid(force_samples=np.full((12, 4), 7.0)).plateau_means()
     assert means.force.tolist() == 12 * [7.0]
     assert means.pressure.tolist() == grid().pressure.tolist()
+
+
+def test_a_test_at_0_bar_alone_is_no_mistake_of_the_unit():
+    given = {"pressure": [120.0, -80.0, 250.0], "contraction": [0.0, 0.1, 0.2], "force": [3.0, 1.0, 0.2]}
+    assert len(IsobaricDataset.of(**given, set_pressure=[0.0] * 3)) == 3
+    with pytest.raises(DatasetError):
+        IsobaricDataset.of(**given | {"pressure": [1.0, 2.0, 3.0]}, set_pressure=[1.0, 2.0, 3.0])

@@ -106,9 +106,9 @@ def test_the_direction_is_that_of_the_last_motion_and_not_of_the_difference():
 
 def test_the_ends_of_a_sensor_are_recognised_and_left_out():
     low, high = 5.0, 180.0
-    record = RUN.record(force=np.clip(RUN.force, low, high))
+    record = RUN.record(force=np.clip(RUN.force, low, high), slack_force=1.0)
     points = accounted(record.plateaus(), record)
-    clean = RUN.record().plateaus().dataset
+    clean = RUN.record(slack_force=1.0).plateaus().dataset
     within = (clean.force > low + 2) & (clean.force < high - 2)
     assert 10 < within.sum() < len(clean) - 4
     found = points.dataset.force
@@ -184,7 +184,7 @@ def test_nothing_is_known_of_the_way_across_a_break(shift):
 
 
 def test_tolerance_dwell_and_settle_do_what_they_say():
-    creeping = RUN.record(force=RUN.force + 20 * np.exp(-(RUN.time % 3.5 - 0.5).clip(0) / 0.3))
+    creeping = RUN.record(force=RUN.force + 20 * np.exp(-(RUN.time % 3.5 - 0.5).clip(0) / 0.3), slack_force=1.0)
     quote, as_column = creeping.plateaus(), creeping.plateaus(settle=0.99)
     assert len(quote.dataset) == len(as_column.dataset) == len(RUN.plan)
     bias = quote.dataset.force - as_column.dataset.force
@@ -337,3 +337,15 @@ def test_what_is_held_without_noise_or_read_in_coarse_steps_is_no_end_of_a_chann
     stairs = np.repeat([0, 5, 2.5, 10], [1000, 1200, 300, 500])
     assert saturated_samples(np.round(stairs + jitter / 3)) == {}
     assert set(saturated_samples(np.clip(5 * motion + jitter, 0.5, 4.5))) == {"floor", "ceiling"}
+
+
+def test_the_offset_of_the_load_cell_is_found_in_the_slack_muscle():
+    offset = 3.0
+    run = Run(levels=(0.7 * bar, 1.5 * bar), top=0.24)
+    points = run.record(force=run.force + offset).plateaus().dataset
+    slack = law(points.pressure, points.contraction) == 0
+    assert slack.sum() >= 5 and abs(points.force[slack].mean()) < 0.1
+    assert points.slack[slack].all() and not points.slack[law(points.pressure, points.contraction) > 20].any()
+    assert "slack muscle" in points.table.attrs["preprocessing"]
+    known = run.record(force=run.force + offset, slack_force=1.0).plateaus().dataset
+    assert known.force[slack].mean() == pytest.approx(offset, abs=0.1)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import identify
+from mckibben.identification import identify, read_law
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.uncertainty import uncertainty
-from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw
+from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, SarosiLaw
 from mckibben.units import bar, deg, mm, percent
 
 EQ_3 = catalog.law("lei-mas-10-180n")
@@ -340,3 +340,31 @@ def test_importing_identification_is_light():
     code = "import sys, mckibben.identification; print({'scipy.optimize', 'optimistix', 'pint'} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "set()"
+
+
+def narrow(contraction, pressure_max, diameter=20e-3):
+    """Noisy points of an ideal braid within a narrow window of contractions."""
+    contraction, pressure = np.meshgrid(np.linspace(*contraction, 12), np.linspace(pressure_max / 6, pressure_max, 6))
+    force = np.asarray(ChouLaw(25 * deg, diameter).force(contraction, pressure))
+    force = force + np.random.default_rng(1).normal(0, 0.01 * force.max(), force.shape)
+    return IsobaricDataset.of(pressure=pressure.ravel(), contraction=contraction.ravel(), force=force.ravel())
+
+
+@pytest.mark.parametrize("window", [(0.0, 0.03), (0.10, 0.13)])
+@pytest.mark.parametrize("kind", [ExponentialLaw, SarosiLaw])
+def test_terms_that_cancel_in_a_narrow_window_are_no_error(kind, window, tmp_path):
+    data = narrow(window, 8e5, diameter=80e-3)
+    found = identify(kind, data)
+    assert found.rmse < 0.02 * data.force.max()
+    found.to_yaml(tmp_path / "fit.yaml")
+    assert read_law(tmp_path / "fit.yaml") == found.law
+
+
+def test_a_single_wrong_number_is_named():
+    data = narrow((0.0, 0.2), 6e5)
+    assert not [text for text in identify(ExponentialLaw, data).warnings if "far off" in text]
+    force = data.force.copy()
+    force[30] *= 5
+    wrong = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=force)
+    (text,) = [text for text in identify(ExponentialLaw, wrong).warnings if "far off" in text]
+    assert f"{force[30]:.4g} N" in text and f"{data.contraction[30] / percent:.4g} %" in text

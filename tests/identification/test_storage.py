@@ -52,7 +52,7 @@ anything = st.text(st.characters(blacklist_categories=("Cs", "Cc", "Cn")), max_s
 
 @given(
     angle=st.floats(0.011, 0.954),
-    diameter=st.floats(1e-300, 1.0),
+    diameter=st.floats(1e-300, 0.5),
     contraction=st.tuples(st.floats(-0.5, 0.8), st.floats(-0.5, 0.8)).map(sorted),
     pressure=st.tuples(st.floats(-1e8, 1e8), st.floats(-1e8, 1e8)).map(sorted),
     numbers=st.lists(finite, min_size=4, max_size=4),

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben import rig
+from mckibben.control import Sum
 from mckibben.errors import RangeError
+from mckibben.muscle import ReynoldsLaw, SarosiLaw
+from mckibben.rig.bench import JointLimits, RigLimits
+from mckibben.rig.steps import Pressurise
 
 
 def test_swapped_arguments_are_refused():
@@ -47,7 +52,25 @@ EQ3 = -245.8, 109, 3.216, -3.442, 255.6, -13.18  # of the paper, in bar and perc
             "6.28319 rad",
         ),
         (lambda: mk.ChouLaw(25, 0.01), "braid_angle", 25, "25 deg is 0.436332 rad"),
-        (lambda: mk.ExponentialLaw(*EQ3, decay=0.3), "a2", 109, "109 N/bar is 0.00109 N/Pa"),
+        (lambda: mk.ExponentialLaw(*EQ3, decay=30), "a2 + c2", 109 - 13.18, "1 N/bar is 1e-05 N/Pa"),
+        (lambda: SarosiLaw(50.0, -7.6, 1.2, 45.0, 10.0, a3=-30), "a1 + a5", 95, "1 N/bar is 1e-05 N/Pa"),
+        (lambda: ReynoldsLaw(f0=179.2, f1=139, k0=1427, k1=7.7e-3), "f1", 139, "1 N/bar is 1e-05 N/Pa"),
+        (lambda: mk.Pulley(radius=8, rest_length=0.2), "radius", 8, "8 mm is 0.008 m"),
+        (lambda: mk.SeriesSpring(1e4, 10.0, 5), "travel", 5, "5 mm is 0.005 m"),
+        (lambda: mk.MaxwellSlip(5.0, 0.5), "presliding_length", 0.5, "0.5 mm is 0.0005 m"),
+        (lambda: mk.Specimen("thin", 0.1, 1), "initial_diameter", 1, "1 mm is 0.001 m"),
+        (lambda: mk.FirstOrderValve(0.02, rate=20), "rate", 20, "20 bar/s is 2e+06 Pa/s"),
+        (lambda: mk.Reference(mk.Sine(0.1, 1.0, phase=90), 15.0), "phase", 90, "90 deg is 1.5708 rad"),
+        (lambda: mk.Reference(Sum((Sum((mk.Sine(20, 0.5),)),)), 15.0), "amplitude", 20, "20 deg is 0.349066 rad"),
+        (lambda: rig.IsobaricProtocol(pressures=[0, 1, 2]), "pressures", 1, "1 bar is 100000 Pa"),
+        (lambda: Pressurise(pressure=3), "pressure", 3, "3 bar is 300000 Pa"),
+        (lambda: RigLimits(pressure=6e5, force=600.0, stretch=10, shorten=0.05), "stretch", 10, "10 mm is 0.01 m"),
+        (
+            lambda: JointLimits(lowest_angle=-1.0, highest_angle=1.0, pressure=6e5, silence=20),
+            "silence",
+            20,
+            "20 ms is 0.02 s",
+        ),
         (lambda: mk.ExponentialLaw(*np.divide(EQ3, [1, 1e5] * 3), decay=0.3), "decay", 0.3, "0.3 1/percent is 30"),
     ],
 )

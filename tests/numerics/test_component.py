@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Annotated, Literal
 
 import equinox as eqx
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError
+from mckibben.joint import PendulumLoad
+from mckibben.muscle import Domain
 from mckibben.numerics.component import Component, field_quantities
 from mckibben.units import BoundedInt, Length, Mass, Quantity
 
@@ -85,10 +88,21 @@ def test_a_check_of_ones_own_does_not_take_the_place_of_it():
         Heavy(PART, mass=2e4)
 
 
-def test_a_class_of_a_function_is_made_though_its_types_are_not_found():
-    class Local(Component):
-        inner: NotThere
-        mass: Mass
+def test_a_type_that_is_not_found_leaves_the_checks_of_other_fields():
+    class Local(PendulumLoad):
+        inner: NotThere = 0
+        pair: tuple[Mass, Length] = (1.0, 0.3)  # neither holds for both
+        extra: Length = None
 
-    assert Local(1, -2.0).mass == -2.0
-    assert field_quantities(Local) == {}
+    assert "pair" not in field_quantities(Local) and "extra" in field_quantities(Local)
+    assert Local(2.0, 0.3, pair=(1.0, 300.0)).extra is None
+    with pytest.raises(RangeError) as refused:
+        Local(-2.0, 0.3)
+    assert refused.value.field == "mass"
+
+
+def test_an_infinite_default_may_be_in_an_array():
+    limits = jax.device_put(Domain(pressure_max=6e5))
+    assert dataclasses.replace(limits, contraction_max=np.array([0.3, np.inf])).contraction_min == -np.inf
+    with pytest.raises(RangeError):
+        dataclasses.replace(limits, contraction_max=np.array([30.0, np.inf]))

@@ -1,13 +1,26 @@
 """Simulate: what it refuses, what it warns of, and that a controller knows its model and not the plant."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.control import PID, Constant, Controller, PositionStiffnessControl, Reference, Sine
-from mckibben.errors import RangeError, ReachabilityWarning, SimulationError, UnreachableError
+from mckibben.control import (
+    PID,
+    Constant,
+    Controller,
+    DecouplingControl,
+    ExtendedStateObserver,
+    PolePlacement,
+    PositionStiffnessControl,
+    Reference,
+    Samples,
+    Sine,
+)
+from mckibben.errors import McKibbenWarning, RangeError, ReachabilityWarning, SimulationError, UnreachableError
 from mckibben.muscle import Muscle
 from mckibben.plant import PlantState
 from mckibben.simulation import simulate
@@ -201,3 +214,44 @@ def test_in_32_bits_it_is_the_same_to_some_digits(plant, control):
     np.testing.assert_allclose(single["angle"], double["angle"], atol=1e-4)
     with pytest.raises(SimulationError, match="give 32 or 64"):
         simulate(plant, control, REFERENCE, precision=16)
+
+
+@pytest.mark.parametrize(
+    ("signal", "said"),
+    [
+        (Samples([0.0, 0.05], [0.0, 0.02]), "end in motion at 0.05 s"),
+        (Samples([0.0, 2.0], [0.0, 0.02]), "check the unit of their times"),
+        (Samples([0.0, 0.04, 0.05], [0.0, 0.02, 0.02]), ""),
+        (Samples([0.0, 0.0995], [0.0, 0.02]), ""),
+        (Samples([0.0, 0.2], [0.0, 0.02]), ""),
+    ],
+)
+def test_a_reference_that_does_not_fit_the_run_is_said_to(signal, said, plant, control):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", McKibbenWarning)
+        simulate(plant, control, Reference(signal, 15.0), duration=0.1)
+    texts = [str(one.message) for one in found if str(one.message).startswith("reference of the angle")]
+    assert len(texts) == bool(said) and all(said in text for text in texts)
+
+
+def test_a_minimum_tension_that_the_stiffness_does_not_allow_is_said(plant, knee, load):
+    reference = Reference(0.0, 12.0)
+
+    def run(tension):
+        control = DecouplingControl(
+            knee, load, PolePlacement(60.0), ExtendedStateObserver(200.0), minimum_tension=tension
+        )
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            simulate(plant, control, reference, duration=0.02)
+        return [str(one.message) for one in found if issubclass(one.category, ReachabilityWarning)]
+
+    assert run(1.0) == []
+    (text,) = run(100.0)
+    assert "minimum tension of 100 N" in text
+
+
+def test_gains_in_bar_are_warned_of(knee):
+    loops = PID(kp=2.0, ki=60.0, kd=0.05), PID(kp=0.5, ki=20.0, kd=0.0)
+    with pytest.warns(McKibbenWarning, match="2 \\* bar"):
+        PositionStiffnessControl(*loops, model=knee)

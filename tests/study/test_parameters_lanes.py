@@ -31,7 +31,7 @@ BACKPROP = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
 
 def another(address):
     """A value near the nominal one that a scenario allows, too."""
-    if address.name.endswith("supply") and address.nominal is None:
+    if address.name.endswith(("supply", "rate")) and address.nominal is None:
         return 5e5
     if address.nominal in (None, 0, 0.0):
         sign = -1 if address.name == "controller.stiffness.kd" and address.nominal == 0 else 1

@@ -134,7 +134,7 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
         if address.is_integer:
             values[address.name] = data.draw(st.integers(0, 2**31 - 1))
         else:
-            absent = 5e5 if address.name.endswith("supply") else 13.0
+            absent = 5e5 if address.name.endswith(("supply", "rate")) else 13.0
             nominal = address.nominal if address.nominal is not None else absent
             values[address.name] = nominal * data.draw(st.floats(0.995, 1.005))
     changed = edit_scenario(text, values, folder=EXAMPLES)

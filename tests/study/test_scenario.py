@@ -286,7 +286,7 @@ def test_learning_by_a_sign_needs_one():
         ("{geometry: knee-table-2, muscle1: M}", "lacks muscle2"),
         ("{geometry: knee-table-2, muscle: M, muscle2: M}", "beside muscle2"),
         ("{geometry: {joint_length: 1 m}, muscle: M}", "lacks joint_radius, connector_length"),
-        ("{geometry: {from: knee-table-2, joint_radius: 2 m, joint_length: 1 m}, muscle: M}", "is not below"),
+        ("{geometry: {from: knee-table-2, joint_radius: 2 m, joint_length: 1.5 m}, muscle: M}", "is not below"),
         ("{geometry: {from: knee-table-2, joint_length: 1 m}, connector_length: 2 m, muscle: M}", "no length"),
         ("{geometry: {from: knee-table-2, connector_length: 1 mm}, connector_length: 2 mm, muscle: M}", "as well"),
     ],

@@ -16,6 +16,7 @@ from mckibben.cli.options import (
     echo,
     job_progress,
     keeping,
+    notify,
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
@@ -248,9 +249,9 @@ def _plan(scenario: Scenario, sweeps: Sweeps, prior: JointPrior, json: bool) -> 
             with tempfile.TemporaryDirectory() as folder:
                 try:
                     before, after = expected(scenario, one, folder, prior)
-                except ParameterError:
-                    continue  # the weight is too heavy
-            rows.append({"weight_kg": mass, "duration_s": seconds, "before": before, "deviation": after})
+                    rows.append({"weight_kg": mass, "duration_s": seconds, "before": before, "deviation": after})
+                except ParameterError as error:  # the weight is too heavy
+                    notify(f"left out: {mass:g} kg: {error}", json)
     if json:
         echo(to_json(rows))
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,7 +14,9 @@ from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
-from mckibben.units import Count, Momentum, PressureRate, Rate, Ratio, Seed
+from mckibben.units import Count, Momentum, Quantity, Rate, Ratio, Seed
+
+OutputRate = Annotated[float, Quantity("Pa/s", "bar/s", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
 
@@ -89,7 +91,7 @@ class BackpropPID(Loop):
     base: PID
     signal_scale: float = eqx.field(kw_only=True)
     error_scale: float = eqx.field(kw_only=True)
-    output_scale: PressureRate = eqx.field(kw_only=True)
+    output_scale: OutputRate = eqx.field(kw_only=True)
     learning_rate: Rate = eqx.field(kw_only=True, default=10.0)
     momentum: Momentum = eqx.field(kw_only=True, default=0.5)
     gain_ratio: Ratio = eqx.field(kw_only=True, default=5.0)

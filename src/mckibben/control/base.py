@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.reference import Samples, Signal, Sum, as_signal
+from mckibben.control.reference import Samples, Signal, as_signal, terms
 from mckibben.joint import Measurement
 from mckibben.numerics.checks import check_within
 from mckibben.numerics.component import Component, check_fields
@@ -34,9 +34,9 @@ class Reference(Component):
 
     def __check_init__(self) -> None:
         for signal, quantity in ((self.angle, _ANGLE), (self.stiffness, _STIFFNESS)):
-            lower, upper = quantity.limits
-            for part in signal.parts if isinstance(signal, Sum) else (signal,):
+            for part in terms(signal):
                 if isinstance(part, Samples):
+                    lower, upper = quantity.limits
                     check_within("Samples", lower, upper, quantity.unit, values=part.values)
                 elif isinstance(part, Signal):
                     check_fields(part, quantity)

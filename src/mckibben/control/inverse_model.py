@@ -27,8 +27,8 @@ from mckibben.units import (
     PressureScale,
     Rate,
     Seed,
-    ShortTime,
     StiffnessScale,
+    ValveLag,
 )
 
 Scalar = Float[Array, ""]
@@ -138,7 +138,7 @@ class InverseModelControl(Controller):
     load: Load | None = None
     learning_rate: Rate = eqx.field(kw_only=True, default=10.0)
     hidden: Count = eqx.field(kw_only=True, static=True, default=8)
-    valve_time_constant: ShortTime = eqx.field(kw_only=True, default=0.02)
+    valve_time_constant: ValveLag = eqx.field(kw_only=True, default=0.02)
     filter_bandwidth: Bandwidth = eqx.field(kw_only=True, default=60.0)
     angle_scale: AngleScale = eqx.field(kw_only=True, default=0.15)
     velocity_scale: Bandwidth = eqx.field(kw_only=True, default=1.0)

@@ -20,7 +20,7 @@ from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.elementary import floating
-from mckibben.units import AngleScale, Force, ShortTime
+from mckibben.units import AngleScale, Force, ValveLag
 
 Scalar = Float[Array, ""]
 
@@ -47,7 +47,7 @@ class ModelBasedControl(Controller):
 
     model: AntagonisticJoint
     load: Load
-    valve_time_constant: ShortTime = eqx.field(kw_only=True, default=0.02)
+    valve_time_constant: ValveLag = eqx.field(kw_only=True, default=0.02)
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)

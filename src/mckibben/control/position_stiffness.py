@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from numbers import Real
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,12 +12,15 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, Loop, Measurement, Setpoint
+from mckibben.errors import McKibbenWarning
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative
 from mckibben.units import AngleScale, Tension
 
 Scalar = Float[Array, ""]
+
+_LEAST_GAIN = 1e3  # Pa: if the largest of the position loop is lower, they are in bar
 
 
 class PositionStiffnessState(NamedTuple):
@@ -62,6 +67,15 @@ class PositionStiffnessControl(Controller):
     model: AntagonisticJoint = eqx.field(kw_only=True)
     minimum_tension: Tension | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        pid = getattr(self.position, "base", self.position)
+        gains: list[Any] = [getattr(pid, name, None) for name in ("kp", "ki", "kd")]
+        if all(isinstance(gain, Real) for gain in gains) and 0 < max(abs(float(gain)) for gain in gains) < _LEAST_GAIN:
+            text = f"the gains of the position loop are {', '.join(f'{gain:g}' for gain in gains)}"
+            remedy = "numbers are in SI, such as 2 * bar for 2 bar/rad"
+            warnings.warn(f"{text} Pa for an error of 1 rad: {remedy}", McKibbenWarning, stacklevel=3)
 
     def init(self, measurement: Measurement) -> PositionStiffnessState:
         return self.init_with(None, measurement)

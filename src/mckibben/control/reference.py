@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import abc
 import math
+from collections.abc import Iterator
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -185,6 +186,27 @@ class Sum(Signal):
         for part in self.parts[1:]:
             total = total + part(time)
         return total
+
+
+def terms(signal: Any) -> Iterator[Any]:
+    """Signals of a sum, sums in it included; the signal itself if it is none."""
+    for part in signal.parts if isinstance(signal, Sum) else (signal,):
+        yield from terms(part) if isinstance(part, Sum) else (part,)
+
+
+_PART = 0.1  # of the samples: a run that takes less of them has other units of time
+
+
+def timing_problem(signal: Any, duration: float) -> str:
+    """How samples do not fit a run of a duration [s]; empty if they do."""
+    for part in terms(signal):
+        if isinstance(part, Samples) and len(part.times) > 1:
+            (before, end), moves = map(float, part.times[-2:]), bool(part.values[-1] != part.values[-2])
+            if duration < _PART * end:
+                return f"its samples last to {end:g} s, and the run takes {duration:g} s: check the unit of their times"
+            if end + min(end - before, 0.02 * duration) < duration * (1 - 1e-9) and moves:
+                return f"its samples end in motion at {end:g} s, and the last is held to the end, {duration:g} s"
+    return ""
 
 
 def as_signal(value: Signal | ArrayLike) -> Signal:

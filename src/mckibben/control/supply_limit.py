@@ -17,7 +17,7 @@ from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import Domain
 from mckibben.numerics.checks import check_kind
-from mckibben.units import PositiveTime, PressureRate, ShortTime, bar
+from mckibben.units import PositiveTime, PressureRate, ValveLag, bar
 
 Scalar = Float[Array, ""]
 
@@ -61,7 +61,7 @@ class SupplyLimit(Controller):
     """
 
     controller: Controller
-    valve_time_constant: ShortTime = eqx.field(kw_only=True, default=0.02)
+    valve_time_constant: ValveLag = eqx.field(kw_only=True, default=0.02)
     time_constant: PositiveTime = eqx.field(kw_only=True, default=0.03)
     recovery: PressureRate = eqx.field(kw_only=True, default=0.2 * bar)
 

@@ -50,7 +50,7 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
         notes.append(
             f"{len(nominal)} pressure level{plural} ({shown} bar), about which pressures scatter by {scatter:.2g} bar"
         )
-    levels = table.get("set_pressure", table["pressure"]).to_numpy()
+    levels = _levels(table)
     values, groups = np.unique(levels, return_inverse=True)
     grouped = 2 * len(values) <= len(levels)
     if "direction" not in table and (found := passes(groups if grouped else 0 * groups, contraction)) is not None:
@@ -61,18 +61,37 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
             table = table.assign(repeat=("point", repeat))
             each = f"{repeat.max() + 1} of each per level, "
         notes.append(f"passes of loading and unloading, {each}from the order of the rows")
+    table = with_notes(table, notes)
+    return table if slack_known else without_offset(table)
+
+
+def _levels(table: xr.Dataset) -> Floats:
+    """Set pressure of each point, the measured one where it is not known."""
+    measured = table["pressure"].to_numpy()
+    nominal = table.get("set_pressure", table["pressure"]).to_numpy()
+    return np.where(np.isnan(nominal), measured, nominal)
+
+
+def without_offset(table: xr.Dataset) -> xr.Dataset:
+    """Table with the slack muscle's force found and subtracted, where it is to be seen; `preprocessing` says so."""
+    contraction, force = (table[name].to_numpy() for name in ("contraction", "force"))
+    levels = _levels(table)
+    groups = np.unique(levels, return_inverse=True)[1]
     loading = table["direction"].to_numpy() == "loading" if "direction" in table else 0
-    force = table["force"].to_numpy()
-    if not slack_known and (slack := slack_force(force, contraction, levels, 2 * groups + loading)) is not None:
-        table = table.assign(force=table["force"] - slack.offset)
-        table.attrs["slack_force"] = slack.limit
-        notes.append(
-            f"slack muscle: {slack.points} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; this "
-            f"offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
-        )
-    if notes:
-        table.attrs["preprocessing"] = "\n".join([*table.attrs.get("preprocessing", "").splitlines(), *notes])
-    return table
+    if (slack := slack_force(force, contraction, levels, 2 * groups + loading)) is None:
+        return table
+    text = (
+        f"slack muscle: {slack.points} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; this "
+        f"offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
+    )
+    table = table.assign(force=table["force"] - slack.offset).assign_attrs(slack_force=slack.limit)
+    return with_notes(table, [text])
+
+
+def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:
+    """Table with more notes in `preprocessing`."""
+    before = table.attrs.get("preprocessing", "").splitlines()
+    return table.assign_attrs(preprocessing="\n".join([*before, *notes])) if notes else table
 
 
 def group_pressures(pressure: Floats) -> Ints | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Self
@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.isometric import (
     BAND,
     FASTEST,
@@ -25,6 +26,7 @@ from mckibben.dataset.isometric import (
     split_phases,
 )
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
+from mckibben.dataset.preprocessing import without_offset
 from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
@@ -170,7 +172,8 @@ class Recording:
         ExtractedPoints
             The dataset has ``force_spread`` and ``time`` (the middle of each segment). ``direction`` is that of the
             last motion before a plateau; where the length did not change, ``phase`` says whether the muscle was filled
-            or vented.
+            or vented. Unless the recording has a slack force, it and the offset of the load cell are found from the
+            points, as by `read_dataset`.
 
         Raises
         ------
@@ -251,7 +254,7 @@ class Recording:
                 )
         levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
         direction, phase = approaches(self.table, account.broken, first, last, levels)
-        return extracted_points(
+        points = extracted_points(
             self.table,
             account,
             "not steady",
@@ -265,6 +268,11 @@ class Recording:
             set_pressure=set_pressure,
             force_spread=spread,
         )
+        if self.table.attrs["slack_force"]:
+            return points
+        table = without_offset(points.dataset.table)
+        found = table.attrs.get("preprocessing", "").splitlines()[-1:] if table is not points.dataset.table else []
+        return replace(points, dataset=IsobaricDataset(table), notes=(*points.notes, *found))
 
     def isometric(
         self,

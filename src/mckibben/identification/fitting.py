@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -31,6 +32,9 @@ from mckibben.units import percent, show
 
 _STRONG_CORRELATION = 0.999
 _FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
+_ISOLATED = 12.0  # median differences of residuals of points in sequence: farther from both, a point is an outlier
+_FEW_OUTLIERS = 0.02  # share of the points: more are no single wrong numbers
+_FEWEST_STEPS = 20
 _CONTRACTION_NOISE = 0.1 * percent  # beyond the validity of a law that is measurement noise
 
 
@@ -106,6 +110,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
         warnings.append(f"{text}: the domain is that of the measured pressures")
     warnings += _friction_warnings(points, residuals, grouping)
+    warnings += _outlier_warnings(points, residuals)
     warnings += regression.warnings
     warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
     lopo, reason = _leave_one_pressure_out(regression)
@@ -219,6 +224,25 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
             f"independent from point to point, so {consequence}"
         )
     return warnings
+
+
+def _outlier_warnings(points: IsobaricDataset, residuals: Floats) -> list[str]:
+    """Warnings of single points whose residual is far from those of the points measured before and after them."""
+    steps = np.diff(residuals)
+    scatter = float(np.median(np.abs(steps))) if len(steps) >= _FEWEST_STEPS else math.inf
+    before, after = steps[:-1], -steps[1:]
+    apart = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    found = np.flatnonzero(apart > _ISOLATED * scatter)
+    if not 0 < len(found) <= _FEW_OUTLIERS * len(residuals):
+        return []
+    worst = found[np.argmax(apart[found])]
+    pressure, contraction, force = (float(x[worst + 1]) for x in (points.pressure, points.contraction, points.force))
+    where = f"{show(force, 'N', 4)} at {show(pressure, 'bar', 4)} and {contraction / percent:.4g} %"
+    many = f"{len(found)} points are" if len(found) > 1 else "a point is"
+    return [
+        f"{many} far off those measured before and after, as by {apart[worst]:.3g} N {where}: check the file, as one "
+        "wrong number can change the law"
+    ]
 
 
 _NO_CROSS_VALIDATION = "there is no cross-validation by pressure"

@@ -26,8 +26,9 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
-from mckibben.muscle import ForceLaw, Parameter
+from mckibben.muscle import Domain, ForceLaw, Parameter
 from mckibben.notebook import stop_check
 
 
@@ -180,8 +181,14 @@ class FitProblem:
         return UnitCube(self.law_type.shape_parameters)
 
     def law(self, values: Floats) -> ForceLaw:
-        """Law with the given parameters [SI], shape (parameters,)."""
-        return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)), **self.constants)
+        """Law with the given parameters [SI], shape (parameters,), within the contractions of the points."""
+        domain = Domain(float(self.contraction.min()), float(self.contraction.max()))
+        fields = dict(zip(self.names, values.tolist(), strict=True), domain=domain, **self.constants)
+        try:
+            return self.law_type(**fields)
+        except RangeError as error:
+            text = f"the points do not determine {self.law_type.__name__}: {error}"
+            raise IdentificationError(text, remedy="measure over more contractions, or fit a simpler law") from error
 
     def columns_and_residuals(self, values: Floats) -> Floats:
         """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""

@@ -14,7 +14,7 @@ from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.compiled import compiled_alone
 from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import sincos
-from mckibben.units import Angle, Distance, Length, Strength
+from mckibben.units import Angle, Distance, Length, MomentArm, Strength
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
@@ -78,7 +78,7 @@ class KneeGeometry(Geometry):
     """
 
     joint_length: Length
-    joint_radius: Length
+    joint_radius: MomentArm
     connector_length: Distance
 
     def __check_init__(self) -> None:

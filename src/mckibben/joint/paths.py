@@ -23,7 +23,7 @@ from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating, sincos
-from mckibben.units import COMPONENT, Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, deg, mm
+from mckibben.units import COMPONENT, Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, MomentArm, deg, mm
 
 _Side = int
 """1 for muscle 1, which lengthens as the angle increases, -1 for muscle 2."""
@@ -58,7 +58,7 @@ class Pulley(MusclePath):
         Moment arm, and length of the muscle at the angle 0 [m].
     """
 
-    radius: Length
+    radius: MomentArm
     rest_length: Length
 
     def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
@@ -76,7 +76,7 @@ class Cam(MusclePath):
         Length of the muscle at the angle 0 [m].
     """
 
-    arm: Length
+    arm: MomentArm
     rest_length: Length
     arm_slope: ArmSlope = 0.0
     arm_curvature: ArmCurvature = 0.0
@@ -143,7 +143,7 @@ class TabulatedPath(MusclePath):
 
     angles: tuple[Angle, ...]
     lengths: tuple[Length, ...] | None = None
-    arms: tuple[Length, ...] | None = None
+    arms: tuple[MomentArm, ...] | None = None
     rest_length: Length | None = None
     error: float = eqx.field(static=True, default=0.0)
     coefficients: Any = eqx.field(static=True, default=())

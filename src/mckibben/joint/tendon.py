@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
+from typing import Annotated
 
 import jax.numpy as jnp
 from jax import lax
@@ -13,7 +14,9 @@ from mckibben.muscle import NO_STATE, Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
-from mckibben.units import Distance, Force, SpringRate
+from mckibben.units import Force, Quantity, SpringRate
+
+SpringTravel = Annotated[float, Quantity("m", "mm", 0, 500)]
 
 
 class Tendon(Component):
@@ -69,7 +72,7 @@ class SeriesSpring(Tendon):
 
     stiffness: SpringRate
     preload: Force
-    travel: Distance
+    travel: SpringTravel
 
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.clip((jnp.asarray(tension) - self.preload) / self.stiffness, 0.0, self.travel)

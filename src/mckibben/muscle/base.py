@@ -2,6 +2,7 @@
 
 import abc
 from dataclasses import dataclass
+from numbers import Real
 from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
@@ -10,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.component import Component
 from mckibben.units import Percent, atm, bar, deg, mm
 
@@ -90,6 +91,16 @@ class PressureAffineLaw(ForceLaw):
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         offset, gain = self.pressure_terms(contraction)
         return (jnp.asarray(force) - offset) / gain
+
+
+def check_gain(law: Any, **gain: Any) -> None:
+    """Raise `RangeError` for a force per pressure [N/Pa], an area, beyond 1 m^2 at contraction 0, if the domain has it.
+
+    Terms alone may be larger, and cancel.
+    """
+    low, high = law.domain.contraction_min, law.domain.contraction_max
+    if isinstance(low, Real) and isinstance(high, Real) and float(low) <= 0.0 <= float(high):
+        check_within(type(law).__name__, -1.0, 1.0, "N/Pa", remedy="numbers are in SI: 1 N/bar is 1e-05 N/Pa", **gain)
 
 
 _LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # range of pressures of any muscle of rubber and thread

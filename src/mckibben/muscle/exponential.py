@@ -7,10 +7,10 @@ from typing import Annotated
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle.base import Parameter, PressureAffineLaw, check_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
-from mckibben.units import ForcePerPressure, Quantity, SignedForce
+from mckibben.units import ForcePerPressure, ForceTerm, Quantity
 
 Decay = Annotated[float, Quantity("1", "1/percent", 0.005, 10)]
 NegativeDecay = Annotated[float, Quantity("1", "1/percent", -10, -0.005)]
@@ -46,11 +46,11 @@ class ExponentialLaw(PressureAffineLaw):
     (584.72, 242.6)
     """
 
-    a1: SignedForce
+    a1: ForceTerm
     a2: ForcePerPressure
-    b1: SignedForce
+    b1: ForceTerm
     b2: ForcePerPressure
-    c1: SignedForce
+    c1: ForceTerm
     c2: ForcePerPressure
     decay: Decay
     domain: Domain = Domain()
@@ -66,6 +66,10 @@ class ExponentialLaw(PressureAffineLaw):
         Parameter("c2", "N/Pa", "N/bar", "exponential, per pressure"),
     )
     shape_parameters = (Parameter("decay", "1", "1/percent", "decay of the exponential", 1.0, 300.0),)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_gain(self, **{"a2 + c2": self.a2 + self.c2})
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)
@@ -102,10 +106,10 @@ class SarosiLaw(PressureAffineLaw):
     """
 
     a1: ForcePerPressure
-    a2: SignedForce
+    a2: ForceTerm
     a4: ForcePerPressure
     a5: ForcePerPressure
-    a6: SignedForce
+    a6: ForceTerm
     a3: NegativeDecay
     domain: Domain = Domain()
 
@@ -119,6 +123,10 @@ class SarosiLaw(PressureAffineLaw):
         Parameter("a6", "N", "N", "constant"),
     )
     shape_parameters = (Parameter("a3", "1", "1/percent", "exponent", -300.0, -1.0),)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_gain(self, **{"a1 + a5": self.a1 + self.a5})
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)

@@ -109,7 +109,7 @@ class NoFriction(Friction):
 FrictionForce = Annotated[float, Quantity("N", "N", MIN_HALF_WIDTH, 1e6)]
 FrictionGrowth = Annotated[float, Quantity("N/Pa", "N/bar", -1e4, 1e4)]
 TensionGrowth = Annotated[float, Quantity("1", "1", -1, 1)]
-Presliding = Annotated[float, Quantity("m", "mm", 0, 1e3, open_lower=True)]
+Presliding = Annotated[float, Quantity("m", "mm", 0, 100, open_lower=True)]
 Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
 
 

@@ -7,11 +7,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw
+from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw, check_gain
 from mckibben.muscle.exponential import Decay, ExponentialLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
-from mckibben.units import ForcePerPressure, SignedForce
+from mckibben.units import ForcePerPressure, ForceTerm
 
 DEGREE = 5
 """Degree of the polynomial of each deviation."""
@@ -31,11 +31,11 @@ def _deviation(order: int) -> tuple[Parameter, ...]:
 class _Deviations(ForceLaw):
     """Fields and terms that both laws share."""
 
-    a1: SignedForce
+    a1: ForceTerm
     a2: ForcePerPressure
-    b1: SignedForce
+    b1: ForceTerm
     b2: ForcePerPressure
-    c1: SignedForce
+    c1: ForceTerm
     c2: ForcePerPressure
     s00: float
     s01: float
@@ -59,6 +59,10 @@ class _Deviations(ForceLaw):
         Parameter("centre", "1", "percent", "centre of the window of the deviations"),
         Parameter("half_width", "1", "percent", "its half width"),
     )
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_gain(self, **{"a2 + c2": self.a2 + self.c2})
 
     def _terms(self, contraction: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Offset [N] and gain [N/Pa]; place v in the window, and the factor (1 - v^2)^3, of the deviations."""

@@ -9,8 +9,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import BRAID_PARAMETERS, Parameter, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
-from mckibben.units import BraidAngle, Diameter, Distance, Percent, Pressure, mm
+from mckibben.units import BraidAngle, Diameter, Percent, Pressure, Quantity, mm
 
+WallThickness = Annotated[float, Quantity("m", "mm", 0, 50)]
 EndShare = Annotated[float, Percent("1", "%", 0, 90)]
 
 
@@ -58,7 +59,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     threshold_pressure: Pressure
     braid_angle: BraidAngle
     initial_diameter: Diameter
-    wall_thickness: Distance
+    wall_thickness: WallThickness
     end_share: EndShare
     domain: Domain = Domain()
 

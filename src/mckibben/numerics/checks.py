@@ -42,7 +42,7 @@ def check_number(owner: str, **values: object) -> None:
         known_numbers(owner, name, value)
 
 
-def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
+def check_within(owner: str, lower: float, upper: float, unit: str = "", *, remedy: str = "", **values: object) -> None:
     """Raise `RangeError` unless all numbers lie in a closed range."""
     for name, value in values.items():
         numbers = known_numbers(owner, name, value)
@@ -56,6 +56,7 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
                 lower=lower,
                 upper=upper,
                 unit=unit,
+                remedy=remedy,
             )
 
 
@@ -76,6 +77,8 @@ def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
         raise RangeError(f"{owner}: {name} is {quoted(value)}", field=name, value=value, remedy=remedy)
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
+    if isinstance(value, tuple | list) and all(type(one) is float for one in value):
+        return np.asarray(value, float)
     if isinstance(value, tuple | list):
         return np.concatenate([np.empty(0), *(known_numbers(owner, name, one) for one in value)])
     if value is None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from numbers import Real
-from types import NoneType, UnionType
+from inspect import get_annotations
+from numbers import Integral, Real
+from types import NoneType, SimpleNamespace, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
@@ -40,7 +42,8 @@ class Checked:
 @functools.cache
 def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
     """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``."""
-    return {name: mark for name, hint in _hints(kind).items() for mark in [*_marks(hint)][:1]}
+    marks = {name: {*_marks(hint)} for name, hint in _hints(kind).items()}
+    return {name: found.pop() for name, found in marks.items() if len(found) == 1}  # not a tuple of several quantities
 
 
 def check_fields(instance: Any, signal: Quantity | None = None) -> None:
@@ -76,26 +79,36 @@ def _errors(instance: Any, signal: Quantity | None = None) -> Iterator[RangeErro
                 remedy = f"give one of {', '.join(map(repr, words))}"
                 yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
             elif mark and value is None:
-                if NoneType not in get_args(_hints(kind)[name]):
+                if NoneType not in get_args(_hints(kind)[name]) and field.default is not None:
                     yield RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
-            elif mark and isinstance(mark, BoundedInt) and isinstance(value, bool | float):
+            elif isinstance(mark, BoundedInt) and isinstance(value, Real) and not _whole(value):
                 yield RangeError(f"{owner}: {name} is {value}, no whole number", field=name, value=value)
-            elif mark and not (isinstance(value, Real) and value == field.default):
+            elif mark:
                 numbers = known_numbers(owner, name, value)
                 mark = signal or mark if mark.unit == SIGNAL_UNIT else mark
+                if isinstance(field.default, Real):  # it may be infinite, for what is not limited
+                    numbers = numbers[numbers != field.default]
                 if mark.unit != SIGNAL_UNIT and not (right := mark.holds(numbers)).all():
                     yield _outside(owner, name, float(numbers[~right][0]), mark)
         except RangeError as error:
             yield error
 
 
+def _whole(value: Real) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
 @functools.cache
 def _hints(kind: type) -> dict[str, Any]:
-    """Types of the fields; none where some name a class that is not found, as one of a function is not."""
-    with suppress(NameError):
-        hints = get_type_hints(kind, include_extras=True)
-        return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
-    return {}
+    """Types of the fields, but for those that name what is not found, such as a class of a function."""
+    found = {}
+    for base in reversed(kind.__mro__):
+        for name, hint in get_annotations(base).items():
+            found.pop(name, None)
+            with suppress(Exception):  # what an annotation raises is its own
+                one = SimpleNamespace(__annotations__={name: hint})
+                found |= get_type_hints(one, vars(sys.modules[base.__module__]), include_extras=True)
+    return {field.name: found[field.name] for field in dataclasses.fields(kind) if field.name in found}
 
 
 def _marks(hint: Any) -> Iterator[Quantity | BoundedInt]:

@@ -30,7 +30,7 @@ from mckibben.plant.air_valve import AirState, AirValve, AirVolume
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.plant.valve import Valve, ValveModel
-from mckibben.units import ShortTime
+from mckibben.units import CommandDelay
 
 _MOST_PERIODS = 100  # of a command delay
 _ROUNDING = 1e-9  # periods
@@ -105,7 +105,7 @@ class JointPlant(Component):
     sensors: Sensors = PerfectSensors()
     disturbance: Disturbance = NoDisturbance()
     friction: JointFriction | None = None
-    command_delay: ShortTime | None = eqx.field(kw_only=True, default=None)
+    command_delay: CommandDelay | None = eqx.field(kw_only=True, default=None)
     delay_periods: int = eqx.field(kw_only=True, default=0, static=True)
 
     def __check_init__(self) -> None:

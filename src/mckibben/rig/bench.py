@@ -22,9 +22,9 @@ from mckibben.units import (
     Duration,
     Force,
     Hz,
+    MonitorTime,
     N,
     PositivePressure,
-    PositiveTime,
     PressureRate,
     PressureScale,
     SampleRate,
@@ -106,7 +106,7 @@ class RigLimits(Checked):
     pressure_rate: PressureRate = 50 * bar / s  # between the means of two cycles; not checked during venting
     pressure_error: PressureScale = 0.3 * bar  # highest deviation from the set pressure after `settling`
     settling: Duration = 10 * s  # of the pressure
-    gap: PositiveTime = 500 * ms  # highest age of the newest sample, and longest time without one
+    gap: MonitorTime = 500 * ms  # highest age of the newest sample, and longest time without one
     frozen: Duration = math.inf  # longest time for which a sensor may read the same volts; for sensors with noise
     deviation: Tension = math.inf  # highest deviation of a point's mean force from the law
 
@@ -140,11 +140,11 @@ class JointLimits:
     pressure: PositivePressure
     angle_rate: AngularRate = 720 * deg
     pressure_rate: PressureRate = math.inf
-    window: PositiveTime = 10 * ms
+    window: MonitorTime = 10 * ms
     pressure_error: PressureScale = 1 * bar
-    following: PositiveTime = 250 * ms
-    silence: PositiveTime = 20 * ms
-    late: PositiveTime = 50 * ms
+    following: MonitorTime = 250 * ms
+    silence: MonitorTime = 20 * ms
+    late: MonitorTime = 50 * ms
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -165,7 +165,7 @@ class Bench:
     calibrations: Mapping[str, Calibration]  # of "force", "pressure" (inputs) and "valve" (output)
     limits: RigLimits
     rate: float = 1000 * Hz  # of each input
-    cycle: PositiveTime = 100 * ms  # period at which samples are read and checked
+    cycle: MonitorTime = 100 * ms  # period at which samples are read and checked
     between: SampleRate = 10 * Hz  # rate of the record between plateaus; after a stop all samples are recorded
     settled: float = 0.1 * bar  # tolerance of the set pressure, for the mean of a cycle [Pa]
     vented: float = 0.1 * bar  # pressure below which the muscle is vented [Pa]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from mckibben.units import (
     Contraction,
     Duration,
     ForceReserve,
-    Pressure,
     Quantity,
     Repeats,
     Samples,
@@ -29,6 +28,21 @@ from mckibben.units import (
     percent,
     s,
 )
+
+
+class _SetPressureRange(Quantity):
+    """Range without what is one in bar or kPa, typed as one in Pa."""
+
+    def holds(self, number: Any) -> Any:
+        return super().holds(number) & ((number <= 0) | (number >= 1e3))
+
+    @property
+    def range(self) -> str:
+        """The range as text."""
+        return "-1 to 0 bar, or 0.01 to 1000 bar"
+
+
+SetPressure = Annotated[float, _SetPressureRange("Pa", "bar", -1, 1e3)]
 
 
 class Boundaries(NamedTuple):
@@ -169,7 +183,7 @@ class IsobaricProtocol:
       repeats: is 0, outside 1 to 10000; choose a value inside
     """
 
-    pressures: Sequence[Pressure] = PAPER_PRESSURES
+    pressures: Sequence[SetPressure] = PAPER_PRESSURES
     contraction_min: Contraction | None = None
     contraction_max: Contraction | None = None
     step: StepTravel = 1 * mm

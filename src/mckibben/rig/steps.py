@@ -15,6 +15,7 @@ from mckibben.numerics.component import Checked, check_fields, field_problems
 from mckibben.rig.protocol import (
     PAPER_PRESSURES,
     IsobaricProtocol,
+    SetPressure,
     StepTravel,
     boundaries,
     specimen_of,
@@ -24,7 +25,6 @@ from mckibben.units import (
     Duration,
     Force,
     N,
-    Pressure,
     PressureRate,
     Repeats,
     Samples,
@@ -71,7 +71,7 @@ class Dwell(Checked):
 class Pressurise(Checked):
     """Change of the set pressure, until the muscle has it."""
 
-    pressure: Pressure
+    pressure: SetPressure
     rate: PressureRate | None = None  # of the set pressure; a step unless given
     holding: Tension | None = None  # force held meanwhile by moving, see `HoldForce`; constant length unless given
 
@@ -246,7 +246,7 @@ class IsometricProtocol:
     """Isometric test: constant length, the pressure stepped up and down."""
 
     contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))  # ours
-    pressures: Sequence[Pressure] = PAPER_PRESSURES
+    pressures: Sequence[SetPressure] = PAPER_PRESSURES
     rate: PressureRate | None = None  # of the set pressure; steps unless given
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
@@ -288,7 +288,9 @@ class IsotonicProtocol:
     """Isotonic test: constant force, the pressure stepped up and down."""
 
     forces: Sequence[Tension] = (50.0, 100.0, 200.0)  # ours
-    pressures: Sequence[Pressure] = tuple(0.5 * level * bar for level in range(4, 13))  # ours; 200 N takes about 2 bar
+    pressures: Sequence[SetPressure] = tuple(
+        0.5 * level * bar for level in range(4, 13)
+    )  # ours; 200 N takes about 2 bar
     rate: PressureRate = 0.1 * bar / s  # ours, slow enough for the motor
     tolerance: Force = 2.0  # of the force at a point
     speed: Speed = SPEED

@@ -15,7 +15,8 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import DomainWarning, ParameterError, ReachabilityWarning, SimulationError
+from mckibben.control.reference import timing_problem
+from mckibben.errors import DomainWarning, McKibbenWarning, ParameterError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast, named_leaves
@@ -41,6 +42,7 @@ from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
 _BLOCK = 256  # control periods
+_TENSION_SAMPLES = 64  # of a run
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,7 +178,10 @@ def simulate(
     Warns
     -----
     ReachabilityWarning
-        If the joint cannot statically hold all of the reference: when, and by how much.
+        If the joint cannot statically hold all of the reference, or not with the controller's minimum tension: when,
+        and by how much.
+    McKibbenWarning
+        If samples of the reference end in motion before the run does, or last ten times as long.
 
     Raises
     ------
@@ -232,6 +237,9 @@ def checked_run(
     parts = problem.plant, problem.controller, setpoints, start
     if kind != np.float64:
         parts = cast(parts, kind)
+    for name, signal in (("angle", reference.angle), ("stiffness", reference.stiffness)):
+        if problem_of_times := timing_problem(signal, duration):
+            warnings.warn(f"reference of the {name}: {problem_of_times}", McKibbenWarning, stacklevel=3)
     known = dict(zip(BAND, (lowest, highest), strict=True))
     result = _episode_result(*parts, control_period, substeps, engine=engine, known=known, scenario=scenario)
     if not exists:
@@ -241,7 +249,34 @@ def checked_run(
     if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
         text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
         warnings.warn(f"{text}, outside of which the moment arm is taken for constant", DomainWarning, stacklevel=3)
-    return CheckedRun(result, Feasibility(times, *(np.asarray(each) for each in (*setpoints, lowest, highest))))
+    feasibility = Feasibility(times, *(np.asarray(each) for each in (*setpoints, lowest, highest)))
+    if feasibility.feasible:
+        _warn_of_tension(plant, controller, feasibility, amplitude)
+    return CheckedRun(result, feasibility)
+
+
+def _warn_of_tension(plant: JointPlant, controller: Controller, found: Feasibility, amplitude: float | None) -> None:
+    """Warn if a reference is feasible, but not with the controller's minimum tension."""
+    if not (tension := getattr(controller, "minimum_tension", None)):
+        return
+    at = np.unique(np.linspace(0, found.times.size - 1, _TENSION_SAMPLES).round().astype(int))
+    angle = found.desired_angle[at]
+    torque = -np.asarray(plant.load.gravity_torque(angle))
+    lowest, highest = plant.supplied_joint.attainable_stiffness(
+        angle, torque, minimum_tension=tension, amplitude=amplitude
+    )
+    desired = found.desired_stiffness[at]
+    missing = ~((desired >= np.asarray(lowest) - _ROUNDING) & (desired <= np.asarray(highest) + _ROUNDING))
+    if missing.any():
+        worst = int(np.argmax(missing))
+        attainable = f"{float(lowest[worst]):.4g}..{float(highest[worst]):.4g}"
+        warnings.warn(
+            f"with the controller's minimum tension of {float(tension):g} N the reference is not feasible "
+            f"{_when(found.times[at], missing)}: at {angle[worst] / deg:.3g} deg {desired[worst]:.4g} N*m/rad is "
+            f"wanted, {attainable} attainable; lower minimum_tension",
+            ReachabilityWarning,
+            stacklevel=4,
+        )
 
 
 def run_episode(

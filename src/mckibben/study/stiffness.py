@@ -126,6 +126,7 @@ def stiffness_tests(
     """
     report = progress or silent
     plant, controller = scenario.plant(), scenario.control()
+    closed = closed_valves(plant)
     period, substeps = scenario.control_period, scenario.substeps
     setpoint = scenario.reference()(0.0)
     check_substeps(plant, setpoint.angle, setpoint.stiffness, period, substeps)
@@ -135,7 +136,6 @@ def stiffness_tests(
     parts = numeric((plant, controller, held, start))
     state, _ = compiled_episode(*parts, period=np.asarray(period), substeps=substeps)
 
-    closed = closed_valves(plant)
     plants: dict[str, JointPlant] = {HELD: dataclasses.replace(plant, valve=IdealValve()), CLOSED: closed}
     plants |= {COMMANDED: plant} if isinstance(plant.valve, AirValve) else {}
     tests = {}

@@ -91,6 +91,7 @@ def test_steps_come_back_as_they_were_written():
 
 CONTRACTION = st.floats(-0.03, 0.25)
 POSITIVE = st.floats(1e-3, 1e3)
+PRESSURE = st.just(0.0) | st.floats(1e3, 6e5)
 ACQUIRE = st.builds(
     typed.Acquire,
     samples=st.integers(1, 5000),
@@ -102,7 +103,7 @@ ACQUIRE = st.builds(
 SIMPLE = st.one_of(
     st.builds(typed.Move, to=CONTRACTION, speed=st.floats(1e-5, 1e-2)),
     st.builds(typed.Dwell, duration=st.floats(0, 1e3)),
-    st.builds(typed.Pressurise, pressure=st.floats(0, 6e5), rate=st.none() | POSITIVE, holding=st.none() | POSITIVE),
+    st.builds(typed.Pressurise, pressure=PRESSURE, rate=st.none() | st.floats(1e2, 1e6), holding=st.none() | POSITIVE),
     st.builds(typed.HoldForce, force=POSITIVE, tolerance=POSITIVE, speed=st.floats(1e-5, 1e-2), longest=POSITIVE),
     ACQUIRE,
     st.builds(

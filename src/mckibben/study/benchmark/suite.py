@@ -30,7 +30,7 @@ from mckibben.study.scenario.plant import (
 from mckibben.study.scenario.reference import ReferenceSpec
 from mckibben.study.scenario.scenario import RunSpec
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
-from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime, ShortTime
+from mckibben.units import AngularAcceleration, BoundedInt, CommandDelay, Duration, PositiveTime
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
 _LONGEST_NAME = 80
@@ -250,7 +250,7 @@ class Suite(RunSpec):
     sensors: AnySensors | None = None
     disturbance: AnyDisturbance | None = None
     friction: JointFrictionSpec | None = None
-    command_delay: ShortTime | None = None
+    command_delay: CommandDelay | None = None
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None

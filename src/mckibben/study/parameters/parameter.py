@@ -289,7 +289,7 @@ def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
     >>> for each in list_parameters(scenario)[:3]:
     ...     print(each.name, each.show(each.nominal), each.range, sep=", ")
     joint.geometry.joint_length, 370 mm, above 0 to 10000 mm
-    joint.geometry.joint_radius, 30 mm, above 0 to 10000 mm
+    joint.geometry.joint_radius, 30 mm, above 0 to 2000 mm
     joint.connector_length, 208 mm, 0 to 10000 mm
     """
     found = _parameters(scenario)  # type: ignore[arg-type]  # hashable, as it is frozen

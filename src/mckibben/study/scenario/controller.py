@@ -31,12 +31,12 @@ from mckibben.units import (
     AngleScale,
     Bandwidth,
     Force,
-    ShortTime,
     StiffnessDerivativeGain,
     StiffnessGain,
     StiffnessIntegralGain,
     StiffnessScale,
     Tension,
+    ValveLag,
 )
 
 
@@ -165,7 +165,7 @@ class ModelBasedSpec(ComponentModel):
     velocity_observer: ObserverSpec | None = None
     disturbance_observer: DisturbanceObserverSpec | None = None
     pressure_observer: ObserverSpec | None = None
-    valve_time_constant: ShortTime | None = None
+    valve_time_constant: ValveLag | None = None
     minimum_tension: Force | None = None
     load: AnyLoad | None = None
     adaptation: AdaptationSpec | None = None

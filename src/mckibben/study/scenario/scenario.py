@@ -25,7 +25,7 @@ from mckibben.study.scenario.plant import (
     StartSpec,
 )
 from mckibben.study.scenario.reference import ReferenceSpec
-from mckibben.units import BoundedInt, Duration, PositiveTime, ShortTime
+from mckibben.units import BoundedInt, CommandDelay, Duration, PositiveTime
 
 if TYPE_CHECKING:
     from mckibben.control import Controller, Reference
@@ -114,7 +114,7 @@ class Scenario(RunSpec):
     sensors: AnySensors | None = None
     disturbance: AnyDisturbance | None = None
     friction: JointFrictionSpec | None = None
-    command_delay: ShortTime | None = None
+    command_delay: CommandDelay | None = None
     controller: AnyController
     signals: ReferenceSpec = Field(alias="reference")
     start: StartSpec = StartSpec()
