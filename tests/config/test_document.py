@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mckibben.config.document import edit_yaml, read_document, to_text
@@ -94,6 +94,7 @@ def _as_read(value):
 
 
 @given(st.dictionaries(WORDS, PLAIN, min_size=1, max_size=5))
+@example({"k" * 100: {}})
 def test_what_is_written_is_read_back(data):
     document = read_document(to_text(data))
     assert not document.problems

@@ -294,8 +294,9 @@ class _Writer:
             head = f"{'  ' * indent}{_scalar(str(key))}:"
             comment = f"  # {self.comments[here]}" if here in self.comments else ""
             one_line = f"{head} {_flow(value)}"
-            if isinstance(value, dict) and not self.fits(one_line, value, here):
-                lines += [f"{head}{comment}", *self.block(value, here, indent + 1)]
+            one_a_line = isinstance(value, dict) and not self.fits(one_line, value, here)
+            if one_a_line and (inner := self.block(value, here, indent + 1)):
+                lines += [f"{head}{comment}", *inner]
             elif isinstance(value, list) and _has_rows(value):
                 lines += [f"{head}{comment}", *self.rows(value, here, indent + 1)]
             else:

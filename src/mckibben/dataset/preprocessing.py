@@ -122,7 +122,7 @@ def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
     means, spreads = np.array([part.mean() for part in parts]), np.array([part.std(ddof=1) for part in parts])
     scatter = float(np.sqrt(np.mean(spreads**2)))
     for step in _STEPS:
-        nominal = np.round(means / step) * step
+        nominal = np.round(means / step) * step + 0.0  # not -0
         if (np.abs(nominal - means) <= np.maximum(spreads, scatter)).all() and (np.diff(nominal) > 0).all():
             return np.round(nominal, 3) * bar, scatter
     return means * bar, scatter

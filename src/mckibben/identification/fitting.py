@@ -240,8 +240,8 @@ def _outlier_warnings(points: IsobaricDataset, residuals: Floats) -> list[str]:
     where = f"{show(force, 'N', 4)} at {show(pressure, 'bar', 4)} and {contraction / percent:.4g} %"
     many = f"{len(found)} points are" if len(found) > 1 else "a point is"
     return [
-        f"{many} far off those measured before and after, as by {apart[worst]:.3g} N {where}: check the file, as one "
-        "wrong number can change the law"
+        f"{many} far off those measured before and after, the farthest by {apart[worst]:.3g} N: {where}; check the "
+        "file, as one wrong number can change the law"
     ]
 
 

@@ -282,8 +282,8 @@ def _along(axes: Axes, found: FeasibleReference, values: np.ndarray, until: floa
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
-    low, high = robust_limits(curves, part=0.98, floor=1.0)
-    axes.set_ylim(max(low, min(0.0, low)), high)
+    largest = max(float(np.abs(curve[np.isfinite(curve)]).max(initial=0.0)) for curve in curves)
+    axes.set_ylim(*robust_limits(curves, part=0.98, floor=0.05 * largest))
 
 
 @styled

@@ -231,7 +231,7 @@ def robust_limits(
     high = max(float(np.quantile(values, part)) for values in finite)
     short = max(floor - (high - low), 0.0) / 2
     low, high = low - short, high + short
-    extra = margin * (high - low) or 1.0
+    extra = margin * (high - low) if high > low else 1.0
     return low - extra, high + extra
 
 

@@ -129,7 +129,8 @@ def _stiffness(axes: Axes, runs: Mapping[str, Result], looks: Mapping[str, dict[
 def _stiffness_limits(results: list[Result]) -> tuple[float, float]:
     """Axis limits that contain the reference and most of the stiffness, with a margin."""
     desired = [r["desired_stiffness"] for r in results]
-    low, high = robust_limits(desired + [r["stiffness"] for r in results], part=0.99, margin=0.0, floor=1e-3)
+    floor = _LEAST_RANGE * max(float(np.abs(d).max()) for d in desired)
+    low, high = robust_limits(desired + [r["stiffness"] for r in results], part=0.99, margin=0.0, floor=floor)
     low, high = min(low, *(float(d.min()) for d in desired)), max(high, *(float(d.max()) for d in desired))
     band_low = np.nanmin([np.nanmin(r["lowest_stiffness"], initial=low) for r in results])
     band_high = np.nanmax([np.nanmax(r["highest_stiffness"], initial=high) for r in results])
@@ -137,6 +138,9 @@ def _stiffness_limits(results: list[Result]) -> tuple[float, float]:
     return max(low - margin, min(float(band_low) - 0.1 * margin, low - 0.2 * margin)), min(
         high + margin, max(float(band_high) + 0.1 * margin, high + 0.2 * margin)
     )
+
+
+_LEAST_RANGE = 0.05  # of the desired stiffness
 
 
 def _bounded(curves: list[NDArray[np.float64]]) -> bool:
