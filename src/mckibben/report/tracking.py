@@ -134,7 +134,7 @@ def _stiffness_limits(results: list[Result]) -> tuple[float, float]:
     low, high = min(low, *(float(d.min()) for d in desired)), max(high, *(float(d.max()) for d in desired))
     band_low = np.nanmin([np.nanmin(r["lowest_stiffness"], initial=low) for r in results])
     band_high = np.nanmax([np.nanmax(r["highest_stiffness"], initial=high) for r in results])
-    margin = 0.45 * (high - low)
+    margin = 0.7 * (high - low)
     return max(low - margin, min(float(band_low) - 0.1 * margin, low - 0.2 * margin)), min(
         high + margin, max(float(band_high) + 0.1 * margin, high + 0.2 * margin)
     )
