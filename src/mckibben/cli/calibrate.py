@@ -251,7 +251,7 @@ def _plan(scenario: Scenario, sweeps: Sweeps, prior: JointPrior, json: bool) -> 
                     before, after = expected(scenario, one, folder, prior)
                     rows.append({"weight_kg": mass, "duration_s": seconds, "before": before, "deviation": after})
                 except ParameterError as error:  # the weight is too heavy
-                    notify(f"left out: {mass:g} kg: {error}", json)
+                    notify(f"left out: {mass:g} kg, {seconds:g} s: {error}", json)
     if json:
         echo(to_json(rows))
         return
