@@ -51,6 +51,7 @@ PART = Part(0.2)
         ({"count": 10}, "count", 10.0, 9),
         ({"count": 2.5}, "count", 2.5, None),
         ({"count": 3.0}, "count", 3.0, None),
+        ({"count": np.float32(3)}, "count", 3.0, None),
         ({"count": True}, "count", True, None),
         ({"mass": None}, "mass", None, None),
         ({"side": "up"}, "side", "up", None),
