@@ -420,7 +420,6 @@ PositiveTime = Annotated[float, Quantity("s", "ms", 0, 1e6, open_lower=True)]
 ValveTime = Annotated[float, Quantity("s", "ms", 0, 1e4, open_lower=True)]
 ValveLag = Annotated[float, Quantity("s", "ms", 0, 1e4)]
 CommandDelay = Annotated[float, Quantity("s", "ms", 0, 1e3)]
-MonitorTime = Annotated[float, Quantity("s", "ms", 0, 5e3, open_lower=True)]  # more is one in ms
 Frequency = Annotated[float, Quantity("1/s", "Hz", 0, 1e6)]
 Length = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]  # more is one in millimetres
 Diameter = Annotated[float, Quantity("m", "mm", 0, 500, open_lower=True)]
@@ -443,8 +442,9 @@ Gravity = Annotated[float, Quantity("m/s^2", "m/s^2", 0, 1e3)]
 SpringRate = Annotated[float, Quantity("N/m", "N/mm", 0, 1e6, open_lower=True)]
 Force = Annotated[float, Quantity("N", "N", 0, 1e6)]
 SignedForce = Annotated[float, Quantity("N", "N", -1e6, 1e6)]
+ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e5, 1e5)]  # an area: more is one in N/bar
 ForceTerm = Annotated[float, Quantity("N", "N", -1e40, 1e40)]  # of a law, whose terms may cancel: `check_gain`
-ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e40, 1e40)]
+GainTerm = Annotated[float, Quantity("N/Pa", "N/bar", -1e40, 1e40)]
 PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
 Tension = Annotated[float, Quantity("N", "N", 0, 1e6, open_lower=True)]
 Pressure = Annotated[float, Quantity("Pa", "bar", -1e3, 1e3)]

@@ -54,7 +54,7 @@ EQ3 = -245.8, 109, 3.216, -3.442, 255.6, -13.18  # of the paper, in bar and perc
         (lambda: mk.ChouLaw(25, 0.01), "braid_angle", 25, "25 deg is 0.436332 rad"),
         (lambda: mk.ExponentialLaw(*EQ3, decay=30), "a2 + c2", 109 - 13.18, "1 N/bar is 1e-05 N/Pa"),
         (lambda: SarosiLaw(50.0, -7.6, 1.2, 45.0, 10.0, a3=-30), "a1 + a5", 95, "1 N/bar is 1e-05 N/Pa"),
-        (lambda: ReynoldsLaw(f0=179.2, f1=139, k0=1427, k1=7.7e-3), "f1", 139, "1 N/bar is 1e-05 N/Pa"),
+        (lambda: ReynoldsLaw(f0=179.2, f1=139, k0=1427, k1=7.7e-3), "f1", 139, "139 N/bar is 0.00139 N/Pa"),
         (lambda: mk.Pulley(radius=8, rest_length=0.2), "radius", 8, "8 mm is 0.008 m"),
         (lambda: mk.SeriesSpring(1e4, 10.0, 5), "travel", 5, "5 mm is 0.005 m"),
         (lambda: mk.MaxwellSlip(5.0, 0.5), "presliding_length", 0.5, "0.5 mm is 0.0005 m"),

@@ -189,22 +189,26 @@ class Sum(Signal):
 
 
 def terms(signal: Any) -> Iterator[Any]:
-    """Signals of a sum, sums in it included; the signal itself if it is none."""
-    for part in signal.parts if isinstance(signal, Sum) else (signal,):
-        yield from terms(part) if isinstance(part, Sum) else (part,)
+    """Signals of a sum, of sums in it too; the signal itself if it is no sum."""
+    if isinstance(signal, Sum):
+        for part in signal.parts:
+            yield from terms(part)
+    else:
+        yield signal
 
 
-_PART = 0.1  # of the samples: a run that takes less of them has other units of time
+_PART = 0.1  # of the time range of samples: a shorter run has other units of time
 
 
-def timing_problem(signal: Any, duration: float) -> str:
-    """How samples do not fit a run of a duration [s]; empty if they do."""
+def time_range_mismatch(signal: Any, duration: float) -> str:
+    """Mismatch between the time range of samples and the duration [s] of a run, as text; empty if there is none."""
     for part in terms(signal):
         if isinstance(part, Samples) and len(part.times) > 1:
-            (before, end), moves = map(float, part.times[-2:]), bool(part.values[-1] != part.values[-2])
+            before, end = map(float, part.times[-2:])
             if duration < _PART * end:
                 return f"its samples last to {end:g} s, and the run takes {duration:g} s: check the unit of their times"
-            if end + min(end - before, 0.02 * duration) < duration * (1 - 1e-9) and moves:
+            early = end + min(end - before, 0.02 * duration) < duration * (1 - 1e-9)
+            if early and bool(part.values[-1] != part.values[-2]):
                 return f"its samples end in motion at {end:g} s, and the last is held to the end, {duration:g} s"
     return ""
 

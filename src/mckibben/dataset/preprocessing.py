@@ -61,8 +61,10 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
             table = table.assign(repeat=("point", repeat))
             each = f"{repeat.max() + 1} of each per level, "
         notes.append(f"passes of loading and unloading, {each}from the order of the rows")
-    table = with_notes(table, notes)
-    return table if slack_known else without_offset(table)
+    if not slack_known:
+        table, found_slack = without_offset(table)
+        notes += found_slack
+    return with_notes(table, notes)
 
 
 def _levels(table: xr.Dataset) -> Floats:
@@ -72,20 +74,19 @@ def _levels(table: xr.Dataset) -> Floats:
     return np.where(np.isnan(nominal), measured, nominal)
 
 
-def without_offset(table: xr.Dataset) -> xr.Dataset:
-    """Table with the slack muscle's force found and subtracted, where it is to be seen; `preprocessing` says so."""
+def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Table with the slack muscle's force found and subtracted, and a note of it; as it is, without, where not seen."""
     contraction, force = (table[name].to_numpy() for name in ("contraction", "force"))
     levels = _levels(table)
     groups = np.unique(levels, return_inverse=True)[1]
     loading = table["direction"].to_numpy() == "loading" if "direction" in table else 0
     if (slack := slack_force(force, contraction, levels, 2 * groups + loading)) is None:
-        return table
-    text = (
+        return table, []
+    note = (
         f"slack muscle: {slack.points} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; this "
         f"offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
     )
-    table = table.assign(force=table["force"] - slack.offset).assign_attrs(slack_force=slack.limit)
-    return with_notes(table, [text])
+    return table.assign(force=table["force"] - slack.offset).assign_attrs(slack_force=slack.limit), [note]
 
 
 def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:

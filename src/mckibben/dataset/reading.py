@@ -123,8 +123,8 @@ def read_dataset(
     _check_arguments(force_sign, initial_length=initial_length, slack_force=slack_force)
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        attrs = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-        return _from_netcdf(IsobaricDataset, path, columns, force_sign, attrs)
+        given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
+        return _from_netcdf(IsobaricDataset, path, columns, force_sign, given)
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
@@ -225,12 +225,12 @@ def read_recording(
     DatasetError, RangeError
         As `read_dataset`, which has the warnings too.
     """
-    attrs: dict[str, Any] = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-    lengths = {"initial_length": initial_length, "contraction": contraction}
-    _check_arguments(force_sign, **lengths, slack_force=slack_force, sample_rate=sample_rate)
+    ratios_and_rates = {"contraction": contraction, "sample_rate": sample_rate}
+    _check_arguments(force_sign, initial_length=initial_length, slack_force=slack_force, **ratios_and_rates)
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        found = _from_netcdf(Recording, path, columns, force_sign, attrs)
+        given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
+        found = _from_netcdf(Recording, path, columns, force_sign, given)
         if contraction is None:
             return found
         if "contraction" in found.table:

@@ -26,7 +26,7 @@ from mckibben.dataset.isometric import (
     split_phases,
 )
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
-from mckibben.dataset.preprocessing import without_offset
+from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
@@ -270,9 +270,8 @@ class Recording:
         )
         if self.table.attrs["slack_force"]:
             return points
-        table = without_offset(points.dataset.table)
-        found = table.attrs.get("preprocessing", "").splitlines()[-1:] if table is not points.dataset.table else []
-        return replace(points, dataset=IsobaricDataset(table), notes=(*points.notes, *found))
+        table, notes = without_offset(points.dataset.table)
+        return replace(points, dataset=IsobaricDataset(with_notes(table, notes)), notes=(*points.notes, *notes))
 
     def isometric(
         self,

@@ -10,9 +10,8 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.errors import RangeError
 from mckibben.muscle.base import ForceLaw, PositiveContraction, PressureAffineLaw, pressure_for, wrapped_law
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.checks import check_within
 from mckibben.numerics.component import Component
-from mckibben.units import Contraction, ForcePerPressure, ForceTerm
+from mckibben.units import Contraction, ForcePerPressure, SignedForce
 
 
 class ForceCorrection(Component):
@@ -29,7 +28,7 @@ class ForceCorrection(Component):
         Middle eps_m and half width h [-] of the contractions that were calibrated; the correction is constant outside.
     """
 
-    offset: Sequence[ForceTerm]
+    offset: Sequence[SignedForce]
     gain: Sequence[ForcePerPressure]
     centre: Contraction
     half_width: PositiveContraction
@@ -40,7 +39,6 @@ class ForceCorrection(Component):
             raise RangeError(
                 f"ForceCorrection: {len(self.offset)} offsets and {len(self.gain)} gains", remedy="give as many of each"
             )
-        check_within("ForceCorrection", -1.0, 1.0, "N/Pa", gain=self.gain)
 
     def terms(self, contraction: ArrayLike) -> tuple[Array, Array]:
         """Return offset [N] and gain [N/Pa] of the correction at a contraction [-]."""

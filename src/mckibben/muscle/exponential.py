@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.muscle.base import Parameter, PressureAffineLaw, check_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
-from mckibben.units import ForcePerPressure, ForceTerm, Quantity
+from mckibben.units import ForceTerm, GainTerm, Quantity
 
 Decay = Annotated[float, Quantity("1", "1/percent", 0.005, 10)]
 NegativeDecay = Annotated[float, Quantity("1", "1/percent", -10, -0.005)]
@@ -47,11 +47,11 @@ class ExponentialLaw(PressureAffineLaw):
     """
 
     a1: ForceTerm
-    a2: ForcePerPressure
+    a2: GainTerm
     b1: ForceTerm
-    b2: ForcePerPressure
+    b2: GainTerm
     c1: ForceTerm
-    c2: ForcePerPressure
+    c2: GainTerm
     decay: Decay
     domain: Domain = Domain()
 
@@ -105,10 +105,10 @@ class SarosiLaw(PressureAffineLaw):
     595.2
     """
 
-    a1: ForcePerPressure
+    a1: GainTerm
     a2: ForceTerm
-    a4: ForcePerPressure
-    a5: ForcePerPressure
+    a4: GainTerm
+    a5: GainTerm
     a6: ForceTerm
     a3: NegativeDecay
     domain: Domain = Domain()

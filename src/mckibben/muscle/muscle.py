@@ -34,7 +34,7 @@ class MuscleState(NamedTuple):
 
 NO_STATE = MuscleState()
 
-_LEAST_PRESSURE = 1e3  # Pa: if the highest is lower, it is one in bar or kPa
+LEAST_PRESSURE = 1e3  # Pa: if the highest is lower, it is one in bar or kPa
 
 
 class Muscle(Component):
@@ -75,7 +75,7 @@ class Muscle(Component):
     def check_pressure_limit(self) -> None:
         """Raise `RangeError` if neither the specimen nor the law limits the pressure, or to that of one in bar."""
         highest = self.domain.pressure_max
-        if isinstance(highest, Real) and not (highest <= 0 or _LEAST_PRESSURE <= highest < jnp.inf):
+        if isinstance(highest, Real) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
             given = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
             raise RangeError(
                 f"the highest pressure of {self.specimen.name} is {given}",
@@ -162,7 +162,7 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
     highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
-    if 0 < highest < _LEAST_PRESSURE:
+    if 0 < highest < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=_user_level())
     texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]

@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw, check_gain
+from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root
-from mckibben.units import Contraction, ForcePerPressure, ForceTerm, Pressure, PressureScale, Quantity, kPa, percent
+from mckibben.units import Contraction, ForcePerPressure, Pressure, PressureScale, Quantity, SignedForce, kPa, percent
 
 PressurePerForce = Annotated[float, Quantity("Pa/N", "kPa/N", 0, 1e3, open_lower=True)]
 
@@ -37,7 +37,7 @@ class ReppergerLaw(PressureAffineLaw):
     actuator", IEEE Conf. Decision and Control (1998) 4302-4307.
     """
 
-    k0: ForceTerm
+    k0: SignedForce
     k1: ForcePerPressure
     rest: Contraction
     domain: Domain = Domain()
@@ -49,10 +49,6 @@ class ReppergerLaw(PressureAffineLaw):
         Parameter("k1", "N/Pa", "N/(bar*percent)", "spring, per pressure"),
     )
     shape_parameters = (Parameter("rest", "1", "percent", "contraction without force", 1 * percent, 60 * percent),)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_gain(self, **{"k1 rest": self.k1 * self.rest})
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         remaining = self.rest - jnp.asarray(contraction)
@@ -89,9 +85,9 @@ class ReynoldsLaw(PressureAffineLaw):
     285.4
     """
 
-    f0: ForceTerm
+    f0: SignedForce
     f1: ForcePerPressure
-    k0: ForceTerm
+    k0: SignedForce
     k1: ForcePerPressure
     domain: Domain = Domain()
 
@@ -103,10 +99,6 @@ class ReynoldsLaw(PressureAffineLaw):
         Parameter("k0", "N", "N/percent", "spring"),
         Parameter("k1", "N/Pa", "N/(bar*percent)", "spring, per pressure"),
     )
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_gain(self, f1=self.f1)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)

@@ -11,7 +11,7 @@ from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, Press
 from mckibben.muscle.exponential import Decay, ExponentialLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
-from mckibben.units import ForcePerPressure, ForceTerm
+from mckibben.units import ForceTerm, GainTerm
 
 DEGREE = 5
 """Degree of the polynomial of each deviation."""
@@ -32,11 +32,11 @@ class _Deviations(ForceLaw):
     """Fields and terms that both laws share."""
 
     a1: ForceTerm
-    a2: ForcePerPressure
+    a2: GainTerm
     b1: ForceTerm
-    b2: ForcePerPressure
+    b2: GainTerm
     c1: ForceTerm
-    c2: ForcePerPressure
+    c2: GainTerm
     s00: float
     s01: float
     s02: float

@@ -194,6 +194,11 @@ class Specimen(Component):
             )
         return self.initial_diameter, self.braid_angle
 
+    def check_volume(self, what: str) -> None:
+        """Raise `RangeError`, with what needs it, if the volume is unknown."""
+        if not self.has_volume:
+            self.braid(what)
+
     def contraction_at(self, length: ArrayLike) -> Float[Array, "..."]:
         """Return the contraction (l0 - l)/l0 [-] at a length [m]."""
         return 1 - jnp.asarray(length) * (1 / self.initial_length)  # a product, quicker in loops than a quotient

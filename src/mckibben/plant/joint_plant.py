@@ -112,8 +112,7 @@ class JointPlant(Component):
         super().__check_init__()
         if isinstance(self.valve, AirValve):
             for muscle in (self.joint.muscle1, self.joint.muscle2):
-                if not muscle.specimen.has_volume:
-                    muscle.specimen.braid(f"a {type(self.valve).__name__} that fills the volume")
+                muscle.specimen.check_volume(f"a {type(self.valve).__name__} that fills the volume")
 
     def __repr__(self) -> str:
         parts = [self.valve] if self.has_ideal_io else [self.valve, self.sensors, self.disturbance]

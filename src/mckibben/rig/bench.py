@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,11 +23,11 @@ from mckibben.units import (
     Duration,
     Force,
     Hz,
-    MonitorTime,
     N,
     PositivePressure,
     PressureRate,
     PressureScale,
+    Quantity,
     SampleRate,
     Tension,
     Travel,
@@ -36,6 +37,8 @@ from mckibben.units import (
     ms,
     s,
 )
+
+MonitorTime = Annotated[float, Quantity("s", "ms", 0, 5e3, open_lower=True)]  # more is one in ms
 
 _WHOLE = 1e-6  # pulses
 

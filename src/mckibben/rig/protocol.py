@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
+from mckibben.muscle.muscle import LEAST_PRESSURE
 from mckibben.numerics.component import field_problems
 from mckibben.units import (
     Contraction,
@@ -34,12 +35,12 @@ class _SetPressureRange(Quantity):
     """Range without what is one in bar or kPa, typed as one in Pa."""
 
     def holds(self, number: Any) -> Any:
-        return super().holds(number) & ((number <= 0) | (number >= 1e3))
+        return super().holds(number) & ((number <= 0) | (number >= LEAST_PRESSURE))
 
     @property
     def range(self) -> str:
         """The range as text."""
-        return "-1 to 0 bar, or 0.01 to 1000 bar"
+        return f"{self.lower:g} to 0 bar, or {LEAST_PRESSURE / bar:g} to {self.upper:g} bar"
 
 
 SetPressure = Annotated[float, _SetPressureRange("Pa", "bar", -1, 1e3)]

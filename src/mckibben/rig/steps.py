@@ -288,9 +288,7 @@ class IsotonicProtocol:
     """Isotonic test: constant force, the pressure stepped up and down."""
 
     forces: Sequence[Tension] = (50.0, 100.0, 200.0)  # ours
-    pressures: Sequence[SetPressure] = tuple(
-        0.5 * level * bar for level in range(4, 13)
-    )  # ours; 200 N takes about 2 bar
+    pressures: Sequence[SetPressure] = PAPER_PRESSURES[4:]  # ours; 200 N takes about 2 bar
     rate: PressureRate = 0.1 * bar / s  # ours, slow enough for the motor
     tolerance: Force = 2.0  # of the force at a point
     speed: Speed = SPEED

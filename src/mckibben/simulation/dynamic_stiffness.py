@@ -86,8 +86,7 @@ class _ConstantCommands(Controller):
 def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -> JointPlant:
     """Return a plant whose valves are closed; n and the dead volume are those of its `AirValve`, if it has one."""
     for muscle in (plant.joint.muscle1, plant.joint.muscle2):
-        if not muscle.specimen.has_volume:
-            muscle.specimen.braid("the stiffness with closed valves")
+        muscle.specimen.check_volume("the stiffness with closed valves")
     shut = FlowValve(_SHUT, 10 * bar)
     known = plant.valve if isinstance(plant.valve, AirValve) else shut
     index = known.polytropic_index if polytropic_index is None else polytropic_index

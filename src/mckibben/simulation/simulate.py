@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.control.reference import timing_problem
+from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ParameterError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
@@ -42,7 +42,6 @@ from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
 _BLOCK = 256  # control periods
-_TENSION_SAMPLES = 64  # of a run
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,14 +112,23 @@ def check_reference(
     `SimulationError` if duration [s] and control period do not fit together.
     """
     times, setpoints = sampled(reference, duration, control_period)
-    band = _band(plant, _padded(setpoints.angle), stiffness_amplitude)
-    lowest, highest = (np.asarray(values)[: times.size] for values in band)
-    return Feasibility(times, *(np.asarray(each) for each in (*setpoints, lowest, highest)))
+    return _feasibility(times, setpoints, _band(plant, _padded(setpoints.angle), stiffness_amplitude))
 
 
-def attainable_band(plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None) -> tuple[Array, Array]:
+def _feasibility(times: NDArray[np.float64], setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
+    """Feasibility of setpoints, from the attainable stiffness at them and the angles of their padding."""
+    columns = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
+    return Feasibility(times, *columns)
+
+
+def attainable_band(
+    plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None, minimum_tension: Any = 0.0
+) -> tuple[Array, Array]:
     """Lowest and highest stiffness [N*m/rad] at which the supplied joint holds angles [rad] against gravity."""
-    return plant.supplied_joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle), amplitude=amplitude)
+    torque = -plant.load.gravity_torque(angle)
+    return plant.supplied_joint.attainable_stiffness(
+        angle, torque, amplitude=amplitude, minimum_tension=minimum_tension
+    )
 
 
 _band = compiled(attainable_band)
@@ -233,14 +241,14 @@ def checked_run(
     setpoints = compiled_reference(problem.reference, times)
     without: Any = {"controller": None, "reference": None}  # others compile nothing new
     start, exists, band = _check_start(problem._replace(**without), Setpoint(*map(_padded, setpoints)), amplitude)
-    lowest, highest = (np.asarray(values)[: times.size] for values in band)
+    feasibility = _feasibility(times, setpoints, band)
     parts = problem.plant, problem.controller, setpoints, start
     if kind != np.float64:
         parts = cast(parts, kind)
     for name, signal in (("angle", reference.angle), ("stiffness", reference.stiffness)):
-        if problem_of_times := timing_problem(signal, duration):
-            warnings.warn(f"reference of the {name}: {problem_of_times}", McKibbenWarning, stacklevel=3)
-    known = dict(zip(BAND, (lowest, highest), strict=True))
+        if mismatch := time_range_mismatch(signal, duration):
+            warnings.warn(f"reference of the {name}: {mismatch}", McKibbenWarning, stacklevel=3)
+    known = dict(zip(BAND, (feasibility.lowest, feasibility.highest), strict=True))
     result = _episode_result(*parts, control_period, substeps, engine=engine, known=known, scenario=scenario)
     if not exists:
         _raise_why(plant, initial, float(setpoints.angle[0]))
@@ -249,34 +257,13 @@ def checked_run(
     if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
         text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
         warnings.warn(f"{text}, outside of which the moment arm is taken for constant", DomainWarning, stacklevel=3)
-    feasibility = Feasibility(times, *(np.asarray(each) for each in (*setpoints, lowest, highest)))
-    if feasibility.feasible:
-        _warn_of_tension(plant, controller, feasibility, amplitude)
+    tension = getattr(controller, "minimum_tension", None)
+    if tension and feasibility.feasible:
+        limited = _feasibility(times, setpoints, _band(plant, _padded(setpoints.angle), amplitude, tension))
+        if not limited.feasible:
+            text = f"with the controller's minimum tension of {float(tension):g} N {limited.describe()}"
+            warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=3)
     return CheckedRun(result, feasibility)
-
-
-def _warn_of_tension(plant: JointPlant, controller: Controller, found: Feasibility, amplitude: float | None) -> None:
-    """Warn if a reference is feasible, but not with the controller's minimum tension."""
-    if not (tension := getattr(controller, "minimum_tension", None)):
-        return
-    at = np.unique(np.linspace(0, found.times.size - 1, _TENSION_SAMPLES).round().astype(int))
-    angle = found.desired_angle[at]
-    torque = -np.asarray(plant.load.gravity_torque(angle))
-    lowest, highest = plant.supplied_joint.attainable_stiffness(
-        angle, torque, minimum_tension=tension, amplitude=amplitude
-    )
-    desired = found.desired_stiffness[at]
-    missing = ~((desired >= np.asarray(lowest) - _ROUNDING) & (desired <= np.asarray(highest) + _ROUNDING))
-    if missing.any():
-        worst = int(np.argmax(missing))
-        attainable = f"{float(lowest[worst]):.4g}..{float(highest[worst]):.4g}"
-        warnings.warn(
-            f"with the controller's minimum tension of {float(tension):g} N the reference is not feasible "
-            f"{_when(found.times[at], missing)}: at {angle[worst] / deg:.3g} deg {desired[worst]:.4g} N*m/rad is "
-            f"wanted, {attainable} attainable; lower minimum_tension",
-            ReachabilityWarning,
-            stacklevel=4,
-        )
 
 
 def run_episode(
