@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.component.checks import check_positive
 from mckibben.errors import ParameterError, RangeError
 from mckibben.numerics.batching import (
     RANK,
@@ -23,7 +24,6 @@ from mckibben.numerics.batching import (
     select_leaves,
     with_leaves,
 )
-from mckibben.numerics.checks import check_positive
 
 
 class Inner(eqx.Module):

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from mckibben import plant
 from mckibben.catalog import FOLDER, find
-from mckibben.config.schema import model_of
+from mckibben.component.base import field_quantities
+from mckibben.component.schema import model_of
 from mckibben.joint import AntagonisticJoint, KneeGeometry, KneeLoad
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance
-from mckibben.numerics.component import field_quantities
 from mckibben.plant import AirValve
 from mckibben.units import quantity
 

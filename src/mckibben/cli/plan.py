@@ -190,7 +190,7 @@ def stiffness(
     """Test the stiffness of a joint over size and rate of a motion, at the setpoint that its controller holds."""
     results_folder(out, ("results.json", "stiffness.png", "stiffness.svg"), force)
     sizes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
-    from mckibben.numerics.checks import check_positive
+    from mckibben.component.checks import check_positive
 
     for option, (low, _), unit in (("--amplitude", sizes, "rad"), ("--rate", rates, "Hz")):
         check_positive(option, unit, lowest=low)

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import scaled_law
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import Bandwidth, Duration, Mass, PositiveTorque, Share, StrengthSpread
 

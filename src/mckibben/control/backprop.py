@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from mckibben.component.checks import check_positive
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
-from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
 from mckibben.units import Count, Momentum, Quantity, Rate, Ratio, Seed
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component, check_fields
+from mckibben.component.checks import check_within
 from mckibben.control.reference import Samples, Signal, as_signal, terms
 from mckibben.joint import Measurement
-from mckibben.numerics.checks import check_within
-from mckibben.numerics.component import Component, check_fields
 from mckibben.units import Angle, Stiffness
 
 Scalar = Float[Array, ""]

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.component import Component
+from mckibben.component.base import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, PositiveRate
 

@@ -9,8 +9,8 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp, floating, sincos
 from mckibben.units import Bandwidth, PoleDamping, Quantity
 

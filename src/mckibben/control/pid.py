@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.checks import check_number
 from mckibben.control.base import Loop
-from mckibben.numerics.checks import check_number
 from mckibben.numerics.elementary import floating
 from mckibben.units import ShortTime
 

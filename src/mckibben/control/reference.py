@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
-from mckibben.numerics.checks import check_within
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating, sin
 from mckibben.units import Duration, Frequency, Instant, Phase, PositiveTime, Seed, SignalValue
 

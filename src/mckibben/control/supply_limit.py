@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.checks import check_kind
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.observer import lag_fraction, lagged
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import Domain
-from mckibben.numerics.checks import check_kind
 from mckibben.units import PositiveTime, PressureRate, ValveLag, bar
 
 Scalar = Float[Array, ""]

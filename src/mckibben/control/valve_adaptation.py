@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
 from mckibben.control.observer import lag_fraction, lagged
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import PositiveTime, PressureScale, TimeConstantSpread
 

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.component.checks import check_positive
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.isometric import (
     BAND,
@@ -30,7 +31,6 @@ from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
-from mckibben.numerics.checks import check_positive
 from mckibben.units import bar, kPa, percent
 
 

@@ -14,12 +14,12 @@ from jax import lax
 from numpy.typing import NDArray
 
 from mckibben.codegen.source_module import SourceModule
+from mckibben.component.base import field_quantities
 from mckibben.control import Controller, Setpoint
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled_as_given, numeric
-from mckibben.numerics.component import field_quantities
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.problem import sampled
 from mckibben.study.scenario import Scenario

@@ -13,10 +13,10 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
+from mckibben.component.schema import concrete_subclasses
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
-from mckibben.config.schema import concrete_subclasses
 from mckibben.errors import Problem, ScenarioError, quoted, suggest
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors

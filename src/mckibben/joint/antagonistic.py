@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
@@ -15,9 +17,7 @@ from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
-from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.compiled import compiled_alone, computed_once
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 
 MuscleStates = tuple[MuscleState, MuscleState]

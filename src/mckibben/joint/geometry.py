@@ -9,10 +9,10 @@ from numbers import Real
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive, check_within
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.compiled import compiled_alone
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import sincos
 from mckibben.units import Angle, Distance, Length, MomentArm, Strength
 

@@ -9,8 +9,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import Component
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive
 from mckibben.numerics.elementary import sincos
 from mckibben.units import (
     Angle,

@@ -17,11 +17,11 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint.geometry import Ends, Geometry, Pair
 from mckibben.numerics.calculus import derivative
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating, sincos
 from mckibben.units import COMPONENT, Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, MomentArm, deg, mm
 

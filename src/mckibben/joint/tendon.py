@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
 from mckibben.muscle import NO_STATE, Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import Force, Quantity, SpringRate
 

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
 from mckibben.control import Controller, Reference
 from mckibben.control.base import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import exp
 from mckibben.units import COMPONENT, Instant, PositiveTime, Pressure, ShortTime, Tension, ms
 

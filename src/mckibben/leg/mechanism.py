@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive
 from mckibben.errors import McKibbenError, RangeError, quoted
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import Component
 from mckibben.units import (
     COMPONENT,
     Angle,

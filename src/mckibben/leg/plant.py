@@ -10,14 +10,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError
 from mckibben.joint import RigidTendon
 from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, frames, motion
 from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
 from mckibben.muscle import MuscleState
 from mckibben.numerics.calculus import rk4, value_and_derivative
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.plant import AirValve, Valve, ValveModel
 from mckibben.plant.air_valve import AirState, AirVolume

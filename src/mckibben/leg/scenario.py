@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from mckibben.component.schema import model_of
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text, with_changes
-from mckibben.config.schema import model_of
 from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
 from mckibben.leg.plant import Ground, LegPlant

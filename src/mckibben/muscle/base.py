@@ -9,10 +9,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive, check_within
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
-from mckibben.numerics.checks import check_positive, check_within
-from mckibben.numerics.component import Component
 from mckibben.units import Percent, atm, bar, deg, mm
 
 # No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.muscle.base import ForceLaw, PositiveContraction, PressureAffineLaw, pressure_for, wrapped_law
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.component import Component
 from mckibben.units import Contraction, ForcePerPressure, SignedForce
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.numerics.checks import check_within
-from mckibben.numerics.component import Component
+from mckibben.component.base import Component
+from mckibben.component.checks import check_within
 from mckibben.numerics.elementary import floating
 from mckibben.units import Quantity, SpringRate
 

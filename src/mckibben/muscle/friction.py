@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_within
 from mckibben.numerics.batching import compute_once
-from mckibben.numerics.checks import check_within
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import Force, Pressure, Quantity
 

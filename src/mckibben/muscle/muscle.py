@@ -15,6 +15,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
+from mckibben.component.base import Component
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
@@ -22,7 +23,6 @@ from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled
-from mckibben.numerics.component import Component
 
 
 class MuscleState(NamedTuple):

@@ -13,8 +13,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from mckibben.component.base import Component
 from mckibben.errors import RangeError
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import polynomial
 from mckibben.units import BraidAngle, Contraction, Diameter, Length, Pressure, Tension, VolumeTerm, bar, percent
 

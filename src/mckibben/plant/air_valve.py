@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
 from mckibben.muscle import Domain
 from mckibben.muscle.air import (
@@ -25,7 +26,6 @@ from mckibben.muscle.air import (
     mass_flow,
     pressure_rate,
 )
-from mckibben.numerics.checks import check_within
 from mckibben.numerics.elementary import floating
 from mckibben.plant.valve import ValveModel
 from mckibben.units import (

@@ -8,9 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_within
 from mckibben.muscle.friction import ELEMENTS, FrictionState, anchors, polygon, slip_forces
-from mckibben.numerics.checks import check_within
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import PreslidingAngle, Quantity
 

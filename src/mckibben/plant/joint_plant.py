@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
@@ -24,7 +25,6 @@ from mckibben.muscle.creep import CreepState
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.compiled import compiled
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.plant.air_valve import AirState, AirValve, AirVolume
 from mckibben.plant.joint_friction import JointFriction

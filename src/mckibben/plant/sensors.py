@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
+from mckibben.component.checks import check_positive
 from mckibben.joint import Measurement
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import Component
 from mckibben.numerics.elementary import floating
 from mckibben.units import Angle, AngleStep, Delay, Duration, PositiveTime, PressureNoise, Seed, ShortTime, Torque
 

@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Component
 from mckibben.muscle import Domain
-from mckibben.numerics.component import Component
 from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import ArrayLike
 
+from mckibben.component.base import field_quantities
 from mckibben.errors import ParameterError, suggest
 from mckibben.joint import Geometry
-from mckibben.numerics.component import field_quantities
 from mckibben.plant import JointPlant
 from mckibben.units import BoundedInt, Quantity
 

@@ -11,9 +11,9 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from mckibben.component.schema import model_of
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
-from mckibben.config.schema import model_of
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.bench import JointLimits

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mckibben.component.base import check_fields
+from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError, SilentError
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import check_fields
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
 from mckibben.realtime.config import Wiring

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, Polygon
 from numpy.typing import NDArray
 
+from mckibben.component.checks import check_kind
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
 from mckibben.joint.geometry import Pressures
 from mckibben.joint.mechanism import Mechanism, Points, Strand, muscle_sizes
-from mckibben.numerics.checks import check_kind
 from mckibben.plant import JointPlant
 from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
 from mckibben.units import bar, deg, mm

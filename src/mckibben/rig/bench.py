@@ -11,10 +11,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.component.base import Checked, check_fields
+from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle, Specimen
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import Checked, check_fields
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.protocol import specimen_of
 from mckibben.units import (

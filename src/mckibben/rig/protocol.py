@@ -10,11 +10,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.base import field_problems
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.muscle.muscle import LEAST_PRESSURE
-from mckibben.numerics.component import field_problems
 from mckibben.units import (
     Contraction,
     Duration,

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from mckibben.component.base import Checked, check_fields, field_problems
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.numerics.component import Checked, check_fields, field_problems
 from mckibben.rig.protocol import (
     PAPER_PRESSURES,
     IsobaricProtocol,

@@ -16,11 +16,11 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
+from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import McKibbenWarning, ParameterError, SimulationError
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
-from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.plant import AirValve, JointPlant, PlantState
 from mckibben.simulation.engine import check_engine, compute_with

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
-from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState

@@ -14,13 +14,13 @@ from jax import Array
 from jaxtyping import ArrayLike
 
 from mckibben import catalog
+from mckibben.component.base import field_quantities
 from mckibben.config.document import to_text
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
 from mckibben.joint.mechanism import Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
-from mckibben.numerics.component import field_quantities
 from mckibben.units import bar, deg, mm, percent, show
 from mckibben.web.layout import BLUE, VERMILLION
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError
-from mckibben.numerics.checks import check_positive
 from mckibben.rig.backend import AnalogChannel, Block, Watchdog
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.ni.driver import Driver, Terminals

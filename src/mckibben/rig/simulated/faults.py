@@ -9,9 +9,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.base import Checked
 from mckibben.errors import RangeError
 from mckibben.muscle.air import L_PER_S_BAR
-from mckibben.numerics.component import Checked
 from mckibben.units import Conductance, Duration, PositiveTime, Quantity, Samples, WaitTime
 
 _MAINS = 50.0  # Hz

@@ -8,12 +8,12 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.base import Checked
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
 from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH, Presliding
 from mckibben.muscle.muscle import half_widths
-from mckibben.numerics.component import Checked
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import Force, N, PressureNoise, SignedForce, bar, kPa, mm, percent
 

@@ -10,10 +10,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.base import check_fields
+from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError
 from mckibben.muscle.air import ATMOSPHERE, ENERGY, FLOATS, L_PER_S_BAR, CriticalRatio, mass_flow
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.component import check_fields
 from mckibben.rig.bench import Drive
 from mckibben.units import (
     Conductance,

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
-from mckibben.numerics.checks import check_positive, check_within
 from mckibben.rig.backend import AnalogChannel, Block, Watchdog
 from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RigError
-from mckibben.numerics.checks import check_positive, check_within
 from mckibben.rig.backend import Block
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import Fault, SamplesDelayed, SamplesDropped, SamplesStopped, SensorDisconnected

@@ -11,9 +11,9 @@ from typing import Any, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
+from mckibben.component.schema import ComponentModel
 from mckibben.config.fields import OneOf
 from mckibben.config.model import ConfigModel, fields_by_key, model_in
-from mckibben.config.schema import ComponentModel
 from mckibben.control import Signal
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
 from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, Scenario, SignalSpec

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from mckibben.component.schema import model_of
 from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
-from mckibben.config.schema import model_of
 from mckibben.errors import ScenarioError
 from mckibben.muscle import Muscle, Specimen
 from mckibben.rig.backend import MovingBackend

@@ -17,9 +17,9 @@ from pydantic import (
     model_validator,
 )
 
+from mckibben.component.schema import ComponentModel, model_of
 from mckibben.config.fields import read_path, write_path
 from mckibben.config.model import ConfigModel, fail_validation
-from mckibben.config.schema import ComponentModel, model_of
 from mckibben.errors import quoted, suggest
 from mckibben.rig import steps as typed
 from mckibben.rig.protocol import IsobaricProtocol

@@ -6,9 +6,9 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from mckibben.component.schema import ComponentModel, PartOf, default_of, model_of, named_model
 from mckibben.config.fields import Flag, OneOf
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
-from mckibben.config.schema import ComponentModel, PartOf, default_of, model_of, named_model
 from mckibben.control import (
     PID,
     BackpropPID,

@@ -22,10 +22,10 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
+from mckibben.component.schema import ComponentModel, model_of
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Title, read_path, write_path
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text, with_changes
-from mckibben.config.schema import ComponentModel, model_of
 from mckibben.errors import FileError, quoted, suggest
 from mckibben.muscle import (
     ChouLaw,

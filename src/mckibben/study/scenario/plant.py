@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
+from mckibben.component.schema import PartOf, model_of
 from mckibben.config.fields import Flag
 from mckibben.config.model import ConfigModel, fail_validation
-from mckibben.config.schema import PartOf, model_of
 from mckibben.errors import quoted
 from mckibben.joint import GeneralLoad, KneeGeometry, KneeLoad, PendulumLoad, SeriesSpring
 from mckibben.muscle import Muscle, SpringLaw, return_spring

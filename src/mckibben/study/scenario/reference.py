@@ -11,9 +11,9 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
+from mckibben.component.schema import ComponentModel, PartOf, model_of, named_model
 from mckibben.config.fields import TablePath
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
-from mckibben.config.schema import ComponentModel, PartOf, model_of, named_model
 from mckibben.control import Constant, Multisine, Ramp, RandomSteps, Samples, Signal, Sine, Step
 from mckibben.errors import Problem, ScenarioError, UnitError
 from mckibben.units import NUMBER, Angle, Instant, Phase, Stiffness, factor

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
+from mckibben.component.checks import whole_periods
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
-from mckibben.numerics.checks import whole_periods
 from mckibben.storage.files import atomic_write
 from mckibben.study.scenario.controller import AnyController, ControllerSpec
 from mckibben.study.scenario.plant import (

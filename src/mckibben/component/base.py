@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import equinox as eqx
 
+from mckibben.component.checks import check_kind, known_numbers
 from mckibben.errors import Problem, RangeError, printable, quoted, refuse_problems
 from mckibben.notebook import html_table
-from mckibben.numerics.checks import check_kind, known_numbers
 from mckibben.units import SIGNAL_UNIT, BoundedInt, Quantity, factor, show
 
 _LONGEST = 120  # characters of a value

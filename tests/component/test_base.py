@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.component.base import Component, field_quantities
 from mckibben.errors import RangeError
 from mckibben.joint import PendulumLoad
 from mckibben.muscle import Domain
-from mckibben.numerics.component import Component, field_quantities
 from mckibben.units import BoundedInt, Length, Mass, Quantity
 
 
