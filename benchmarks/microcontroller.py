@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from mckibben.export import export
 from mckibben.study.benchmark import Suite
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
 CORTEX_M7 = ("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")

@@ -189,7 +189,7 @@ def _dataset(path: Path) -> Any:
 
 
 def _scenario(path: Path) -> Any:
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     return Scenario.read(path)
 

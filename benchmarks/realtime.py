@@ -23,7 +23,7 @@ from mckibben.realtime import ControlProgram, JointRig, compiled_step, compute_i
 from mckibben.realtime import loop as module
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Percentiles
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DECOUPLING = {"decoupling": {"poles": {"bandwidth": "80 rad/s"}, "disturbance_observer": {"bandwidth": "250 rad/s"}}}

@@ -15,8 +15,8 @@ import numpy as np
 from mckibben.export import export
 from mckibben.export.gym import JointEnv, JointVectorEnv
 from mckibben.export.mujoco import load_mujoco
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
+from mckibben.scenario import Scenario
+from mckibben.scenario import run_scenario
 
 SCENARIO = "examples/pre-contracted-step-pid.yaml"
 RANDOM = ["load.mass2=+-50 %"]

@@ -14,7 +14,7 @@ from sphinx.application import Sphinx
 
 import mckibben
 from mckibben.report.page import write_explorers
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 mpl.use("agg")
 sys.path.insert(0, str(Path(__file__).parent))  # sphinx-gallery imports the scraper by name

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import mckibben as mk
 from mckibben.report.style import save
-from mckibben.study.scenario.building import run_scenario
+from mckibben.scenario import run_scenario
 from mckibben.units import bar, deg, mm
 
 ROOT = Path(__file__).parents[1]

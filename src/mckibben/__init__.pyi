@@ -92,7 +92,7 @@ from .simulation import (
     simulate as simulate,
     simulate_many as simulate_many,
 )
-from .study.scenario import (
+from .scenario import (
     Scenario as Scenario,
 )
 from .study.sweep import (

@@ -78,7 +78,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
 }
 UNITS = list(_VOCABULARY)
 
-_NAME = r"(?:[A-Za-z]+(?:\^-?[1-9])?)"
+_NAME = r"(?:[A-Za-z]+(?:\^-?(?:[1-9](?:\.[0-9]+)?|0\.[0-9]+))?)"
 _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"
 _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
 _UNIT = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")
@@ -91,7 +91,7 @@ _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
 
 
 @functools.cache
-def _parse(unit: str) -> dict[str, int]:
+def _parse(unit: str) -> dict[str, float]:
     """The power of each name in a unit of our grammar."""
     if len(unit) > _LONGEST:
         raise UnitError(f"{unit[:20]!r}... is not a unit", value=unit, remedy="a unit is a few names joined by * and /")
@@ -105,7 +105,7 @@ def _parse(unit: str) -> dict[str, int]:
             value=unit,
             remedy="write units joined by * and /, such as bar, N*m/rad or kg*m^2",
         )
-    powers: dict[str, int] = {}
+    powers: dict[str, float] = {}
     outside, inside = 1, 1  # the sign that * or / gave the powers, before and in parentheses
     in_parentheses = False
     for token in _TOKEN.findall(text):
@@ -120,11 +120,13 @@ def _parse(unit: str) -> dict[str, int]:
                 raise UnitError(
                     f"unknown unit {name!r} in {unit!r}", value=unit, remedy=f"known are {', '.join(UNITS)} and %"
                 )
-            powers[name] = powers.get(name, 0) + outside * inside * int(power or 1)
+            exponent = float(power or 1)
+            exponent = int(exponent) if exponent.is_integer() else exponent
+            powers[name] = powers.get(name, 0) + outside * inside * exponent
     return powers
 
 
-def _size(powers: dict[str, int]) -> float:
+def _size(powers: dict[str, float]) -> float:
     """The size of a unit in SI."""
     size = 1.0
     for name, power in powers.items():
@@ -132,16 +134,18 @@ def _size(powers: dict[str, int]) -> float:
     return size
 
 
-def _dimensions(powers: dict[str, int]) -> list[int]:
+def _dimensions(powers: dict[str, float]) -> list[float]:
     """The powers of metre, kilogram, second and radian."""
     return [sum(_VOCABULARY[name][1][base] * power for name, power in powers.items()) for base in range(4)]
 
 
-def dimensions(unit: str) -> tuple[int, int, int, int]:
+def dimensions(unit: str) -> tuple[float, float, float, float]:
     """The powers of metre, kilogram, second and radian in a unit.
 
     >>> dimensions("N*m/rad")
     (2, 1, -2, -1)
+    >>> dimensions("s^0.5")
+    (0.0, 0.0, 0.5, 0.0)
     """
     metre, kilogram, second, radian = _dimensions(_parse(unit))
     return metre, kilogram, second, radian
@@ -235,6 +239,10 @@ def show(value: float, unit: str, digits: int = 6) -> str:
     return number if unit == "1" else f"{number} {unit}"
 
 
+SYMBOLS = ("signal", "gain", "integral_gain", "derivative_gain", "scale")
+"""Units that depend on where a component is: of a signal, of the gains of a loop, and of its controlled quantity."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """Unit and range of a float in SI: metadata of a field, as in ``mass: Annotated[float, Quantity("kg", lower=0)]``.
@@ -257,6 +265,8 @@ class Quantity:
     def __post_init__(self) -> None:
         if not self.shown:
             object.__setattr__(self, "shown", self.unit)
+        if self.unit not in SYMBOLS:
+            factor(self.shown, self.unit)  # raises for what is no unit, or of another kind
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
@@ -390,12 +400,6 @@ class BoundedInt:
         return f"{self.lower} to {self.upper}"
 
 
-SIGNAL_UNIT = "signal"
-"""Stands for the unit of the quantity that a signal is of."""
-COMPONENT = "component"
-"""Metadata of a field whose value is a component of any class; files name the class."""
-
-
 class Percent(Quantity):
     """Range of a ratio that is written in percent."""
 
@@ -410,6 +414,28 @@ class Percent(Quantity):
     def example(self) -> str:
         """A value as it is written."""
         return "'10 %'"
+
+
+@dataclass(frozen=True, init=False)
+class Units:
+    """What the symbols of `SYMBOLS` stand for in a component: metadata of the field that holds it.
+
+    >>> Units(signal=Angle).get("signal").shown
+    'deg'
+    """
+
+    quantities: tuple[tuple[str, Quantity], ...]
+
+    def __init__(self, **types: Any) -> None:
+        found = tuple((name, kind.__metadata__[0]) for name, kind in types.items())
+        object.__setattr__(self, "quantities", found)
+
+    def get(self, symbol: str, default: Any = None) -> Any:
+        """Return the quantity of a symbol; `default` without one."""
+        return next((quantity for name, quantity in self.quantities if symbol == name), default)
+
+    def __bool__(self) -> bool:
+        return bool(self.quantities)
 
 
 # Types of fields, for runtime classes and configuration files.
@@ -485,7 +511,11 @@ AngleDerivativeGain = Annotated[float, Quantity("Pa*s/rad", "bar*s/rad", -1e6, 1
 StiffnessGain = Annotated[float, Quantity("Pa/(N*m/rad)", "bar/(N*m/rad)", -1e6, 1e6)]
 StiffnessIntegralGain = Annotated[float, Quantity("Pa/(N*m*s/rad)", "bar/(N*m*s/rad)", -1e6, 1e6)]
 StiffnessDerivativeGain = Annotated[float, Quantity("Pa*s/(N*m/rad)", "bar*s/(N*m/rad)", -1e6, 1e6)]
-SignalValue = Annotated[float, Quantity(SIGNAL_UNIT)]
+SignalValue = Annotated[float, Quantity("signal")]
+Gain = Annotated[float, Quantity("gain")]
+IntegralGain = Annotated[float, Quantity("integral_gain")]
+DerivativeGain = Annotated[float, Quantity("derivative_gain")]
+ControlledScale = Annotated[float, Quantity("scale")]
 Contraction = Annotated[float, Percent("1", "%", -50, 80)]
 ForceReserve = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
 Speed = Annotated[float, Quantity("m/s", "mm/s", 0, 1e3, open_lower=True)]

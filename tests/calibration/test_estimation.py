@@ -18,7 +18,7 @@ from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
 from mckibben.numerics.compiled import compiled
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.units import deg
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"

@@ -16,7 +16,7 @@ from mckibben.muscle import MaxwellSlip, scaled_law
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
 pytestmark = pytest.mark.usefixtures("optimized")

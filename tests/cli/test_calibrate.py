@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben.numerics.batching import batched_program
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.study.scenario.building import build_joint
 
 pytestmark = pytest.mark.usefixtures("optimized")

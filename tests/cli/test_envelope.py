@@ -6,8 +6,8 @@ import re
 
 import pytest
 
+from mckibben.scenario import Scenario
 from mckibben.simulation import check_reference
-from mckibben.study.scenario import Scenario
 
 INFEASIBLE = ("amplitude: 2 deg, frequency: 0.5 Hz", "amplitude: 20 deg, frequency: 5 Hz")
 

@@ -9,10 +9,9 @@ import pytest
 
 from mckibben.realtime.record import RowBuffer
 from mckibben.rig.record import read_record
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import in_shown_units
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 
 ROOT = Path(__file__).parents[2]
 NAME = "pre-contracted-step-pid"

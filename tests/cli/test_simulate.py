@@ -12,10 +12,9 @@ import pytest
 
 from mckibben import report
 from mckibben.errors import FileError
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted(p.stem for p in (ROOT / "examples").glob("*.yaml"))

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mckibben.scenario import Scenario, list_parameters
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.journal import HEADER, JournalReader
-from mckibben.study.parameters import list_parameters
-from mckibben.study.scenario import Scenario
 from mckibben.study.sweep import SweepResult
 
 HOLDING = """

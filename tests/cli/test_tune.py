@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from mckibben.scenario import Scenario
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.scenario import Scenario
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.objective import TuningProblem
 

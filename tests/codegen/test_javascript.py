@@ -14,7 +14,7 @@ from mckibben.codegen import SourceModule, write_js
 from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.controller import controller_functions, controller_program
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 NODE = shutil.which("node")
 pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node, which runs the emitted JavaScript")

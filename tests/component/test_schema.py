@@ -15,8 +15,7 @@ from mckibben.component.schema import default_of, load_extension, model_of
 from mckibben.control import Controller, Signal
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.plant import FirstOrderValve, SampledSensors, Valve
-from mckibben.study.parameters import find_parameter, with_values
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, find_parameter, with_values
 from mckibben.units import Bandwidth, PositiveTime, Pressure, Quantity, SignalValue, deg
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()

@@ -11,9 +11,9 @@ from mckibben.config.document import edit_yaml, read_document, to_text
 from mckibben.errors import ScenarioError
 from mckibben.identification import Fit, read_law
 from mckibben.realtime.config import JointRig
+from mckibben.scenario import Scenario
 from mckibben.study.benchmark.suite import Suite
 from mckibben.study.rig.document import RigTest, rig_calibrations
-from mckibben.study.scenario import Scenario
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(

@@ -15,9 +15,9 @@ from mckibben.export.fmu import plant_unit
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.numerics.compiled import numeric
+from mckibben.scenario import Scenario
 from mckibben.simulation.loop import compiled_episode
 from mckibben.simulation.problem import sampled
-from mckibben.study.scenario import Scenario
 
 fmpy = pytest.importorskip("fmpy", reason="needs fmpy, of the extra dev")
 validation = pytest.importorskip("fmpy.validation", reason="needs fmpy, of the extra dev")

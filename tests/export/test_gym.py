@@ -8,7 +8,7 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
-from mckibben.study.parameters import with_values
+from mckibben.scenario import with_values
 from mckibben.units import bar
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")

@@ -18,7 +18,7 @@ from mckibben.export.mjcf import joint_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.export.muscle_plugin import plugin_source
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
-from mckibben.study.scenario.building import run_scenario
+from mckibben.scenario import run_scenario
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")
 LAGS = mk.FirstOrderValve(time_constant=0.02)

@@ -34,10 +34,8 @@ from mckibben.paper.tracking import (
     TUNED_PID,
     ControllerRun,
 )
+from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics, Result, check_reference
-from mckibben.study.parameters import with_values
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 from mckibben.units import quantity
 
 CHOU_CLAIM = "The experimental law is closer to the measured force than Chou's"
@@ -217,7 +215,7 @@ def test_coupling_is_what_the_runs_show(tracking, setting):
     scenario = tracking.runs[setting.key, StiffnessReference.STEP, PID].scenario
     level = pid_scenario(dataclasses.replace(setting, after=setting.before), StiffnessReference.STEP)
     assert level.start == scenario.start
-    from mckibben.study.scenario.building import run_scenario
+    from mckibben.scenario import run_scenario
 
     with_step = tracking.runs[setting.key, StiffnessReference.STEP, PID].result["angle"]
     without = run_scenario(level).result

@@ -13,9 +13,8 @@ from mckibben.export.mjcf import joint_model
 from mckibben.export.plant import plant_module
 from mckibben.plant import FlowValve
 from mckibben.realtime import PERFECT, SimulatedJoint
+from mckibben.scenario import Scenario, batched, find_parameter
 from mckibben.simulation import differentiate, run_episode
-from mckibben.study.parameters import batched, find_parameter
-from mckibben.study.scenario import Scenario
 from mckibben.units import bar, litre, ms
 
 PERIOD, LAG = 1 * ms, 20 * ms

@@ -19,8 +19,7 @@ from mckibben.joint import GeneralLoad, PairedPaths, Pulley
 from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import IdealValve, JointFriction, JointPlant
-from mckibben.study.parameters import batched, find_parameter
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, batched, find_parameter
 from mckibben.units import deg, mm
 
 TORQUE, PRESLIDING, GRAVITY, INERTIA = 0.01, 2e-3, 0.7, 0.02  # N*m, rad, N*m, kg*m^2

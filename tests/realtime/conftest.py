@@ -12,7 +12,7 @@ import pytest
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
 from mckibben.realtime.compiled_step import PlantProgram, StepResult
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"

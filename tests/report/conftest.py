@@ -22,9 +22,8 @@ from mckibben.paper.tracking import (
     Coupling,
     Tracking,
 )
+from mckibben.scenario import list_parameters, run_scenario, with_values
 from mckibben.simulation import Metrics
-from mckibben.study.parameters import list_parameters, with_values
-from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import TuningResult
 
 SEEDS = 3

@@ -24,9 +24,8 @@ from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.muscle import Muscle, Specimen, return_spring
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.report import animate, draw_control_loop, draw_joint
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Result
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 from mckibben.units import bar, deg, mm
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

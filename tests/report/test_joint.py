@@ -8,7 +8,7 @@ import pytest
 from mckibben.reachability import DesignTarget, DesignVariable, design, envelope, static_envelope
 from mckibben.report.joint import design as draw_design
 from mckibben.report.joint import envelope as draw
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.units import deg
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -10,7 +10,7 @@ import mckibben as mk
 from mckibben.codegen import native
 from mckibben.codegen.native import compiler
 from mckibben.errors import ParameterError
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"

@@ -168,7 +168,7 @@ def test_every_variable_of_a_run_has_a_unit_and_a_meaning(completed):
 
 
 def test_what_a_learning_controller_reports_has_units_too(plant, knee):
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     scenario = Scenario.read("examples/pre-contracted-step-backprop.yaml")
     reference = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from mckibben.errors import FileError, ParameterError
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics
 from mckibben.study.benchmark import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
 from mckibben.study.benchmark.benchmark import _controller, _error_at_air
 from mckibben.study.benchmark.statistics import front, statistics
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import SimulationError
+from mckibben.scenario import Scenario
 from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
-from mckibben.study.scenario import Scenario
 from mckibben.units import deg, ms
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ScenarioError
+from mckibben.scenario import Scenario
 from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
-from mckibben.study.scenario import Scenario
 from mckibben.units import deg, ms
 
 ROOT = Path(__file__).parents[2]

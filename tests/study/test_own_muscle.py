@@ -10,10 +10,8 @@ import pytest
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.identification import read_law
-from mckibben.study.parameters import edit_scenario, find_parameter, with_values
+from mckibben.scenario import Scenario, edit_scenario, find_parameter, muscle_text, with_values
 from mckibben.study.rig.document import RigTest, build_muscle, build_setup
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.muscle import muscle_text
 from mckibben.units import bar, deg, mm
 
 FOLDER = Path(__file__).parent / "own_muscle"

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import edit_scenario, find_parameter, find_parameters, list_parameters, with_values
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, edit_scenario, find_parameter, find_parameters, list_parameters, with_values
 from mckibben.units import bar, deg, mm
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

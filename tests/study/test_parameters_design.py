@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError
+from mckibben.scenario import Scenario
 from mckibben.study.parameters import parse_sweeps, sample, sweep_parameters
 from mckibben.study.parameters.distributions import IntegerRange, LogUniform, Normal, Uniform, Values
-from mckibben.study.scenario import Scenario
 
 BACKPROP = Scenario.read(Path(__file__).parents[2] / "examples" / "pre-contracted-step-backprop.yaml")
 MIXED = sweep_parameters(

@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mckibben.errors import McKibbenError, ParameterError
+from mckibben.scenario import Scenario, find_parameter, list_parameters
 from mckibben.study.parameters import (
     IntegerRange,
     LogUniform,
@@ -17,13 +18,10 @@ from mckibben.study.parameters import (
     SweptParameter,
     Uniform,
     Values,
-    find_parameter,
-    list_parameters,
     parse_sweep,
     parse_sweeps,
     sweep_parameters,
 )
-from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

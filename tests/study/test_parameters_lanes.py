@@ -10,18 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError, RangeError, ScenarioError
+from mckibben.scenario import Scenario, batched, find_parameter, known_names, list_parameters, valid_rows, with_values
 from mckibben.study.benchmark import Suite
-from mckibben.study.parameters import (
-    batched,
-    find_parameter,
-    known_names,
-    list_parameters,
-    parse_sweeps,
-    sample,
-    valid_rows,
-    with_values,
-)
-from mckibben.study.scenario import Scenario
+from mckibben.study.parameters import parse_sweeps, sample
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENARIOS = [Scenario.read(path) for path in sorted(EXAMPLES.glob("*.yaml"))]

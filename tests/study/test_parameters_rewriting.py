@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import edit_scenario, find_parameter, list_parameters, with_values
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, edit_scenario, find_parameter, list_parameters, with_values
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TEXTS = {path.stem: path.read_text() for path in sorted(EXAMPLES.glob("*.yaml"))}

@@ -8,7 +8,8 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import ScenarioError
-from mckibben.study.scenario import AngleSignalSpec, Scenario
+from mckibben.scenario import Scenario
+from mckibben.study.scenario import AngleSignalSpec
 from mckibben.units import bar, deg
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

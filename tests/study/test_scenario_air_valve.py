@@ -10,9 +10,8 @@ import xarray as xr
 from mckibben.errors import ScenarioError, SimulationError
 from mckibben.plant import FlowValve, PressureRegulator, SwitchingValves
 from mckibben.reachability import check_trackability
+from mckibben.scenario import Scenario, run_many, run_scenario
 from mckibben.simulation.resolution import check_substeps
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_many, run_scenario
 from mckibben.units import bar
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"

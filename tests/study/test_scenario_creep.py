@@ -7,8 +7,7 @@ import pytest
 
 from mckibben.errors import ScenarioError
 from mckibben.muscle import MaxwellCreep, NoCreep
-from mckibben.study.parameters import batched, find_parameter
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, batched, find_parameter
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 MUSCLE = "law: lei-mas-10-180n}"

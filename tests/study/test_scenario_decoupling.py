@@ -16,8 +16,7 @@ from mckibben.control import (
     VelocityObserver,
 )
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import batched, find_parameter, list_parameters
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, batched, find_parameter, list_parameters
 from mckibben.study.tune import gain_ranges
 from mckibben.units import bar, ms
 

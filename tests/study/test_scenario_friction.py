@@ -10,8 +10,7 @@ from mckibben.control import FrictionCompensation, PositionStiffnessControl
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.reachability.envelope import envelope
-from mckibben.study.parameters import batched, find_parameter
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, batched, find_parameter
 from mckibben.study.sweep.compute import feasibility
 from mckibben.units import bar, deg, mm
 

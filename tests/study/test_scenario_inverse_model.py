@@ -7,8 +7,7 @@ import pytest
 
 from mckibben.control import InverseModelControl, PositionStiffnessControl
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import batched, find_parameter, list_parameters
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, batched, find_parameter, list_parameters
 from mckibben.study.tune import gain_ranges
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()

@@ -6,8 +6,7 @@ import pytest
 
 from mckibben.control import ExtendedStateObserver, LawAdaptation, PredictiveControl, PressureObserver, VelocityObserver
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import batched, find_parameter, list_parameters
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, batched, find_parameter, list_parameters
 from mckibben.study.tune import gain_ranges
 from mckibben.units import deg, ms
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mckibben import units
 from mckibben.errors import ScenarioError
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.units import Quantity, factor
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -9,8 +9,7 @@ from mckibben.control import DecouplingControl, LawAdaptation, ValveAdaptation
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.muscle import PressureAffineLaw
 from mckibben.plant import NoDisturbance, PerfectSensors, SampledSensors, TorquePulses
-from mckibben.study.parameters import batched, find_parameter, list_parameters, with_values
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, batched, find_parameter, list_parameters, with_values
 from mckibben.study.sweep.result import parameter_rows
 from mckibben.study.tune import gain_ranges
 from mckibben.units import deg, ms

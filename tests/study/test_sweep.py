@@ -15,14 +15,13 @@ import pytest
 import xarray as xr
 
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, SimulationError
+from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.simulate import check_reference
 from mckibben.storage import journal as journal_module
 from mckibben.storage.files import file_lock
 from mckibben.storage.journal import JournalReader
-from mckibben.study.parameters import Normal, Uniform, parse_sweeps, sample, sweep_parameters, with_values
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
+from mckibben.study.parameters import Normal, Uniform, parse_sweeps, sample, sweep_parameters
 from mckibben.study.sweep import InterruptedSweep, SweepResult, sweep
 from mckibben.study.sweep import compute as compute_module
 from mckibben.study.sweep import plan as plan_module

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mckibben.errors import FileError, McKibbenWarning, ParameterError
+from mckibben.scenario import Scenario
 from mckibben.storage.journal import JournalReader
 from mckibben.study.parameters import LogUniform, Uniform
-from mckibben.study.scenario import Scenario
 from mckibben.study.tune import Cost, Method, read_trials, tune
 from mckibben.study.tune.objective import TuningProblem
 from mckibben.study.tune.tune import Trial, TuningHistory

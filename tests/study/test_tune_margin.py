@@ -7,9 +7,7 @@ import pytest
 
 from mckibben.control import ExtendedStateObserver
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import with_values
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_many
+from mckibben.scenario import Scenario, run_many, with_values
 from mckibben.study.tune import on_small_step, stability_margin
 from mckibben.study.tune.margin import SMALL_STEP, in_conditions
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ParameterError
+from mckibben.scenario import Scenario
 from mckibben.study.parameters import LogUniform, Uniform, parse_sweep
-from mckibben.study.scenario import Scenario
 from mckibben.study.tune import Cost, Method, gain_ranges, parse_ranges, tune
 from mckibben.study.tune.objective import FAILED_COST, TuningProblem
 from mckibben.units import deg

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ParameterError, SimulationError
-from mckibben.study.parameters import LogUniform, Uniform, find_parameter, sweep_parameters, with_values
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
+from mckibben.scenario import Scenario, find_parameter, run_scenario, with_values
+from mckibben.study.parameters import LogUniform, Uniform, sweep_parameters
 from mckibben.study.tune import Cost, Term, parse_cost, tune
 from mckibben.study.tune.objective import FAILED_COST, SMOOTH, TuningProblem
 from mckibben.units import bar, deg, mm

@@ -21,11 +21,11 @@ from mckibben.joint import Load, ScaledArms
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
 from mckibben.plant import FirstOrderValve
 from mckibben.realtime import JointRig, JointRunResult, prepare
+from mckibben.scenario import Scenario
+from mckibben.scenario.muscle import CorrectionSpec, FrictionSpec, MuscleSpec
 from mckibben.simulation import Result
 from mckibben.storage.files import atomic_write
-from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import build_joint
-from mckibben.study.scenario.muscle import CorrectionSpec, FrictionSpec, MuscleSpec
 from mckibben.study.scenario.plant import GeneralLoadSpec, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec, read_columns
 from mckibben.units import show

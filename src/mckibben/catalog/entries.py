@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import functools
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
-from mckibben import plant
-from mckibben.catalog import FOLDER, find
+from mckibben.catalog import FOLDER, find, names
 from mckibben.component.base import field_quantities
-from mckibben.component.schema import model_of
-from mckibben.joint import AntagonisticJoint, KneeGeometry, KneeLoad
+from mckibben.component.schema import Catalog, find_class, register, section_of
+from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance
-from mckibben.plant import AirValve
+from mckibben.plant import AirValve, ValveModel
 from mckibben.units import quantity
 
 if TYPE_CHECKING:
@@ -82,8 +82,9 @@ def valve(name: str, **others: Any) -> AirValve:
     SwitchingValves(...)
     """
     section = valve_section(name)
-    model = model_of(getattr(plant, section.pop("class")), optional=True)
-    return model.model_validate(section).build(**others)
+    kind = cast(Any, find_class(ValveModel, section["class"]))
+    given = section_of(kind, partial=True).model_validate(section)
+    return kind(**{key: getattr(given, key) for key in given.model_fields_set - {"class_"}}, **others)
 
 
 def valve_section(name: str) -> dict[str, Any]:
@@ -108,3 +109,19 @@ def _quantities(kind: type, entry: dict[str, Any]) -> dict[str, Any]:
 def _domain(entry: dict[str, Any]) -> Domain:
     contraction, pressure = entry["contraction"], entry["pressure"]
     return Domain(*(quantity(text, "1") for text in contraction), *(quantity(text, "Pa") for text in pressure))
+
+
+def _read_law(path: Path) -> ForceLaw:
+    from mckibben.identification import read_law
+
+    return read_law(path)
+
+
+for _base, _noun, _kind, _entry, _read in (
+    (Specimen, "specimen", "specimens", specimen, None),
+    (ForceLaw, "law", "laws", law, _read_law),
+    (Geometry, "geometry", "geometries", geometry, None),
+    (Load, "load", "loads", load, None),
+    (ValveModel, "valve", "valves", valve_section, None),
+):
+    register(_base, Catalog(_noun, functools.partial(names, _kind), _entry, _read))

@@ -48,8 +48,8 @@ from mckibben.units import mm
 
 if TYPE_CHECKING:
     from mckibben.muscle import Specimen
+    from mckibben.scenario import Scenario
     from mckibben.simulation import Result
-    from mckibben.study.scenario import Scenario
 
 _LONGEST_REASON = 1000  # characters of an exception that is not ours
 
@@ -120,11 +120,11 @@ def simulate(
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
     results_folder(out, ("result.nc", "results.json", "scenario.yaml", "tracking.png", "tracking.svg"), force)
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
+    from mckibben.scenario import run_scenario
     from mckibben.simulation.metrics import in_shown_units
-    from mckibben.study.scenario.building import run_scenario
 
     result, feasibility = run_scenario(read, source=str(scenario))
     infeasible = "" if feasibility.feasible else feasibility.describe()

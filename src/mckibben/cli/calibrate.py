@@ -32,7 +32,7 @@ from mckibben.units import show
 if TYPE_CHECKING:
     from mckibben.calibration import JointPrior, JointRecording, Sweeps
     from mckibben.realtime import JointRig
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
 _KEPT = ("model.yaml", "scenario.yaml", "results.json", "calibration.png", "calibration.svg")
 _PLANNED_WEIGHTS, _PLANNED_DURATIONS = (0.0, 0.5, 1.0, 2.0), (1 / 3, 1.0)
@@ -89,7 +89,7 @@ def calibrate(
     if held_out and not (recording or weighted):
         raise ParameterError("--held-out without a recording", remedy="add --recording")
     from mckibben.calibration import JointPrior, Sweeps
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     strength = parse_quantity("--strength-error", strength_error, "1")
     prior = JointPrior(strength, strength / 2, added_mass=parse_quantity("--weight-error", weight_error, "1"))

@@ -176,8 +176,8 @@ def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
 
 def _tuned_scenarios(result: BenchmarkResult, out: Path) -> int:
     """Write each tuned controller as a scenario with the plant of its model."""
+    from mckibben.scenario import with_values
     from mckibben.study.benchmark.benchmark import filename
-    from mckibben.study.parameters import with_values
 
     kept = make_subfolder(out, "controllers")
     reference = next(iter(result.suite.references))

@@ -43,7 +43,7 @@ def export(
             made = _export_leg(scenario, to, out, name, single, fmi, force)
         else:
             from mckibben.export import export as write
-            from mckibben.study.scenario import Scenario
+            from mckibben.scenario import Scenario
 
             made = write(Scenario.read(scenario), to, out, name=name, single=single, fmi=fmi, overwrite=force)
     if json:

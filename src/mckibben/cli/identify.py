@@ -281,7 +281,7 @@ def identify(
 
 def _keep_muscle(out: Path, data: str, points: IsobaricDataset, friction: MaxwellSlip | None = None) -> str:
     """Write the muscle's file beside its fit; text on what was written, or why not."""
-    from mckibben.study.scenario.muscle import muscle_text
+    from mckibben.scenario import muscle_text
 
     attrs = points.table.attrs
     name, length = attrs["specimen"] or Path(data).stem, attrs.get("initial_length")

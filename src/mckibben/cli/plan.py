@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mckibben.experiment_design import ExperimentPlan
     from mckibben.muscle import Domain, Specimen
     from mckibben.reachability import Design, Envelope
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
 
 _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloading": ("unloading",)}
@@ -196,7 +196,7 @@ def stiffness(
         check_positive(option, unit, lowest=low)
     import numpy as np
 
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
     from mckibben.study.stiffness import stiffness_tests
 
     read = Scenario.read(scenario)
@@ -265,7 +265,7 @@ def envelope(
     if design is not None and not vary:
         raise ParameterError("a design varies nothing", remedy="add --vary 'connector_length=150..260 mm'")
     from mckibben import reachability
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
     if design is None:

@@ -31,8 +31,8 @@ from mckibben.units import bar, deg, percent
 if TYPE_CHECKING:
     from mckibben.realtime import JointRunResult, JointSession, RunProgress
     from mckibben.rig.session import Progress, ProgressCallback
+    from mckibben.scenario import Scenario
     from mckibben.study.rig.running import CheckedTest
-    from mckibben.study.scenario import Scenario
 
 
 _KEPT = ("scenario.yaml", "results.json", "result.nc", "tracking.png", "tracking.svg")
@@ -59,7 +59,7 @@ def control(
 
     compute_in_this_thread()
     from mckibben.realtime import JointRig, prepare
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     read = _with_duration(Scenario.read(scenario), parse_optional_quantity("--duration", duration, "s"))
     on = None if rig is None else JointRig.read(rig)

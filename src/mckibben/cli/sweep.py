@@ -24,8 +24,8 @@ from mckibben.errors import McKibbenError, ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, to_json, write_json
 
 if TYPE_CHECKING:
+    from mckibben.scenario import Scenario
     from mckibben.study.parameters import Table
-    from mckibben.study.scenario import Scenario
     from mckibben.study.sweep import SweepResult
     from mckibben.study.tune import TuningResult
 
@@ -64,7 +64,7 @@ def sweep(
         return
     out = required_folder(out, "sweep")
     with long_job(quiet=json, kept=f"finished blocks are in {out}; continue with --resume") as bar:
-        from mckibben.study.scenario import Scenario
+        from mckibben.scenario import Scenario
         from mckibben.study.sweep import sweep as run
         from mckibben.study.sweep.sweep import JOURNAL
 
@@ -115,7 +115,7 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
 
 
 def _list(path: Path, json: bool) -> None:
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
     from mckibben.study.sweep.result import parameter_rows
 
     read: Scenario = Scenario.read(path)
@@ -173,7 +173,7 @@ def tune(
     """Minimise a cost over gains or other parameters of scenarios; a search can be resumed."""
     out = required_folder(out, "search")
     check_choice(method, _METHODS, "a method")
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     read = [Scenario.read(path) for path in scenarios]
     from mckibben.study.parameters import parse_sweeps, sample
@@ -312,8 +312,8 @@ def _condition_rows(runs: list[dict[str, Any]], count: int) -> tuple[tuple[str, 
 
 def _metrics(scenario: Scenario) -> dict[str, float]:
     """Metrics in shown units; NaN if the scenario cannot be run (an untuned one may be infeasible)."""
+    from mckibben.scenario import run_scenario
     from mckibben.simulation.metrics import METRICS, in_shown_units
-    from mckibben.study.scenario.building import run_scenario
 
     try:
         return in_shown_units(run_scenario(scenario).result.metrics)
@@ -323,8 +323,7 @@ def _metrics(scenario: Scenario) -> dict[str, float]:
 
 def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:
     """Write the tuned scenarios, editing the user's text in place where its relative paths still hold."""
-    from mckibben.study.parameters import edit_scenario
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario, edit_scenario
 
     names = _tuned_names(paths)
     for name, scenario, path in zip(names, tuned.scenarios, paths, strict=True):

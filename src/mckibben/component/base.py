@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import operator
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from inspect import get_annotations
 from numbers import Integral, Real
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 
 from mckibben.component.checks import check_kind, known_numbers
 from mckibben.errors import Problem, RangeError, printable, quoted, refuse_problems
 from mckibben.notebook import html_table
-from mckibben.units import SIGNAL_UNIT, BoundedInt, Quantity, factor, show
+from mckibben.units import SYMBOLS, BoundedInt, Quantity, Units, factor, show
 
 _LONGEST = 120  # characters of a value
+_NO_UNITS = Units()
 
 
 class Component(eqx.Module):
@@ -27,6 +29,20 @@ class Component(eqx.Module):
 
     def __check_init__(self) -> None:
         check_fields(self)
+
+    short_name: ClassVar[str] = ""
+    """Name of the class in files, in addition to its own."""
+    default_class: ClassVar[str] = ""
+    """Name of the class of a section that names none, on the base that a field is declared with."""
+    aliases: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Keys in files that give several fields one value."""
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """What stands in place of a former key of files, for its error."""
+
+    @classmethod
+    def unit_of(cls, name: str) -> Quantity | None:
+        """Return unit and range of a field that does not state them in its type; None for a plain number."""
+        return None
 
     def _repr_html_(self) -> str:
         return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
@@ -42,16 +58,23 @@ class Checked:
 @functools.cache
 def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
     """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``."""
-    marks = {name: {*_marks(hint)} for name, hint in _hints(kind).items()}
+    marks = {name: {*_marks(hint)} for name, hint in field_hints(kind).items()}
     return {name: found.pop() for name, found in marks.items() if len(found) == 1}  # not a tuple of several quantities
 
 
-def check_fields(instance: Any, signal: Quantity | None = None) -> None:
-    """Raise `RangeError` for fields of another type, and numbers outside their range; defaults and tracers pass.
+@dataclasses.dataclass(frozen=True)
+class Inherited:
+    """Marks a field that a file may leave out: it is then found in the scope, the fields around the component.
 
-    `signal` is the quantity that a signal is of.
+    `find` raises `KeyError` where the scope lacks what it needs; then the default counts, or the field is missing.
     """
-    errors = list(_errors(instance, signal))
+
+    find: Callable[[Mapping[str, Any]], Any]
+
+
+def check_fields(instance: Any) -> None:
+    """Raise `RangeError` for fields of another type, and numbers outside their range; defaults and tracers pass."""
+    errors = list(_errors(instance))
     if len(errors) == 1:
         raise errors[0]
     refuse_problems(type(instance).__name__, [_problem(instance, error) for error in errors])
@@ -67,7 +90,8 @@ def _problem(instance: Any, error: RangeError) -> Problem:
     return dataclasses.replace(found, message=found.message.removeprefix(f"{type(instance).__name__}: {error.field} "))
 
 
-def _errors(instance: Any, signal: Quantity | None = None) -> Iterator[RangeError]:
+def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
+    """Errors of the fields; `units` are those of symbolic ones, which otherwise pass."""
     kind, owner = type(instance), type(instance).__name__
     for field in dataclasses.fields(instance):
         name, value, mark = field.name, getattr(instance, field.name), field_quantities(kind).get(field.name)
@@ -79,19 +103,27 @@ def _errors(instance: Any, signal: Quantity | None = None) -> Iterator[RangeErro
                 remedy = f"give one of {', '.join(map(repr, words))}"
                 yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
             elif mark and value is None:
-                if NoneType not in get_args(_hints(kind)[name]) and field.default is not None:
+                if NoneType not in get_args(field_hints(kind)[name]) and field.default is not None:
                     yield RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
             elif isinstance(mark, BoundedInt) and isinstance(value, Real) and not _whole(value):
                 yield RangeError(f"{owner}: {name} is {value}, no whole number", field=name, value=value)
             elif mark:
                 numbers = known_numbers(owner, name, value)
-                mark = signal or mark if mark.unit == SIGNAL_UNIT else mark
+                mark = units.get(mark.unit, mark)
                 if isinstance(field.default, Real):  # it may be infinite, for what is not limited
                     numbers = numbers[numbers != field.default]
-                if mark.unit != SIGNAL_UNIT and not (right := mark.holds(numbers)).all():
+                if mark.unit not in SYMBOLS and not (right := mark.holds(numbers)).all():
                     yield _outside(owner, name, float(numbers[~right][0]), mark)
         except RangeError as error:
             yield error
+        for part in value if isinstance(value, tuple) else (value,):
+            if isinstance(part, Component) and (inner := _units(field_hints(kind).get(name)) or units):
+                yield from _errors(part, inner)
+
+
+def _units(hint: Any) -> Units:
+    """Units of the symbolic fields of a part."""
+    return next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Units)), _NO_UNITS)
 
 
 def _whole(value: Real) -> bool:
@@ -99,8 +131,8 @@ def _whole(value: Real) -> bool:
 
 
 @functools.cache
-def _hints(kind: type) -> dict[str, Any]:
-    """Types of the fields, but for those that name what is not found, such as a class of a function."""
+def field_hints(kind: type) -> dict[str, Any]:
+    """Return the types of the fields with their marks, but for those that name what is not found."""
     found = {}
     for base in reversed(kind.__mro__):
         for name, hint in get_annotations(base).items():
@@ -124,18 +156,19 @@ def _marks(hint: Any) -> Iterator[Quantity | BoundedInt]:
 def _kinds(kind: type) -> dict[str, Any]:
     """Types of the fields that are components."""
     found = {}
-    for name, hint in _hints(kind).items():
+    for name, hint in field_hints(kind).items():
         plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
         kinds = get_args(plain) if get_origin(plain) in (Union, UnionType) else (plain,)
+        kinds = tuple(get_args(one)[0] if get_origin(one) is Annotated else one for one in kinds)
         if all(isinstance(one, type) and issubclass(one, Component | NoneType) for one in kinds):
-            found[name] = plain
+            found[name] = functools.reduce(operator.or_, kinds)
     return found
 
 
 @functools.cache
 def _words(kind: type) -> dict[str, tuple[Any, ...]]:
     """Values of the fields that take one of some words."""
-    return {name: get_args(hint) for name, hint in _hints(kind).items() if get_origin(hint) is Literal}
+    return {name: get_args(hint) for name, hint in field_hints(kind).items() if get_origin(hint) is Literal}
 
 
 def _outside(owner: str, name: str, value: float, mark: Quantity | BoundedInt) -> RangeError:

@@ -1,205 +1,509 @@
-"""Models of configuration files from runtime classes, and classes of one's own in configuration files.
+"""Components in files: any class of a base by `class`, with units, checks by line, and text that reads back.
 
-A runtime class (`equinox.Module` or dataclass) states unit and range of each number in its annotations:
-
-    time_constant: Annotated[float, Quantity("s", "ms", 0, 1e4, open_lower=True)]
-
-`model_of` makes the model from these. Where a file may hold any subclass of a base class, its field is marked with
-`PartOf`; the key ``class`` then names the subclass, which has to be imported before.
+A field of a document, or of a component, that holds a component is marked with `Part`. Its section names the class, by
+name or `short_name`, with the key ``class`` (the base's `default_class` otherwise), and gives the fields of the class.
+In place of a section, or as its key ``from``, stands the name of a catalog entry or the path of a file; the other keys
+of the section are then changes to it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import enum
 import functools
-import importlib.util
 import inspect
-import os
-import sys
-from collections.abc import Container, Iterator, Mapping, Sequence
+import warnings
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, cast, get_args, get_origin
 
-from pydantic import Field, GetCoreSchemaHandler, create_model
-from pydantic_core import core_schema
+import numpy as np
+from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, PlainSerializer, TypeAdapter, create_model
+from pydantic_core import PydanticSerializationError, core_schema
 
-from mckibben.config.fields import Flag, OneOf
-from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
-from mckibben.errors import Problem, ScenarioError, quoted, suggest
-from mckibben.units import COMPONENT, SIGNAL_UNIT, BoundedInt, Quantity
+from mckibben.component.base import Checked, Component, Inherited, field_hints
+from mckibben.config.document import read_document, to_text
+from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, write_path
+from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
+from mckibben.errors import FileError, McKibbenError, quoted, suggest
+from mckibben.units import SYMBOLS, BoundedInt, Quantity, Units
 
+C = TypeVar("C")
 
-class ComponentModel(ConfigModel):
-    """The section of a component, made by `model_of`."""
+Scope = Mapping[str, Any]
+"""Fields around a component that is read, the nearest first."""
 
-    runtime: ClassVar[type]
-    own_keys: ClassVar[frozenset[str]] = frozenset()
-    """Keys that tell it from the models of other classes, see `PartOf`."""
-
-    def build(self, *args: Any, **others: Any) -> Any:
-        """The component; what is not given keeps the default of its class."""
-        declared = self.runtime.__dataclass_fields__
-        for name, value in explicit_fields(self).items():
-            if name in declared and name not in others:
-                default = declared[name].default
-                if isinstance(value, ComponentModel):
-                    value = value.build()
-                others[name] = type(default)[value.upper()] if isinstance(default, enum.Enum) else value
-        return self.runtime(*args, **others)
-
-    def effective(self, name: str) -> Any:
-        """The value of a field, in SI: as given, or the default of the runtime class."""
-        value = getattr(self, name)
-        return default_of(self.runtime, name) if value is None else value
-
-
-def default_of(runtime: type, name: str) -> Any:
-    """The default of a field of a runtime class; None if it has none."""
-    default = runtime.__dataclass_fields__[name].default
-    return None if default is dataclasses.MISSING else default
-
-
-def model_of(
-    runtime: type,
-    *,
-    base: type[ConfigModel] = ComponentModel,
-    without: Container[str] = (),
-    optional: bool = False,
-    signal: Any = None,
-    model_name: str = "",
-    **fields: Any,
-) -> Any:
-    """The model of a runtime class, from unit and range of its fields; those with a default may be left out."""
-    declared, hints = runtime.__dataclass_fields__, get_type_hints(runtime, include_extras=True)
-    made = {key: one for key, one in fields.items() if key not in declared}
-    for key in declared:
-        annotation = fields[key] if key in fields else _annotation(hints[key], signal)
-        if key in without or annotation is None:
-            continue
-        if isinstance(annotation, tuple):
-            made[key] = annotation
-        elif optional or declared[key].default is not dataclasses.MISSING:
-            made[key] = annotation | None, None
-        else:
-            made[key] = annotation, ...
-    model: Any = named_model(model_name or f"{runtime.__name__}Spec", base, made)
-    model.runtime = runtime
-    return model
-
-
-def named_model(name: str, base: Any, fields: Mapping[str, Any]) -> Any:
-    """A model that `pickle` finds by its name in this module."""
-    model = create_model(name, __base__=base, __module__=__name__, **fields)
-    globals()[name] = model
-    return model
-
-
-def _annotation(hint: Any, signal: Any) -> Any:
-    """The annotation of a field in a file; None for a field that is in no file."""
-    if get_origin(hint) in (Union, UnionType):  # such as Seed | Array
-        return next(filter(None, (_annotation(one, signal) for one in get_args(hint))), None)
-    if get_origin(hint) is Literal:
-        return Annotated[str, OneOf(tuple(word for word in get_args(hint) if word))]
-    if get_origin(hint) in (tuple, Sequence):
-        inner = _annotation(get_args(hint)[0], signal)
-        return inner and tuple[inner, ...]
-    if get_origin(hint) is Annotated:
-        base, *marks = get_args(hint)
-        if COMPONENT in marks:
-            return Annotated[ComponentModel, PartOf(f"{base.__module__}:{base.__name__}", class_required=True)]
-        mark = next((one for one in get_args(hint) if isinstance(one, Quantity | BoundedInt)), None)
-        return signal if isinstance(mark, Quantity) and mark.unit == SIGNAL_UNIT else mark and hint
-    if isinstance(hint, type) and issubclass(hint, enum.Enum):
-        return Annotated[str, OneOf(tuple(member.name.lower() for member in hint))]
-    return Flag if hint is bool else None
+ENDINGS = (".yaml", ".yml")
+"""Endings of files that hold a component."""
 
 
 @dataclass(frozen=True)
-class PartOf:
-    """Marks a section that is that of its model, or with the key ``class`` that of any subclass of `base`.
+class Catalog:
+    """Named components of a base, and the reader of its files where these are no sections; see `register`."""
 
-    `others` are models beside it, each taken where one of its `own_keys` is given.
-    """
-
-    base: str
-    model: type[ComponentModel] = ComponentModel
-    signal: Any = None
-    class_required: bool = False
-    others: tuple[type[ComponentModel], ...] = ()
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        def validate(value: Any, inner: Any, info: Any) -> Any:
-            if isinstance(value, self.others) or (isinstance(value, self.model) and hasattr(value, "class_name")):
-                return value
-            model = self.model_for(value)
-            return inner(value) if model is None else model.model_validate(value, context=info.context)
-
-        def write(value: Any, info: Any) -> Any:
-            options = {"mode": info.mode, "by_alias": info.by_alias, "exclude_none": info.exclude_none}
-            return value.model_dump(context=info.context, **options)
-
-        return core_schema.with_info_wrap_validator_function(
-            validate,
-            handler(source),
-            serialization=core_schema.plain_serializer_function_ser_schema(write, info_arg=True),
-        )
-
-    def model_for(self, value: Any) -> type[ConfigModel] | None:
-        """The model of a section with the key ``class``; None without."""
-        if not isinstance(value, dict):
-            return None
-        if "class" not in value and not self.class_required:
-            return next((one for one in self.others if not one.own_keys.isdisjoint(value)), None)
-        module, _, name = self.base.partition(":")
-        base = getattr(importlib.import_module(module), name)
-        known = {one.__name__: one for one in concrete_subclasses(base) if not one.__name__.startswith("_")}
-        if "class" not in value:
-            fail_validation("lacks the key `class`", f"give one of {', '.join(sorted(known))}")
-        chosen = value["class"]
-        if not isinstance(chosen, str) or chosen not in known:
-            remedy = suggest(str(chosen), sorted(known)) if known else "there is none yet"
-            fail_validation(
-                f"there is no class {quoted(chosen)} of {base.__name__}",
-                f"import its module first (`mckibben --extension FILE.py ...`); {remedy}",
-                value=chosen,
-            )
-        runtime = known[chosen]
-        own = next((one for one in self.others if one.runtime is runtime), None)
-        return _model_of_subclass(runtime, self.model, self.signal) if own is None else _with_class(own)
+    noun: str
+    names: Callable[[], Sequence[str]]
+    entry: Callable[[str], Any]
+    read: Callable[[Path], Any] | None = None
 
 
-@functools.cache
-def _model_of_subclass(runtime: type, base: type[ComponentModel], signal: Any) -> Any:
-    return model_of(runtime, base=base, signal=signal, class_name=(str, Field(alias="class")))
+_CATALOGS: dict[type, Catalog] = {}
 
 
-@functools.cache
-def _with_class(model: type[ComponentModel]) -> Any:
-    return named_model(f"{model.__name__}WithClass", model, {"class_name": (str, Field(alias="class"))})
+def register(base: type, catalog: Catalog) -> None:
+    """Let files name entries of a catalog in place of components of a base."""
+    _CATALOGS[base] = catalog
 
 
 def concrete_subclasses(base: type) -> Iterator[type]:
-    """All subclasses of a class that are not abstract, of modules that are imported."""
+    """Yield the subclasses of a class that are not abstract, of modules that are imported."""
     for one in base.__subclasses__():
         yield from concrete_subclasses(one)
         if not inspect.isabstract(one):
             yield one
 
 
-def load_extension(path: str | os.PathLike[str]) -> None:
-    """Run a Python file, so that configuration files can name the classes that it defines."""
-    source = os.fspath(path)
-    name = f"mckibben_extension_{Path(path).stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ScenarioError(source, [Problem("is no Python file", remedy="name a file that ends in .py")])
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+def classes_of(base: type) -> dict[str, type]:
+    """Return the classes of a base that a file can name, by their name in files."""
+    kinds = [*concrete_subclasses(base), *([] if inspect.isabstract(base) else [base])]
+    return {class_name(one): one for one in kinds if not one.__name__.startswith("_")}
+
+
+def class_name(kind: type) -> str:
+    """Return the name of a class in files: its short name, or else its own."""
+    return kind.__dict__.get("short_name") or kind.__name__
+
+
+def find_class(base: type, name: str) -> type | None:
+    """Return the class of a base that a file names by its short or own name; None if there is none."""
+    known = classes_of(base)
+    return known.get(name) or next((one for one in known.values() if one.__name__ == name), None)
+
+
+def default_class(base: type) -> type | None:
+    """Return the class of a section without the key `class`; None if it needs one."""
+    named = getattr(base, "default_class", "")
+    if named:
+        return find_class(base, named)
+    return None if inspect.isabstract(base) else base
+
+
+class Section(ConfigModel):
+    """Fields of one class in a file; made by `section_of`."""
+
+    runtime: ClassVar[type]
+    class_: Annotated[Any, Field(alias="class")] = None
+    from_: Annotated[Any, Field(alias="from")] = None
+
+    @classmethod
+    def former(cls, key: str) -> str:
+        bases = (one for one in cls.runtime.__mro__ if one is not Component and issubclass(one, Component))
+        known = any(find_class(base, key) for base in bases)
+        return f"class: {key}, with its fields in the same section" if known else super().former(key)
+
+
+@functools.cache
+def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[Section]:  # noqa: B008
+    """Return the model of a class in files; in a `partial` one no field is needed."""
+    declared, fields = declared_fields(runtime), {}
+    known = forms(runtime, units)
+    aliased = {name for names in runtime.aliases.values() for name in names}
+    for name, form in known.items():
+        field = declared[name]
+        has_default = not field.default is field.default_factory is dataclasses.MISSING
+        if partial or has_default or name in aliased or inherited_from(runtime, name) is not None:
+            fields[name] = form | None, None
+        else:
+            fields[name] = form, ...
+    fields |= {alias: (known[names[0]] | None, None) for alias, names in runtime.aliases.items()}
+    with warnings.catch_warnings(action="ignore"):  # a field may have the name of a method of pydantic
+        model = cast(Any, create_model(f"{runtime.__name__}Section", __base__=Section, **fields))
+    model.runtime = runtime
+    model.renamed = runtime.renamed
+    return model
+
+
+@functools.cache
+def declared_fields(runtime: type) -> dict[str, dataclasses.Field]:
+    """Return the fields that the constructor of a class takes, by name."""
+    taken = inspect.signature(runtime).parameters
+    return {one.name: one for one in dataclasses.fields(cast(Any, runtime)) if one.name in taken}
+
+
+@functools.cache
+def forms(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noqa: B008
+    """Return the annotation of each field of a class that can stand in a file."""
+    hints, found = field_hints(runtime), {}
+    for name in declared_fields(runtime):
+        form = _form(hints.get(name), units)
+        if form is None and hints.get(name) is float:
+            form = Annotated[float, runtime.unit_of(name) or Number()]
+        if form is not None:
+            found[name] = form
+    return found
+
+
+def part_of(form: Any) -> Part | None:
+    """Return the mark of a field that holds a component, or a list of them."""
+    marks = (*getattr(form, "__metadata__", ()), *(mark for one in get_args(form) for mark in _marks(one)))
+    return next((mark for mark in marks if isinstance(mark, Part)), None)
+
+
+def inherited_from(runtime: type, name: str) -> Inherited | None:
+    """Return the mark of a field that takes its value from around the component unless it is given."""
+    return next((mark for mark in _marks(field_hints(runtime)[name]) if isinstance(mark, Inherited)), None)
+
+
+def _marks(hint: Any) -> tuple[Any, ...]:
+    """Marks of a type, also of an optional one."""
+    own = getattr(hint, "__metadata__", ())
+    union = get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
+    return (*own, *(mark for one in union for mark in _marks(one)))
+
+
+def _form(hint: Any, units: Units) -> Any:
+    """Annotation of a field in files; None for a field that cannot stand there."""
+    if get_origin(hint) in (Union, UnionType):
+        found = [form for one in get_args(hint) if (form := _form(one, units)) is not None]
+        return found[0] if found else None
+    if get_origin(hint) is Literal:
+        return Annotated[str, OneOf(tuple(word for word in get_args(hint) if word))]
+    if get_origin(hint) in (tuple, Sequence):
+        inner = _form(get_args(hint)[0], units)
+        return None if inner is None else tuple[inner, ...]
+    if get_origin(hint) is Annotated:
+        base, *marks = get_args(hint)
+        mark = next((one for one in marks if isinstance(one, Quantity | BoundedInt)), None)
+        if isinstance(mark, Quantity) and mark.unit in SYMBOLS:
+            quantity = units.get(mark.unit)
+            return None if quantity is None else Annotated[float, quantity]
+        if mark is not None:
+            return Annotated[base, mark]
+        return _form(base, next((one for one in marks if isinstance(one, Units)), units))
+    if not isinstance(hint, type):
+        return None
+    if issubclass(hint, Component | Checked):
+        return Annotated[Any, Part(hint, units)]
+    if issubclass(hint, enum.Enum):
+        return Annotated[str, OneOf(tuple(member.name.lower() for member in hint))]
+    return {bool: Flag, str: Title, Path: FilePath}.get(hint)
+
+
+Title = Annotated[str, BeforeValidator(read_title)]
+FilePath = Annotated[
+    Path,
+    BeforeValidator(lambda value, info: read_path(value, info, "")),
+    PlainSerializer(write_path, when_used="json"),
+]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Marks a section of a file that holds a component of a base class; `units` are those of its symbolic fields."""
+
+    base: type
+    units: Units = Units()
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        return core_schema.with_info_plain_validator_function(
+            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self._written, info_arg=True)
+        )
+
+    def _written(self, value: Any, info: Any) -> Any:
+        return None if value is None else write(value, self, folder=(info.context or {}).get("folder") or Path())
+
+    def read(self, value: Any, info: Any) -> Any:
+        """Return the component of a section."""
+        if value is None or isinstance(value, self.base):
+            return value
+        context = dict(info.context or {})
+        changed, name = context.pop("changed", None), info.field_name or ""
+        scope: Scope = ChainMap({"key": name}, dict(info.data or {}), *context.get("scope", ()))
+        around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
+        normalise = getattr(self.base, "from_file", None)
+        value = value if normalise is None else normalise(value)
+        if isinstance(value, str) and value:
+            if find_class(self.base, value) is not None:
+                value = {"class": value}
+            elif value == "none":
+                return None
+            else:
+                value = {"from": value}
+        if not isinstance(value, dict):
+            fail_validation(*self._expected(value), value=value)
+        section = {key: one for key, one in value.items() if key != "from"}
+        if "from" in value:
+            if not isinstance(value["from"], str):
+                fail_validation(f"{quoted(value['from'])} is not the name of {self._noun}", "give a name or a path")
+            around = self._from_source(value["from"], context, scope, info)
+            if isinstance(around, dict):  # an entry that lacks fields
+                section, around = {**around, **section}, None
+            elif not section:
+                return around
+        elif "class" in value or not isinstance(around, self.base):
+            around = None
+        kind = self.class_for(section) if around is None or "class" in section else type(around)
+        if type(around) is not kind:
+            around = None
+        model = section_of(kind, self.units, partial=around is not None)
+        context |= {"scope": scope.maps if isinstance(scope, ChainMap) else (scope,), "changed": around}
+        given = model.model_validate(section, context=context)
+        fields = {name: getattr(given, name) for name in given.model_fields_set - {"class_"}}
+        for alias, names in kind.aliases.items():
+            if alias not in fields:
+                continue
+            if both := [name for name in names if name in fields]:
+                remedy = f"give {alias}, or {' and '.join(names)}"
+                fail_validation(f"has {alias} in addition to {' and '.join(both)}", remedy)
+            fields |= dict.fromkeys(names, fields.pop(alias))
+        fields = {name: _member(kind, name, one) for name, one in fields.items()}
+        return build(kind, fields, scope) if around is None else replaced(around, fields)
+
+    def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
+        """Component of a catalog entry or a file."""
+        catalog = next((_CATALOGS[one] for one in self.base.__mro__ if one in _CATALOGS), None)
+        if not name.endswith(ENDINGS):
+            known = [*(catalog.names() if catalog else ()), *classes_of(self.base)]
+            if catalog is None or name not in catalog.names():
+                fail_validation(f"{quoted(name)} is not the name of {self._noun}", suggest(name, known), value=name)
+            found = catalog.entry(name)
+        else:
+            path = read_path(name, info, ".yaml")
+            files = (*context.get("files", ()), path)
+            if path in files[:-1]:
+                fail_validation(f"{name} refers to itself", f"give the numbers in {name}")
+            try:
+                if catalog is not None and catalog.read is not None:
+                    found = catalog.read(path)
+                else:
+                    inner = {**context, "files": files, "scope": (scope,)}
+                    found = read_component(self.base, path, key=info.field_name or "", context=inner, units=self.units)
+            except FileError as error:
+                fail_validation(f"{name}: {'; '.join(map(str, error.problems[:5]))}", f"correct {name}")
+            name = str(path)
+        return found if isinstance(found, dict) else _marked(found, origin=name)
+
+    def class_for(self, section: Mapping[str, Any]) -> type:
+        """Return the class of a section; reports a mistake where it names none."""
+        known, named = classes_of(self.base), section.get("class")
+        if named is None:
+            kind = default_class(self.base)
+            if kind is None:
+                alone = [key for key in section if find_class(self.base, key) is not None]
+                remedy = f"write `class: {alone[0]}` and its fields" if alone else f"give one of {', '.join(known)}"
+                fail_validation("lacks the key `class`", remedy)
+            return kind
+        kind = find_class(self.base, named) if isinstance(named, str) else None
+        if kind is None:
+            remedy = suggest(str(named), list(known)) if known else "there is none yet"
+            fail_validation(
+                f"there is no class {quoted(named)} of {self.base.__name__}",
+                f"{remedy}; a class of your own: import its module first (`mckibben --extension FILE.py ...`)",
+                value=named,
+            )
+        return kind
+
+    def model_for(self, value: Any) -> type[Section] | None:
+        """Return the model of a section, for messages; None for one that names no class."""
+        with contextlib.suppress(McKibbenError):
+            if isinstance(value, dict) and "class" not in value and "from" in value:
+                return None
+            return section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
+        return None
+
+    @property
+    def _noun(self) -> str:
+        catalog = next((_CATALOGS[one] for one in self.base.__mro__ if one in _CATALOGS), None)
+        return f"a {catalog.noun}" if catalog else f"a {self.base.__name__}"
+
+    def _expected(self, value: Any) -> tuple[str, str]:
+        given = quoted(value) if isinstance(value, str) else "a list"
+        kind = default_class(self.base)
+        keys = ", ".join(forms(kind, self.units)) if kind else "`class` and the fields of the class"
+        if value == "":
+            return "has no value", "write one, or leave the key out"
+        return f"{given} stands where keys and values belong", f"give a mapping of {keys}"
+
+
+def _member(kind: type, name: str, value: Any) -> Any:
+    """Value of a field; the member of an enumeration that a file names."""
+    hint = field_hints(kind)[name]
+    choices = [hint, *get_args(hint)]
+    members = next((one for one in choices if isinstance(one, type) and issubclass(one, enum.Enum)), None)
+    return members[value.upper()] if members and isinstance(value, str) else value
+
+
+def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
+    """Return a component of a class; fields that are not given are inherited from around it, or have their default."""
+    inherited = {}
+    for name, field in declared_fields(kind).items():
+        if name in fields:
+            continue
+        if (mark := inherited_from(kind, name)) is not None:
+            with contextlib.suppress(KeyError):
+                inherited[name] = mark.find(scope)
+        if field.default is field.default_factory is dataclasses.MISSING and name not in inherited:
+            both = [f"`{alias}` for both" for alias, names in kind.aliases.items() if name in names]
+            fail_validation(f"lacks {name}", f"give {' or '.join([name, *both])}", follows=mark is not None)
+    return _marked(kind(**fields, **inherited), inherited=frozenset(inherited))
+
+
+def _marked(component: Any, **marks: Any) -> Any:
+    """Component that knows its origin (`origin`, `inherited`): neither fields nor leaves, and lost by any change."""
+    component = component if "origin" not in marks else _made(component, {})  # entries of a catalog are shared
+    for name, value in marks.items():
+        object.__setattr__(component, f"_{name}", value)
+    return component
+
+
+def inherited_fields(component: Any) -> frozenset[str]:
+    """Return the names of the fields that a component inherited when it was read."""
+    return getattr(component, "_inherited", frozenset())
+
+
+def replaced(component: C, fields: Mapping[str, Any]) -> C:
+    """Return a component with other fields, checked again; what it inherited stays inherited."""
+    if not fields:
+        return component
+    kept = inherited_fields(component) - set(fields)
+    return _marked(_made(component, fields), inherited=kept)
+
+
+def _made(component: Any, fields: Mapping[str, Any]) -> Any:
+    """Component with other fields; of a class with a constructor of its own, from the arguments of that."""
+    kind = type(component)
+    return kind(**{name: getattr(component, name) for name in declared_fields(kind)} | dict(fields))
+
+
+def inherit(component: Any, scope: Scope) -> Any:
+    """Return a component whose inherited fields, and those of its parts, are taken from a scope again."""
+    if isinstance(component, tuple):
+        return tuple(inherit(one, scope) for one in component)
+    if not isinstance(component, Component):
+        return component
+    fields, kind = {}, type(component)
+    names = inherited_fields(component)
+    around = ChainMap({name: getattr(component, name) for name in declared_fields(kind) if name not in names}, scope)
+    for name in declared_fields(kind):
+        before = getattr(component, name)
+        mark = inherited_from(kind, name) if name in names else None
+        after = mark.find(around) if mark else inherit(before, around)
+        if after is not before:
+            fields[name] = after
+    return _marked(replaced(component, fields), inherited=names) if fields else component
+
+
+def independent(component: Any) -> Any:
+    """Return a component without inherited fields: they keep their values."""
+    if isinstance(component, tuple):
+        return tuple(map(independent, component))
+    if not isinstance(component, Component):
+        return component
+    fields = {name: independent(getattr(component, name)) for name in declared_fields(type(component))}
+    changed = {name: one for name, one in fields.items() if one is not getattr(component, name)}
+    if not changed and not inherited_fields(component):
+        return component
+    return _made(component, changed)
+
+
+def write(component: Any, part: Part | None = None, *, folder: Path = Path()) -> Any:
+    """Return the section of a component, as plain data with units: what differs from the defaults of its class."""
+    if origin := getattr(component, "_origin", ""):
+        return write_path(Path(origin), _Folder(folder)) if origin.endswith(ENDINGS) else origin
+    kind = type(component)
+    part = Part(kind) if part is None else part
+    given: dict[str, Any] = {}
+    explicit_none = []
+    for name in forms(kind, part.units):
+        field, value = declared_fields(kind)[name], getattr(component, name)
+        if name in inherited_fields(component) or _same(value, field.default):
+            continue
+        if value is None:
+            explicit_none.append(name)
+        given[name] = _plain(value)
+    for alias, (first, *others) in kind.aliases.items():
+        if first in given and all(_same(given.get(other), given[first]) for other in others):
+            given[alias] = given.pop(first)
+            given = {name: one for name, one in given.items() if name not in others}
+    model = section_of(kind, part.units)
+    named = None if kind is default_class(part.base) else class_name(kind)
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        raise ScenarioError(source, [Problem(f"cannot be run: {type(error).__name__}: {error}")]) from error
+        section = model.model_construct(class_=named, **given).model_dump(
+            mode="json", by_alias=True, exclude_none=True, context={"folder": folder}
+        )
+    except PydanticSerializationError as error:
+        raise McKibbenError(f"this {kind.__name__} cannot be written to a file: {error}") from None
+    section |= dict.fromkeys(explicit_none, "none")
+    short = getattr(part.base, "to_file", None)
+    section = section if short is None else short(section)
+    return named if list(section) == ["class"] else section
+
+
+def _plain(value: Any) -> Any:
+    """Value of a field as the model of its class has it: a word, a number or a tuple of numbers."""
+    if isinstance(value, enum.Enum):
+        return value.name.lower()
+    if hasattr(value, "ndim"):
+        return tuple(np.asarray(value, float).tolist()) if value.ndim else value.item()
+    return value
+
+
+@dataclass(frozen=True)
+class _Folder:
+    folder: Path
+
+    @property
+    def context(self) -> dict[str, Path]:
+        return {"folder": self.folder}
+
+
+def _same(value: Any, default: Any) -> bool:
+    if value is default:
+        return True
+    if type(value) is not type(default) and not (isinstance(value, int | float) and isinstance(default, int | float)):
+        return False
+    try:
+        return bool(value == default)
+    except (ValueError, TypeError):  # arrays
+        return False
+
+
+def write_text(component: Any, *, folder: Path = Path(), base: type | None = None) -> str:
+    """Return the text of a file that holds a component."""
+    section = write(component, None if base is None else Part(base), folder=folder)
+    return to_text(section if isinstance(section, dict) else {"from": section})
+
+
+def read_component(
+    base: type[C],
+    path: Path,
+    *,
+    key: str = "",
+    context: Mapping[str, Any] | None = None,
+    units: Units = Units(),  # noqa: B008
+) -> C:
+    """Return the component of a file, or that under a key of it; ScenarioError with every problem and its line."""
+    text = read_text(path, f"a {base.__name__}", "docs/scenarios.md")
+    return parse_component(base, text, source=str(path), folder=path.parent, key=key, context=context, units=units)
+
+
+def parse_component(
+    base: type[C],
+    text: str,
+    *,
+    source: str,
+    folder: Path = Path(),
+    key: str = "",
+    context: Mapping[str, Any] | None = None,
+    units: Units = Units(),  # noqa: B008
+) -> C:
+    """Return the component of a YAML text; as `read_component`."""
+    part = Part(base, units)
+    model = part.model_for(read_document(text).data) or Section
+    adapter: Any = TypeAdapter(Annotated[Any, part])
+    found, _ = parse_text(adapter.validate_python, model, text, source=source, key=key, context={**(context or {}), "folder": folder})
+    return found

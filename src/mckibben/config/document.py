@@ -49,6 +49,16 @@ class Document:
             place = place[:-1]
         return self.lines.get(place)
 
+    def below(self, key: str) -> Document:
+        """The document of what stands below a key, with the lines of the whole."""
+        size = 1
+
+        def inner(marks: Mapping[Place, Any]) -> dict[Place, Any]:
+            return {place[size:]: one for place, one in marks.items() if place[:size] == (key,)}
+
+        rejected = {place[size:] for place in self.rejected if place[:size] == (key,)}
+        return Document(self.data[key], inner(self.lines), inner(self.spans), self.problems, rejected)
+
     def reject(self, place: Place, line: int, message: str, remedy: str) -> None:
         """Add a problem for a value that is not allowed."""
         self.problems.append(Problem(message, line, dotted(place), remedy))

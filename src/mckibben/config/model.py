@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, TypeVar, get_args, get_origin
 
@@ -20,7 +20,12 @@ class ConfigModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     renamed: ClassVar[Mapping[str, str]] = {}
-    """The present name of each key that was renamed; for errors."""
+    """What stands in place of a former key; for errors."""
+
+    @classmethod
+    def former(cls, key: str) -> str:
+        """Return what is written in place of a former key; an empty text for no such key."""
+        return cls.renamed.get(key, "")
 
 
 def fields_by_key(model: type[BaseModel]) -> dict[str, str]:
@@ -40,16 +45,22 @@ def explicit_fields(part: ConfigModel | None, *without: str) -> dict[str, Any]:
 
 
 class _ValidationError(McKibbenError, ValueError):
-    """A mistake found by a validator; `parent`: of the section around the field."""
+    """A mistake found by a validator; `parent`: of the section around the field; `follows`: from another one."""
 
-    def __init__(self, message: str, *, parent: bool, **details: Any) -> None:
+    def __init__(self, message: str, *, parent: bool, follows: bool, **details: Any) -> None:
         super().__init__(message, **details)
-        self.parent = parent
+        self.parent, self.follows = parent, follows
 
 
-def fail_validation(message: str, remedy: str = "", *, parent: bool = False, value: object = None) -> NoReturn:
-    """Report a mistake from within a validator; with `parent` it is that of the section around the field."""
-    raise _ValidationError(message, remedy=remedy, parent=parent, value=value)
+def fail_validation(
+    message: str, remedy: str = "", *, parent: bool = False, follows: bool = False, value: object = None
+) -> NoReturn:
+    """Report a mistake from within a validator.
+
+    With `parent` it is a mistake of the section around the field. One that `follows` from others is left out if there
+    are others.
+    """
+    raise _ValidationError(message, remedy=remedy, parent=parent, follows=follows, value=value)
 
 
 def with_changes(content: Any, section: Mapping[str, Any]) -> Any:
@@ -116,18 +127,32 @@ def parse_model(
     `files` are those by which the text was found, each named in the one before. A `confined` text may name only files
     in its folder.
     """
+    context = {"folder": Path(folder), "files": files, "confined": confined}
+    return parse_text(kind.model_validate, kind, text, source=source, context=context)
+
+
+def parse_text(
+    validate: Callable[..., Any],
+    model: type[BaseModel],
+    text: str,
+    *,
+    source: str,
+    context: Mapping[str, Any],
+    key: str = "",
+) -> tuple[Any, Document]:
+    """What a validator of pydantic makes of YAML text, or of what stands there below a key; as `parse_model`."""
     document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)
+    if isinstance(document.data, dict) and key in document.data:
+        document = document.below(key)
     try:
-        part = kind.model_validate(
-            document.data, context={"folder": Path(folder), "files": files, "confined": confined}
-        )
+        found = validate(document.data, context=context)
     except ValidationError as error:
-        raise ScenarioError(source, problems_of(error, document, kind)) from None
+        raise ScenarioError(source, problems_of(error, document, model)) from None
     if document.problems:
         raise ScenarioError(source, document.problems)
-    return part, document
+    return found, document
 
 
 def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:
@@ -163,7 +188,10 @@ class _Diagnosis:
                 continue
             if found["type"] == "too_short" and any(one["loc"][:-1] == place for one in details):
                 continue  # what it lacks are its wrong items
-            parent = getattr(found.get("ctx", {}).get("error"), "parent", False)
+            cause = found.get("ctx", {}).get("error")
+            if getattr(cause, "follows", False) and len(details) > 1:
+                continue
+            parent = getattr(cause, "parent", False)
             if parent and any(key[:-1] == place[:-1] for key in misspelt):
                 continue  # the section probably lacks only the key that is misspelt
             problems.append(self.problem(found, place))
@@ -176,6 +204,8 @@ class _Diagnosis:
             place = place[:-1] if isinstance(error, _ValidationError) and error.parent else place
             while place not in self.document.lines and place:  # a name alone stands for `from`, a number for `constant`
                 place = place[:-1]
+            if error.field and (*place, error.field) in self.document.lines:
+                place = (*place, error.field)
             return Problem.of(error, self.document.line(place), dotted(place))
         if kind == "missing":
             message, remedy = "is missing", f"add it{self.example(place)}"
@@ -219,8 +249,8 @@ class _Diagnosis:
     def other_key(self, place: Place) -> tuple[str, str]:
         """The key that an unknown one may stand for, of those not given yet, or else an empty text; and a remedy."""
         around, key = self.model_at(place[:-1]), str(place[-1])
-        if around is not None and issubclass(around, ConfigModel) and key in around.renamed:
-            return around.renamed[key], f"it was renamed to {around.renamed[key]!r}"
+        if around is not None and issubclass(around, ConfigModel) and (present := around.former(key)):
+            return present, f"write `{present}`"
         keys = _keys_of(around)
         free = [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
         return closest(key, free), suggest(key, free)

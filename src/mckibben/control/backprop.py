@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from numbers import Real
 from typing import Annotated, NamedTuple
 
 import equinox as eqx
@@ -13,8 +14,9 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
+from mckibben.errors import RangeError
 from mckibben.numerics.elementary import floating
-from mckibben.units import Count, Momentum, Quantity, Rate, Ratio, Seed
+from mckibben.units import ControlledScale, Count, Momentum, Quantity, Rate, Ratio, Seed
 
 OutputRate = Annotated[float, Quantity("Pa/s", "bar/s", 0, 1e6, open_lower=True)]
 
@@ -88,9 +90,11 @@ class BackpropPID(Loop):
     Springer 2018, ch. 7 (gains from a BP network, sign of the Jacobian).
     """
 
+    short_name = "backprop"
+
     base: PID
-    signal_scale: float = eqx.field(kw_only=True)
-    error_scale: float = eqx.field(kw_only=True)
+    signal_scale: ControlledScale = eqx.field(kw_only=True)
+    error_scale: ControlledScale = eqx.field(kw_only=True)
     output_scale: OutputRate = eqx.field(kw_only=True)
     learning_rate: Rate = eqx.field(kw_only=True, default=10.0)
     momentum: Momentum = eqx.field(kw_only=True, default=0.5)
@@ -102,6 +106,9 @@ class BackpropPID(Loop):
     def __check_init__(self) -> None:
         super().__check_init__()
         check_positive("BackpropPID", signal_scale=self.signal_scale, error_scale=self.error_scale)
+        if self.jacobian is not Jacobian.MODEL and isinstance(self.base.ki, Real) and self.base.ki == 0:
+            remedy = "give ki a sign, or jacobian: model"
+            raise RangeError("BackpropPID learns by the sign of ki, which is zero", field="base", remedy=remedy)
 
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)

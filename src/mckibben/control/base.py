@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import abc
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.base import Component, check_fields
-from mckibben.component.checks import check_within
-from mckibben.control.reference import Samples, Signal, as_signal, terms
-from mckibben.joint import Measurement
-from mckibben.units import Angle, Stiffness
+from mckibben.component.base import Component, Inherited
+from mckibben.control.reference import Signal, as_signal
+from mckibben.joint import AntagonisticJoint, Load, Measurement
+from mckibben.units import Angle, Stiffness, Units, ValveLag
 
 Scalar = Float[Array, ""]
-
-_ANGLE, _STIFFNESS = (kind.__metadata__[0] for kind in (Angle, Stiffness))  # type: ignore[attr-defined]
 
 
 class Setpoint(NamedTuple):
@@ -27,23 +25,25 @@ class Setpoint(NamedTuple):
 
 
 class Reference(Component):
-    """Reference of the joint's angle [rad] and stiffness [N*m/rad] over time; a plain number is a constant."""
+    """Reference of the joint's angle [rad] and stiffness [N*m/rad] over time.
 
-    angle: Any = eqx.field(converter=as_signal)  # a signal, or another function of time by `jax.numpy`
-    stiffness: Any = eqx.field(converter=as_signal)
+    Each is a signal, another function of time by `jax.numpy`, or a plain number, which is a constant.
+    """
 
-    def __check_init__(self) -> None:
-        for signal, quantity in ((self.angle, _ANGLE), (self.stiffness, _STIFFNESS)):
-            for part in terms(signal):
-                if isinstance(part, Samples):
-                    lower, upper = quantity.limits
-                    check_within("Samples", lower, upper, quantity.unit, values=part.values)
-                elif isinstance(part, Signal):
-                    check_fields(part, quantity)
+    angle: Annotated[Signal | Callable, Units(signal=Angle)] = eqx.field(converter=as_signal)
+    stiffness: Annotated[Signal | Callable, Units(signal=Stiffness)] = eqx.field(converter=as_signal)
 
     def __call__(self, time: ArrayLike) -> Setpoint:
         """Setpoint at each time [s]."""
         return Setpoint(self.angle(time), self.stiffness(time))
+
+
+JointModel = Annotated[AntagonisticJoint, Inherited(lambda scope: scope["joint"])]
+"""A controller's model of the joint; in a file, by default, the joint of the plant."""
+LoadModel = Annotated[Load, Inherited(lambda scope: scope["load"])]
+"""A controller's model of the load; in a file, by default, that of the plant."""
+ValveLagModel = Annotated[ValveLag, Inherited(lambda scope: scope["valve"].lag_for(scope["joint"]))]
+"""First-order time constant [s] of the valves in a controller's model; in a file, by default, that of the plant's."""
 
 
 class Controller(Component):
@@ -53,6 +53,7 @@ class Controller(Component):
     `step` once a control period.
     """
 
+    default_class = "position_stiffness"
     stiffness_amplitude = None
     """Amplitude [rad] of the motion whose stiffness is controlled; None for the isobaric stiffness."""
 
@@ -76,6 +77,8 @@ class Controller(Component):
 
 class Loop(Component):
     """Scalar feedback loop, a part of a controller."""
+
+    default_class = "pid"
 
     @abc.abstractmethod
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> Any:

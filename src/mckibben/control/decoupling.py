@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -18,7 +18,7 @@ from mckibben.control.allocation import (
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
 from mckibben.control.model_based import Estimates, ModelBasedControl
-from mckibben.control.observer import Observer, PressureObserver, lag_fraction
+from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, lag_fraction
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
@@ -91,8 +91,13 @@ class DecouplingControl(ModelBasedControl):
     active disturbance rejection control, IEEE Trans. Industrial Electronics 56, 2009.
     """
 
+    short_name = "decoupling"
+    renamed: ClassVar = dict.fromkeys(("poles", "sliding"), "feedback") | dict.fromkeys(
+        ("velocity_observer", "disturbance_observer"), "observer"
+    )
+
     feedback: Feedback
-    observer: Observer
+    observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
 
     @property

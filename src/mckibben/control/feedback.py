@@ -22,6 +22,7 @@ class Feedback(Component):
     .. math:: T \dot a + a = a_c, \quad T = \mathrm{lag}\,[s]
     """
 
+    default_class = "poles"
     lag: eqx.AbstractVar[Any]
 
     @abc.abstractmethod
@@ -53,6 +54,8 @@ class PolePlacement(Feedback):
     ----------
     One bandwidth for all gains: Z. Gao, Scaling and bandwidth-parameterization based controller tuning, ACC 2003.
     """
+
+    short_name = "poles"
 
     bandwidth: Bandwidth = 80.0
     integral: bool = eqx.field(static=True, default=False)
@@ -99,6 +102,8 @@ class SlidingMode(Feedback):
     J.-J. E. Slotine and W. Li, Applied Nonlinear Control, Prentice Hall 1991, ch. 7: balance of the boundary layer, and
     choice of lambda by unmodelled lags.
     """
+
+    short_name = "sliding"
 
     slope: PositiveRate = 40.0
     reach: AngularAcceleration = 250.0

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.allocation import clip_commands, limit_commands
-from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.base import Controller, JointModel, Measurement, Setpoint
+from mckibben.control.inverse_model import InverseModelControl
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import MuscleStates
 from mckibben.numerics.calculus import derivative
 
@@ -39,11 +39,19 @@ class FrictionCompensation(Controller):
     well.
     """
 
+    short_name = "friction_compensation"
+
     controller: Controller
-    model: AntagonisticJoint = eqx.field(kw_only=True)
+    model: JointModel = eqx.field(kw_only=True)
 
     def __check_init__(self) -> None:
         super().__check_init__()
+        if isinstance(self.controller, InverseModelControl):
+            raise RangeError(
+                "FrictionCompensation: the learned inverse of its controller includes friction",
+                field="controller",
+                remedy="leave the compensation out",
+            )
         if not self.model.has_friction:
             raise RangeError(
                 "FrictionCompensation: no muscle of its model has friction",

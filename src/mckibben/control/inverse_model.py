@@ -11,10 +11,9 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from mckibben.control.allocation import keep_taut, linearise, pressure_range, prioritise_torque
 from mckibben.control.backprop import Network
-from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.base import Controller, LoadModel, Measurement, Setpoint, ValveLagModel
 from mckibben.control.position_stiffness import Feedforward, PositionStiffnessControl, PositionStiffnessState
 from mckibben.control.reference import ReferenceDerivatives
-from mckibben.joint import Load
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import computed_once
@@ -28,7 +27,6 @@ from mckibben.units import (
     Rate,
     Seed,
     StiffnessScale,
-    ValveLag,
 )
 
 Scalar = Float[Array, ""]
@@ -134,11 +132,13 @@ class InverseModelControl(Controller):
     J.-J. Slotine and W. Li, Applied Nonlinear Control, Prentice-Hall 1991, sec. 9.2.
     """
 
+    short_name = "inverse_model"
+
     loops: PositionStiffnessControl
-    load: Load | None = None
+    load: LoadModel | None = None
     learning_rate: Rate = eqx.field(kw_only=True, default=10.0)
     hidden: Count = eqx.field(kw_only=True, static=True, default=8)
-    valve_time_constant: ValveLag = eqx.field(kw_only=True, default=0.02)
+    valve_time_constant: ValveLagModel = eqx.field(kw_only=True, default=0.02)
     filter_bandwidth: Bandwidth = eqx.field(kw_only=True, default=60.0)
     angle_scale: AngleScale = eqx.field(kw_only=True, default=0.15)
     velocity_scale: Bandwidth = eqx.field(kw_only=True, default=1.0)

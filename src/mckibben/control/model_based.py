@@ -11,16 +11,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.adaptation import AdaptationState, LawAdaptation, with_strengths
-from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.base import Controller, JointModel, LoadModel, Measurement, Setpoint, ValveLagModel
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver, lag_fraction
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.control.valve_adaptation import ValveAdaptation, ValveAdaptationState
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.elementary import floating
-from mckibben.units import AngleScale, Force, ValveLag
+from mckibben.units import AngleScale, Force
 
 Scalar = Float[Array, ""]
 
@@ -45,9 +45,9 @@ class Estimates(NamedTuple):
 class ModelBasedControl(Controller):
     """Base of controllers with a model of joint, load and valves: parameters and state estimation."""
 
-    model: AntagonisticJoint
-    load: Load
-    valve_time_constant: ValveLag = eqx.field(kw_only=True, default=0.02)
+    model: JointModel
+    load: LoadModel
+    valve_time_constant: ValveLagModel = eqx.field(kw_only=True, default=0.02)
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)

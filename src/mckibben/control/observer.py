@@ -48,6 +48,8 @@ class Observer(Component):
     Prediction at constant acceleration between two samples, then correction by the innovation of the angle.
     """
 
+    default_class = "extended_state"
+
     def init(self, angle: ArrayLike, known: ArrayLike) -> MotionEstimate:
         """Estimate at rest at a measured angle [rad], with the model's acceleration [rad/s^2]."""
         angle = floating(angle)
@@ -90,6 +92,8 @@ class VelocityObserver(Observer):
     [0.1813, 9.0559, 0.0]
     """
 
+    short_name = "velocity"
+
     bandwidth: Bandwidth = 250.0
 
     def gains(self, period: ArrayLike) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
@@ -122,6 +126,8 @@ class ExtendedStateObserver(Observer):
     >>> [round(float(gain), 4) for gain in ExtendedStateObserver(bandwidth=100.0).gains(1e-3)]
     [0.2592, 25.8751, 861.7844]
     """
+
+    short_name = "extended_state"
 
     bandwidth: Bandwidth = 250.0
     damping: PoleDamping = 3.0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.checks import check_number
 from mckibben.control.base import Loop
+from mckibben.errors import RangeError
 from mckibben.numerics.elementary import floating
-from mckibben.units import ShortTime
+from mckibben.units import DerivativeGain, Gain, IntegralGain, ShortTime
 
 Scalar = Float[Array, ""]
 
@@ -53,16 +54,22 @@ class PID(Loop):
     K. J. Astrom and T. Hagglund, Advanced PID Control, ISA 2006, sections 3.3 and 3.5 (back-calculation).
     """
 
-    kp: float
-    ki: float
-    kd: float
+    short_name = "pid"
+
+    kp: Gain
+    ki: IntegralGain
+    kd: DerivativeGain
     filter_time: ShortTime = 0.005
     tracking_time: ShortTime = 0.05
     derivative_on_error: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        check_number("PID", kp=self.kp, ki=self.ki, kd=self.kd)
+        gains = {"kp": self.kp, "ki": self.ki, "kd": self.kd}
+        if all(isinstance(gain, Real) for gain in gains.values()) and min(gains.values()) < 0 < max(gains.values()):
+            signs = ", ".join(f"{name} is {gain:g}" for name, gain in gains.items())
+            remedy = "give all one sign, negative if the loop is reverse-acting"
+            raise RangeError(f"PID: the gains differ in sign: {signs}", remedy=remedy)
 
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
         return PIDState(

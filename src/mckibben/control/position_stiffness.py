@@ -4,21 +4,41 @@ from __future__ import annotations
 
 import warnings
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.allocation import achieved, limit_commands
-from mckibben.control.base import Controller, Loop, Measurement, Setpoint
+from mckibben.control.base import Controller, JointModel, Loop, Measurement, Setpoint
 from mckibben.errors import McKibbenWarning
-from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative
-from mckibben.units import AngleScale, Tension
+from mckibben.units import (
+    AngleDerivativeGain,
+    AngleGain,
+    AngleIntegralGain,
+    AngleScale,
+    StiffnessDerivativeGain,
+    StiffnessGain,
+    StiffnessIntegralGain,
+    StiffnessScale,
+    Tension,
+    Units,
+)
 
 Scalar = Float[Array, ""]
+
+_ANGLE_LOOP = Units(
+    gain=AngleGain, integral_gain=AngleIntegralGain, derivative_gain=AngleDerivativeGain, scale=AngleScale
+)
+_STIFFNESS_LOOP = Units(
+    gain=StiffnessGain,
+    integral_gain=StiffnessIntegralGain,
+    derivative_gain=StiffnessDerivativeGain,
+    scale=StiffnessScale,
+)
 
 _LEAST_GAIN = 1e3  # Pa: if the largest of the position loop is lower, they are in bar
 
@@ -62,9 +82,11 @@ class PositionStiffnessControl(Controller):
         (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.
     """
 
-    position: Loop
-    stiffness: Loop
-    model: AntagonisticJoint = eqx.field(kw_only=True)
+    short_name = "position_stiffness"
+
+    position: Annotated[Loop, _ANGLE_LOOP]
+    stiffness: Annotated[Loop, _STIFFNESS_LOOP]
+    model: JointModel = eqx.field(kw_only=True)
     minimum_tension: Tension | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -94,6 +94,9 @@ class PredictiveControl(ModelBasedControl):
     end of the horizon after D. Q. Mayne et al., Constrained model predictive control: stability and optimality,
     Automatica 36, 2000.
     """
+
+    short_name = "predictive"
+    renamed: ClassVar = dict.fromkeys(("velocity_observer", "disturbance_observer"), "observer")
 
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()

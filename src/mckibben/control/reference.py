@@ -6,7 +6,8 @@ import abc
 import math
 from collections.abc import Iterator
 from numbers import Real
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,16 +15,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.base import Component
+from mckibben.component.base import Component, Inherited
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
 from mckibben.numerics.elementary import floating, sin
+from mckibben.storage.columns import read_samples
 from mckibben.units import Duration, Frequency, Instant, Phase, PositiveTime, Seed, SignalValue
 
 
 class Signal(Component):
     """Quantity over time [s], in SI."""
+
+    @classmethod
+    def from_file(cls, value: Any) -> Any:
+        """Return a section of a constant for a quantity alone."""
+        numeric = isinstance(value, int | float) or (isinstance(value, str) and value[:1] in "+-.0123456789")
+        return {"class": "constant", "value": value} if numeric and value != "" else value
+
+    @classmethod
+    def to_file(cls, section: dict[str, Any]) -> Any:
+        """Return a quantity alone for a constant."""
+        return section["value"] if section.get("class") == "constant" else section
 
     @abc.abstractmethod
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
@@ -33,6 +46,8 @@ class Signal(Component):
 class Constant(Signal):
     """Constant value."""
 
+    short_name = "constant"
+
     value: SignalValue
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
@@ -41,6 +56,8 @@ class Constant(Signal):
 
 class Step(Signal):
     """Step from one value to another at a time [s]."""
+
+    short_name = "step"
 
     before: SignalValue
     after: SignalValue
@@ -56,6 +73,8 @@ class Ramp(Signal):
     >>> Ramp(0.0, 10.0, start=1.0, duration=2.0)(jnp.array([0.0, 1.5, 3.0, 4.0])).tolist()
     [0.0, 2.5, 10.0, 10.0]
     """
+
+    short_name = "ramp"
 
     before: SignalValue
     after: SignalValue
@@ -78,6 +97,8 @@ class RandomSteps(Signal):
     >>> [round(float(steps(time)), 6) for time in (0.0, 0.499, 0.5, 1.0)]
     [0.730786, 0.730786, -0.093591, -0.522925]
     """
+
+    short_name = "random_steps"
 
     low: SignalValue
     high: SignalValue
@@ -114,6 +135,8 @@ class RandomSteps(Signal):
 class Sine(Signal):
     """offset + amplitude sin(2 pi frequency t + phase); frequency in Hz, phase in rad."""
 
+    short_name = "sine"
+
     amplitude: SignalValue
     frequency: Frequency
     offset: SignalValue = 0.0
@@ -127,6 +150,8 @@ class Sine(Signal):
 
 class Multisine(Signal):
     """offset + a sum of sines, each with an amplitude, a frequency [Hz] and a phase [rad]."""
+
+    short_name = "multisine"
 
     amplitudes: tuple[SignalValue, ...]
     frequencies: tuple[Frequency, ...]
@@ -153,8 +178,10 @@ class Multisine(Signal):
 class Samples(Signal):
     """Linear interpolation between values at increasing times [s]; constant beyond the first and last."""
 
-    times: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
-    values: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
+    short_name = "samples"
+
+    times: tuple[Instant, ...] | Array = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
+    values: tuple[SignalValue, ...] | Array = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
 
     def __check_init__(self) -> None:
         times, values = (shape[-1] if shape else 0 for shape in (self.times.shape, self.values.shape))
@@ -167,6 +194,30 @@ class Samples(Signal):
         return jnp.interp(floating(time), self.times, self.values)
 
 
+class SamplesFile(Samples):
+    """Samples in a CSV file with a header of names and units, such as ``time_s,angle_deg,stiffness_N*m/rad``.
+
+    Parameters
+    ----------
+    file
+        Path of the file.
+    column
+        Name of the column; in a scenario by default that of the signal, "angle" or "stiffness".
+    """
+
+    short_name = "samples_file"
+
+    file: Path = eqx.field(static=True, kw_only=True)
+    column: Annotated[str, Inherited(lambda scope: scope["key"])] = eqx.field(static=True, kw_only=True)
+
+    def __init__(self, file: Path, column: str) -> None:
+        unit = {"angle": "rad", "stiffness": "N*m/rad"}.get(column)
+        if unit is None:
+            raise RangeError(f"SamplesFile: the column is {column!r}", field="column", remedy="give angle or stiffness")
+        self.file, self.column = Path(file), column
+        self.times, self.values = map(floating, read_samples(self.file, column, unit))
+
+
 class Sum(Signal):
     """Sum of signals.
 
@@ -174,6 +225,8 @@ class Sum(Signal):
     >>> round(float(angle(5.25)), 9)
     17.5
     """
+
+    short_name = "sum"
 
     parts: tuple[Signal, ...]
 

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.checks import check_kind
-from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.base import Controller, Measurement, Setpoint, ValveLagModel
 from mckibben.control.observer import lag_fraction, lagged
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import Domain
-from mckibben.units import PositiveTime, PressureRate, ValveLag, bar
+from mckibben.units import PositiveTime, PressureRate, bar
 
 Scalar = Float[Array, ""]
 
@@ -60,8 +60,10 @@ class SupplyLimit(Controller):
         r [Pa/s].
     """
 
+    short_name = "supply_limit"
+
     controller: Controller
-    valve_time_constant: ValveLag = eqx.field(kw_only=True, default=0.02)
+    valve_time_constant: ValveLagModel = eqx.field(kw_only=True, default=0.02)
     time_constant: PositiveTime = eqx.field(kw_only=True, default=0.03)
     recovery: PressureRate = eqx.field(kw_only=True, default=0.2 * bar)
 

@@ -11,7 +11,7 @@ import mckibben
 from mckibben.codegen.c import write_c
 from mckibben.export.controller import controller_module
 from mckibben.export.targets import Exported
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 _TOLERANCES = "1e-9", "1e-4"  # in 64 and 32 bits, of a command, relative to the largest one
 

@@ -11,7 +11,7 @@ from mckibben.errors import ExportError, ParameterError
 from mckibben.export.evaluation import element_names, evaluate, find_function
 from mckibben.export.plant import plant_module
 from mckibben.plant import JointPlant
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 
 class CasadiPlant(NamedTuple):

@@ -21,8 +21,8 @@ from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
+from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
-from mckibben.study.scenario import Scenario
 
 UNITS = {
     "parameters.control_period": "s",

@@ -20,11 +20,10 @@ from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.numerics.runtime import batch_options
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import FlatTree, compile_flat
+from mckibben.scenario import Scenario, batched, initial_state, valid_rows
 from mckibben.simulation.problem import SimulationProblem
 from mckibben.simulation.result import SWUNG_OVER_AT
-from mckibben.study.parameters import batched, parse_sweeps, sample, valid_rows
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import initial_state
+from mckibben.study.parameters import parse_sweeps, sample
 from mckibben.units import atm, bar, deg, litre
 
 OBSERVATION = {

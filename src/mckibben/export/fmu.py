@@ -19,9 +19,9 @@ from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import AirValve, IdealValve, IOState, JointPlant, PlantState, Valve
+from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 from mckibben.simulation.result import attributes
-from mckibben.study.scenario import Scenario
 
 _NUMBER = np.zeros(())
 _STATE_NAMES = {"pressures.0": "pressure1", "pressures.1": "pressure2"}

@@ -28,7 +28,7 @@ from mckibben.export.episodes import (
     plants_of,
 )
 from mckibben.numerics.compiled import numeric
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.units import bar
 
 Floats = NDArray[np.float32]

@@ -8,7 +8,7 @@ import mckibben
 from mckibben.codegen.javascript import write_js
 from mckibben.export.controller import controller_functions, controller_program
 from mckibben.export.targets import Exported
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 
 def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:

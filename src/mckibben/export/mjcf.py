@@ -33,7 +33,7 @@ from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState, ValveModel
 from mckibben.plant.air_valve import AirState, AirValve, SwitchingValves
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
 

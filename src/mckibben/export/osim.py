@@ -19,7 +19,7 @@ from mckibben.export.targets import Exported
 from mckibben.muscle.creep import NoCreep
 from mckibben.muscle.friction import NoFriction
 from mckibben.plant import IdealValve, JointPlant
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 from mckibben.units import bar
 
 _LONGEST = 40  # characters of an expression that is not given a name

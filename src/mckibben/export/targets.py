@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from mckibben.codegen.source_module import identifier
 from mckibben.errors import ExportError, ParameterError, quoted
+from mckibben.scenario import Scenario
 from mckibben.storage.files import atomic_write, check_free, make_folder
-from mckibben.study.scenario import Scenario
 
 
 class Exported(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax.core import Tracer
@@ -105,6 +105,15 @@ class AntagonisticJoint(Component):
     muscle1: Muscle
     muscle2: Muscle
     tendon: Tendon = RigidTendon()
+
+    aliases: ClassVar = {"muscle": ("muscle1", "muscle2")}
+    renamed: ClassVar = {
+        "spring": "tendon",
+        "connector_length": "geometry: {from: ..., connector_length: ...}",
+        "arm_scale": "geometry: {class: scaled_arms, geometry: ..., scale: ...}",
+        "return_spring1": "muscle1: {class: return_spring, ...}",
+        "return_spring2": "muscle2: {class: return_spring, ...}",
+    }
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -382,8 +391,8 @@ class AntagonisticJoint(Component):
 
         def torque_terms(a: Array) -> tuple[Array, Array, Array]:
             (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(a)
-            offset1, gain1 = self.muscle1.law.pressure_terms(self.muscle1.specimen.contraction_at(path1))  # type: ignore
-            offset2, gain2 = self.muscle2.law.pressure_terms(self.muscle2.specimen.contraction_at(path2))  # type: ignore
+            offset1, gain1 = self.muscle1.force_law.pressure_terms(self.muscle1.specimen.contraction_at(path1))  # type: ignore
+            offset2, gain2 = self.muscle2.force_law.pressure_terms(self.muscle2.specimen.contraction_at(path2))  # type: ignore
             return offset2 * arm2 - offset1 * arm1, -gain1 * arm1, gain2 * arm2
 
         torque, slopes = value_and_derivative(torque_terms, angle)

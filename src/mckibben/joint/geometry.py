@@ -29,6 +29,8 @@ Pressures = tuple[ArrayLike, ArrayLike]
 class Geometry(Component):
     """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
 
+    default_class = "knee"
+
     @property
     def angle_range(self) -> tuple[float, float]:
         """Angles [rad] for which the geometry is known."""
@@ -76,6 +78,8 @@ class KneeGeometry(Geometry):
     >>> [round(float(length), 6) for length in (*knee.path_lengths(0.0), *knee.moment_arms(0.0))]
     [0.18, 0.18, 0.03, 0.03]
     """
+
+    short_name = "knee"
 
     joint_length: Length
     joint_radius: MomentArm
@@ -125,6 +129,8 @@ class ScaledArms(Geometry):
     >>> [round(float(arm), 6) for arm in ScaledArms(knee, 1.02).moment_arms(0.0)]
     [0.0306, 0.0306]
     """
+
+    short_name = "scaled_arms"
 
     geometry: Geometry
     scale: Strength

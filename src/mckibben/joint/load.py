@@ -37,6 +37,7 @@ class Load(Component):
     `hanging_angle` (theta_h [rad], the equilibrium of the unloaded joint: stable where G is positive).
     """
 
+    default_class = "knee"
     adapted_mass: ClassVar[str] = ""
     """Field with the mass [kg] that `LawAdaptation` estimates; empty for none."""
 
@@ -124,6 +125,8 @@ class KneeLoad(Load):
     (0.172, 20.0)
     """
 
+    short_name = "knee"
+
     adapted_mass = "mass2"
 
     mass1: Mass
@@ -180,6 +183,8 @@ class PendulumLoad(Load):
     (0.01875, -0.7358)
     """
 
+    short_name = "pendulum"
+
     adapted_mass = "mass"
 
     mass: PositiveMass
@@ -218,6 +223,8 @@ class GeneralLoad(Load):
     >>> round(float(rod.acceleration(jnp.pi / 2, 0.0, 0.0)), 2)  # 3 g / (2 * 0.5 m)
     -29.43
     """
+
+    short_name = "general"
 
     inertia: PositiveInertia
     greatest_gravity_torque: Torque

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from numbers import Real
-from typing import Annotated, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -23,7 +23,7 @@ from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint.geometry import Ends, Geometry, Pair
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.elementary import floating, sincos
-from mckibben.units import COMPONENT, Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, MomentArm, deg, mm
+from mckibben.units import Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, MomentArm, deg, mm
 
 _Side = int
 """1 for muscle 1, which lengthens as the angle increases, -1 for muscle 2."""
@@ -58,6 +58,8 @@ class Pulley(MusclePath):
         Moment arm, and length of the muscle at the angle 0 [m].
     """
 
+    short_name = "pulley"
+
     radius: MomentArm
     rest_length: Length
 
@@ -75,6 +77,8 @@ class Cam(MusclePath):
     rest_length
         Length of the muscle at the angle 0 [m].
     """
+
+    short_name = "cam"
 
     arm: MomentArm
     rest_length: Length
@@ -99,6 +103,8 @@ class TwoBonePath(MusclePath):
     connector_length
         Length of the connectors in series with the muscle [m].
     """
+
+    short_name = "two_bone"
 
     proximal_x: Coordinate
     proximal_y: Coordinate
@@ -140,6 +146,8 @@ class TabulatedPath(MusclePath):
     arms, rest_length
         Positive moment arms, and length at the angle 0 [m], in place of lengths.
     """
+
+    short_name = "tabulated"
 
     angles: tuple[Angle, ...]
     lengths: tuple[Length, ...] | None = None
@@ -241,8 +249,10 @@ class PairedPaths(Geometry):
     [0.3002, 0.3, 0.03, 0.025]
     """
 
-    path1: Annotated[MusclePath, COMPONENT]
-    path2: Annotated[MusclePath, COMPONENT]
+    short_name = "paired_paths"
+
+    path1: MusclePath
+    path2: MusclePath
 
     def __check_init__(self) -> None:
         super().__check_init__()

@@ -22,6 +22,8 @@ SpringTravel = Annotated[float, Quantity("m", "mm", 0, 500)]
 class Tendon(Component):
     """Elastic element in series with a muscle: path = muscle length + extension, at one tension."""
 
+    default_class = "spring"
+
     @abc.abstractmethod
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         """Return the extension [m] under a tension [N]."""
@@ -51,6 +53,8 @@ class Tendon(Component):
 class RigidTendon(Tendon):
     """Inextensible connector."""
 
+    short_name = "rigid"
+
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(tension))
 
@@ -69,6 +73,8 @@ class SeriesSpring(Tendon):
 
     It is rigid up to the preload [N], then extends by (tension - preload) / stiffness [N/m], up to its travel [m].
     """
+
+    short_name = "spring"
 
     stiffness: SpringRate
     preload: Force

@@ -16,10 +16,10 @@ from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
 from mckibben.leg.plant import Ground, LegPlant
 from mckibben.muscle import SpringLaw
 from mckibben.plant import AirValve, IdealValve
+from mckibben.scenario.muscle import CatalogName, MuscleSpec
+from mckibben.scenario.scenario import RunSpec
 from mckibben.study.scenario.building import build_joint
-from mckibben.study.scenario.muscle import CatalogName, MuscleSpec
 from mckibben.study.scenario.plant import AnyValve, JointSpec
-from mckibben.study.scenario.scenario import RunSpec
 from mckibben.units import (
     Angle,
     BoundedInt,

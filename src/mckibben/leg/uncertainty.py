@@ -16,7 +16,7 @@ from mckibben.identification.storage import read_fit
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
 from mckibben.muscle import ForceLaw, Muscle, SpringLaw, scaled_law
-from mckibben.study.scenario.muscle import MuscleSpec
+from mckibben.scenario.muscle import MuscleSpec
 
 
 def drawn_plant(scenario: LegScenario) -> LegPlant:

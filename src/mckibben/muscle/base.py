@@ -13,7 +13,7 @@ from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, check_within
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
-from mckibben.units import Percent, atm, bar, deg, mm
+from mckibben.units import Percent, Quantity, atm, bar, deg, mm
 
 # No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
 
@@ -58,6 +58,11 @@ class ForceLaw(Component):
     """Fields that an identification sets and does not estimate."""
     formula_domain: ClassVar[Domain] = Domain()
     """Domain of the formula for any parameters; `domain` is that of the data behind a law."""
+
+    @classmethod
+    def unit_of(cls, name: str) -> Quantity | None:
+        known = {one.name: one for one in (*cls.parameters(), *cls.constants)}
+        return Quantity(known[name].unit, known[name].shown, -1e40, 1e40) if name in known else None
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:

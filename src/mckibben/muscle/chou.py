@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Inherited
 from mckibben.muscle.base import BRAID_PARAMETERS, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.units import BraidAngle, Diameter
 
 if TYPE_CHECKING:
     from mckibben.muscle.specimen import Specimen
+
+_WHAT = "Chou's law (Eq. 1)"
 
 
 class ChouLaw(PressureAffineLaw):
@@ -39,9 +42,11 @@ class ChouLaw(PressureAffineLaw):
     (386.3, 36.3)
     """
 
-    braid_angle: BraidAngle
-    initial_diameter: Diameter
-    domain: Domain = Domain()
+    short_name = "chou"
+
+    braid_angle: Annotated[BraidAngle, Inherited(lambda scope: scope["specimen"].braid(_WHAT)[1])]
+    initial_diameter: Annotated[Diameter, Inherited(lambda scope: scope["specimen"].braid(_WHAT)[0])]
+    domain: Annotated[Domain, Inherited(lambda scope: scope["specimen"].domain)] = Domain()
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0))"
     source = "Chou and Hannaford 1996; Eq. 1"
@@ -50,7 +55,7 @@ class ChouLaw(PressureAffineLaw):
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:
         """Return the law given by a specimen's geometry alone; `RangeError` if diameter or braid angle is unknown."""
-        initial_diameter, braid_angle = specimen.braid("Chou's law (Eq. 1)")
+        initial_diameter, braid_angle = specimen.braid(_WHAT)
         return cls(braid_angle=braid_angle, initial_diameter=initial_diameter, domain=specimen.domain)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:

@@ -26,6 +26,8 @@ _DECADE = 10.0
 class Creep(Component):
     """Creep force [N] added to a muscle's law, positive after stretching; its state is explicit."""
 
+    default_class = "maxwell"
+
     @abc.abstractmethod
     def initial(self, length: ArrayLike) -> CreepState:
         """Return the relaxed state at a length [m]."""
@@ -68,6 +70,8 @@ class Creep(Component):
 
 class NoCreep(Creep):
     """No creep: no state and no cost."""
+
+    short_name = "none"
 
     def initial(self, length: ArrayLike) -> CreepState:
         return ()
@@ -135,6 +139,8 @@ class MaxwellCreep(Creep):
     >>> creep.path_response(**path, tension=200.0, sample_times=[0.0, 5.0, 10.0])[1].round(3)
     array([4.532, 1.667, 0.613])
     """
+
+    short_name = "maxwell"
 
     stiffness: SpringRate
     time_constant: CreepTime

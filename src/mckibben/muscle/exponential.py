@@ -46,6 +46,8 @@ class ExponentialLaw(PressureAffineLaw):
     (584.72, 242.6)
     """
 
+    short_name = "exponential"
+
     a1: ForceTerm
     a2: GainTerm
     b1: ForceTerm
@@ -104,6 +106,8 @@ class SarosiLaw(PressureAffineLaw):
     >>> round(float(catalog.law("sarosi-dmsp-10").force(contraction=0.0, pressure=6e5)), 1)
     595.2
     """
+
+    short_name = "sarosi"
 
     a1: GainTerm
     a2: ForceTerm

@@ -36,6 +36,8 @@ class Friction(Component):
     sign of a velocity appears, so nothing chatters and a muscle at rest sticks.
     """
 
+    default_class = "maxwell_slip"
+
     @abc.abstractmethod
     def initial(self, length: ArrayLike) -> FrictionState:
         """Return the unstressed state at a length [m]."""
@@ -80,6 +82,8 @@ class Friction(Component):
 
 class NoFriction(Friction):
     """No friction: no state and no cost."""
+
+    short_name = "none"
 
     def initial(self, length: ArrayLike) -> FrictionState:
         return ()
@@ -161,6 +165,8 @@ class MaxwellSlip(Friction):
     >>> friction.path_response([0.1, 0.11, 0.109, 0.10], tension=300.0, pressure=3e5).round(2)
     array([  0.  ,  12.  ,  -8.57, -12.  ])
     """
+
+    short_name = "maxwell_slip"
 
     half_width: FrictionForce
     presliding_length: Presliding

@@ -43,6 +43,8 @@ class MartensBoblanLaw(PressureAffineLaw):
     (210.5, 25.9)
     """
 
+    short_name = "martens_boblan"
+
     axial_stiffness: float
     radial_stiffness: float
     braid_angle: BraidAngle

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from numbers import Real
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -17,12 +18,14 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Component
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
-from mckibben.muscle.base import ForceLaw
+from mckibben.muscle.base import ForceLaw, scaled_law
+from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled
+from mckibben.units import Strength
 
 
 class MuscleState(NamedTuple):
@@ -42,7 +45,8 @@ class Muscle(Component):
 
     Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction
     and creep act only through an internal state (`MuscleState`); without one, `force` and all quantities of a joint are
-    those of the law. Infinite bounds of the specimen's domain are replaced by the law's, the lowest pressure by 0 where
+    those of the law. `strength` multiplies all forces of the law (scatter among muscles, and ageing); `correction` is
+    added to them. Infinite bounds of the specimen's domain are replaced by the law's, the lowest pressure by 0 where
     the law's is higher. Raises `RangeError` if the domains of specimen and law do not overlap.
     """
 
@@ -50,13 +54,32 @@ class Muscle(Component):
     law: ForceLaw
     friction: Friction = NoFriction()
     creep: Creep = NoCreep()
+    strength: Strength | None = eqx.field(kw_only=True, default=None)
+    correction: ForceCorrection | None = eqx.field(kw_only=True, default=None)
+
+    @classmethod
+    def from_file(cls, value: Any) -> Any:
+        """Return the section of a muscle for one of a return spring."""
+        if not isinstance(value, dict) or value.get("class") != "return_spring":
+            return value
+        specimen = {"name": "return spring", "domain": {"pressure_min": "0 bar", "pressure_max": "0 bar"}}
+        specimen |= {"volume_terms": ("1 cm^3",), "initial_length": value.get("free_length", "")}
+        spring = {key: one for key, one in value.items() if key not in ("class", "free_length")}
+        return {"specimen": specimen, "law": {"class": "spring", **spring}}
+
+    @property
+    def force_law(self) -> ForceLaw:
+        """The law with strength and correction."""
+        law = self.law if self.strength is None else scaled_law(self.law, self.strength)
+        return law if self.correction is None else corrected_law(law, self.correction)
 
     def __post_init__(self) -> None:
         if isinstance(self.specimen, Specimen) and isinstance(self.law, ForceLaw):
             known, lowest = self.law.domain, self.law.domain.pressure_min
             vented = min(lowest, 0.0) if isinstance(lowest, Real) and lowest > -jnp.inf else 0.0
             domain = self.specimen.domain.filled(dataclasses.replace(known, pressure_min=vented))
-            self.specimen = dataclasses.replace(self.specimen, domain=domain)
+            if domain != self.specimen.domain:
+                self.specimen = dataclasses.replace(self.specimen, domain=domain)
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -118,7 +141,7 @@ class Muscle(Component):
         self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
     ) -> Float[Array, "..."]:
         """Return `force` without a check of the domain."""
-        force = self.law.force(contraction, pressure)
+        force = self.force_law.force(contraction, pressure)
         tension = jnp.where(force < 0, 0.0, force)  # this way round, NaN is not taken for slack
         total = tension
         if state.friction:
@@ -154,7 +177,7 @@ class Muscle(Component):
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         """Return the gauge pressure [Pa] that gives a force [N] at a contraction [-], possibly outside the domain."""
-        return self.law.pressure_for(force, contraction)
+        return self.force_law.pressure_for(force, contraction)
 
 
 def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:

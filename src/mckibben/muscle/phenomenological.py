@@ -37,6 +37,8 @@ class ReppergerLaw(PressureAffineLaw):
     actuator", IEEE Conf. Decision and Control (1998) 4302-4307.
     """
 
+    short_name = "repperger"
+
     k0: SignedForce
     k1: ForcePerPressure
     rest: Contraction
@@ -84,6 +86,8 @@ class ReynoldsLaw(PressureAffineLaw):
     >>> round(float(law.force(10 * percent, 400 * kPa)), 1)
     285.4
     """
+
+    short_name = "reynolds"
 
     f0: SignedForce
     f1: ForcePerPressure
@@ -136,6 +140,8 @@ class HuntLaw(ForceLaw):
     >>> round(float(law.pressure_for(300.0, 0.0)) / kPa, 1), round(float(law.force(8 * percent, 600 * kPa)), 1)
     (363.6, 168.9)
     """
+
+    short_name = "hunt"
 
     p0: Pressure
     c1: PressurePerForce

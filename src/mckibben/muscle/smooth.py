@@ -87,6 +87,8 @@ def _polynomial(v: Array, *coefficients: float) -> Array:
 class SmoothAffineLaw(_Deviations, PressureAffineLaw):
     """`SmoothLaw` without its term quadratic in pressure: a law affine in pressure."""
 
+    short_name = "smooth_affine"
+
     domain: Domain = Domain()
 
     equation = "F = F_Eq2 + s0 + p s1, s_j = (1 - v^2)^3 sum_i s_ji v^i, v = clip((eps - centre)/half_width, -1, 1)"
@@ -128,6 +130,8 @@ class SmoothLaw(_Deviations):
     >>> round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
     (0.06, 0.15)
     """
+
+    short_name = "smooth"
 
     s20: float
     s21: float

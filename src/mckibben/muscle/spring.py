@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Inherited
 from mckibben.muscle.base import PressureAffineLaw
 from mckibben.muscle.muscle import Muscle
 from mckibben.muscle.specimen import Domain, Specimen
@@ -24,8 +27,10 @@ class SpringLaw(PressureAffineLaw):
         Length without force [m], to which the contraction refers.
     """
 
+    short_name = "spring"
+
     rate: SpringRate
-    free_length: Length
+    free_length: Annotated[Length, Inherited(lambda scope: scope["specimen"].initial_length)]
     domain: Domain = Domain(pressure_min=0.0, pressure_max=0.0)
 
     equation = "F = -k l0 eps"

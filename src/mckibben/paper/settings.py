@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario
 
 
 class StiffnessReference(enum.Enum):

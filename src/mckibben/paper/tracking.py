@@ -23,9 +23,8 @@ from mckibben.paper.settings import (
     gains_of,
     pid_scenario,
 )
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics, Result, rms, run_episode, sampled
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
 from mckibben.units import quantity
 

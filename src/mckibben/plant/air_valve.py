@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
+from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain
 from mckibben.muscle.air import (
     ATMOSPHERE,
@@ -198,6 +199,14 @@ class AirValve(ValveModel):
         possible = (share >= 0) & (share <= 1) & (jnp.asarray(pressure) <= self.supply)
         return jnp.where(possible, command, full * jnp.inf)
 
+    def lag_for(self, joint: AntagonisticJoint) -> Any:
+        """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""
+        muscle = joint.muscle2 if joint.springs[0] else joint.muscle1
+        domain = muscle.domain
+        volume = np.asarray(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
+        found = self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
+        return np.asarray(found, float) if np.ndim(found) else float(found)
+
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
         """Return the first-order time constant [s] of a small change of the command at a pressure and volume.
 
@@ -255,6 +264,8 @@ class FlowValve(AirValve):
     A `band` below 4 times `spool_lag` times the fastest change of the pressure makes the loop oscillate visibly.
     """
 
+    short_name = "flow"
+
     spool_lag: ValveTime = eqx.field(kw_only=True, default=2 * ms)
     dead_zone: DeadZone = eqx.field(kw_only=True, default=0.0)
     compensation: Compensation = eqx.field(kw_only=True, default=0.9)
@@ -297,6 +308,8 @@ class PressureRegulator(AirValve):
     time_constant
         Lag [s] of the command before the loop.
     """
+
+    short_name = "regulator"
 
     time_constant: ValveTime = eqx.field(kw_only=True)
 
@@ -341,6 +354,8 @@ class SwitchingValves(AirValve):
     compensation
         Part of the delay by which pulses are longer. The rest over the period, times `band`, is the error at rest.
     """
+
+    short_name = "switching"
 
     period: ValveTime = eqx.field(kw_only=True)
     opening_delay: ShortTime = eqx.field(kw_only=True, default=0.0)

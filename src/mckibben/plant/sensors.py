@@ -20,6 +20,8 @@ from mckibben.units import Angle, AngleStep, Delay, Duration, PositiveTime, Pres
 class Sensors(Component):
     """Sensor model: maps the true state to a measurement once per control period."""
 
+    default_class = "sampled"
+
     @abc.abstractmethod
     def init(self, true: Measurement) -> Any:
         """Return the initial sensor state."""
@@ -31,6 +33,8 @@ class Sensors(Component):
 
 class PerfectSensors(Sensors):
     """Exact measurement without delay, as in the paper's simulation."""
+
+    short_name = "perfect"
 
     def init(self, true: Measurement) -> tuple[()]:
         return ()
@@ -46,6 +50,8 @@ class SampledSensors(Sensors):
     each pressure is normal, with a standard deviation [Pa] and a seed; the delay is 0 to 1 control periods, in between
     which samples are interpolated.
     """
+
+    short_name = "sampled"
 
     encoder: AngleStep = 0.0
     pressure_noise: PressureNoise = 0.0
@@ -75,6 +81,8 @@ class SampledSensors(Sensors):
 class Disturbance(Component):
     """External torque on the joint over time, constant over each control period."""
 
+    default_class = "pulses"
+
     @abc.abstractmethod
     def torque(self, time: ArrayLike) -> Float[Array, "..."]:
         """Return the torque [N*m], positive in the direction of the angle, at a time [s] since the start."""
@@ -82,6 +90,8 @@ class Disturbance(Component):
 
 class NoDisturbance(Disturbance):
     """No external torque."""
+
+    short_name = "none"
 
     def torque(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(time))
@@ -96,6 +106,8 @@ class TorquePulses(Disturbance):
     >>> pulses.torque(jnp.array([0.2, 0.3, 0.4, 1.3, 2.3])).tolist()
     [0.0, 0.5, 0.0, -0.5, 0.5]
     """
+
+    short_name = "pulses"
 
     height: Torque
     width: PositiveTime = 0.1

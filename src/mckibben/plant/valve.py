@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
+from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain
 from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 
 class ValveModel(Component):
     """Base of `Valve`, whose pressures are known in closed form, and `AirValve`, whose pressures are integrated."""
+
+    default_class = "first_order"
+
+    def lag_for(self, joint: AntagonisticJoint) -> Any:
+        """Return the first-order time constant [s] for a controller's model; `KeyError` if it is not known."""
+        raise KeyError(type(self).__name__)
 
     def command_range(self, rated: Domain) -> tuple[ArrayLike, ArrayLike]:
         """Return the lowest and the highest command [Pa] of a muscle: its rated pressures, and the supply if known."""
@@ -49,6 +57,11 @@ class Valve(ValveModel):
 class IdealValve(Valve):
     """Pressure equal to the command, as in the paper's simulation."""
 
+    short_name = "ideal"
+
+    def lag_for(self, joint: AntagonisticJoint) -> float:
+        return 0.0
+
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(command)
 
@@ -71,9 +84,14 @@ class FirstOrderValve(Valve):
     [1.0, 2.0, 2.632]
     """
 
+    short_name = "first_order"
+
     time_constant: ValveTime
     supply: PositivePressure | None = eqx.field(kw_only=True, default=None)
     rate: PressureRate | None = eqx.field(kw_only=True, default=None)
+
+    def lag_for(self, joint: AntagonisticJoint) -> Any:
+        return self.time_constant
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)

@@ -18,9 +18,9 @@ from mckibben.reachability.lengths import Place, design_lengths
 from mckibben.reachability.sizing import Design
 from mckibben.reachability.static import StaticEnvelope, static_envelope
 from mckibben.reachability.trackability import Trackability, TrackabilityChecker
+from mckibben.scenario import Scenario, with_values
 from mckibben.storage.files import atomic_write
-from mckibben.study.parameters import with_values
-from mckibben.study.scenario import ReferenceSpec, Scenario, StartSpec
+
 from mckibben.units import bar, deg
 
 HEADERS = ("angle", "gravity torque", "torque range", "stiffness range", "p1, p2 at lowest", "p1, p2 at highest")

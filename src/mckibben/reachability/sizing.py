@@ -189,7 +189,7 @@ def _unclipped_stiffness(
     def torque(angle: Array) -> Array:
         paths, (arm1, arm2) = geometry.paths_and_arms(angle)
         pulls = [
-            muscle.law.force(muscle.specimen.contraction_at(path), pressure)
+            muscle.force_law.force(muscle.specimen.contraction_at(path), pressure)
             for muscle, path, pressure in zip(muscles, paths, pressures, strict=True)
         ]
         return pulls[1] * arm2 - pulls[0] * arm1

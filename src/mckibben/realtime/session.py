@@ -34,9 +34,9 @@ from mckibben.rig.calibration import read_calibrations
 from mckibben.rig.ni.watchdog import host_watchdog
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder
+from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
-from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
 _BEYOND = 10 * deg  # of the angle limits beyond the reference

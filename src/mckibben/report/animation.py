@@ -122,7 +122,7 @@ def _plant_of(result: Result) -> JointPlant:
             field="plant",
             remedy="give its plant: animate(result, path, plant)",
         )
-    from mckibben.study.scenario import Scenario
+    from mckibben.scenario import Scenario
 
     return Scenario.parse(result.scenario).plant()
 

@@ -16,8 +16,8 @@ from mckibben.control import Setpoint
 from mckibben.joint.geometry import KneeGeometry
 from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant
+from mckibben.scenario import Scenario
 from mckibben.simulation.loop import control_period, initial_loop
-from mckibben.study.scenario import Scenario
 from mckibben.units import bar, factor, mm
 
 _ANGLES = (-45.0, 45.0)  # deg

@@ -21,8 +21,8 @@ from mckibben.report.explorers import explorers
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
+from mckibben.scenario import Scenario
 from mckibben.storage.files import atomic_write
-from mckibben.study.scenario import Scenario
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 

@@ -83,7 +83,7 @@ def specimen_named(name: str) -> Specimen:
     """A specimen of the catalog, or that of the file of a specimen or muscle."""
     if Path(name).suffix not in (".yaml", ".yml"):
         return catalog.specimen(name)
-    from mckibben.study.scenario.muscle import read_specimen
+    from mckibben.scenario import read_specimen
 
     return read_specimen(name)
 
@@ -104,10 +104,8 @@ def law_type_named(name: str) -> type[ForceLaw]:
 def joint_named(name: str) -> AntagonisticJoint:
     """A joint of the catalog, or that of a scenario file."""
     if Path(name).suffix in (".yaml", ".yml"):
-        from mckibben.study.scenario import Scenario
-        from mckibben.study.scenario.building import build_joint
-
-        return build_joint(Scenario.read(name).joint)
+        from mckibben.scenario import Scenario
+        return Scenario.read(name).joint
     if name in catalog.names("joints"):
         return catalog.joint(name)
     raise _unknown("joint", name, f"give a scenario file (.yaml), or one of {', '.join(catalog.names('joints'))}")

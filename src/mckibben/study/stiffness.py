@@ -15,9 +15,9 @@ from mckibben.control import Setpoint
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import AirValve, IdealValve, JointPlant
+from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.simulation.resolution import check_substeps
-from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg
 
 Values = NDArray[np.float64]

@@ -18,7 +18,8 @@ from mckibben.errors import DatasetError, McKibbenError, ParameterError, printab
 from mckibben.identification import Fit, Ranking, identify, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
-from mckibben.study.scenario.muscle import MuscleSpec, muscle_text
+from mckibben.scenario import muscle_text
+from mckibben.scenario.muscle import MuscleSpec
 from mckibben.units import Length, Quantity, bar, factor, percent
 from mckibben.web.layout import (
     PALETTE,

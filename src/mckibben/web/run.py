@@ -11,9 +11,7 @@ from nicegui import events, ui
 
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import McKibbenError, printable
-from mckibben.study.parameters import ScenarioParameter, list_parameters
-from mckibben.study.parameters.values import with_values
-from mckibben.study.scenario import Scenario
+from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
 from mckibben.web.layout import (
     BLACK,

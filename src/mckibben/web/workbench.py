@@ -14,10 +14,9 @@ from mckibben.config.model import parse_model
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.mechanism import muscle_sizes
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import in_shown_units
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 from mckibben.units import deg
 from mckibben.web.session import Jobs
 

@@ -58,7 +58,7 @@ class ForceTable:
 
 def force_table(muscle: Muscle) -> ForceTable:
     """Table of the law of a muscle, cached; `RangeError` if the law is not smooth or not finite."""
-    bare = Muscle(muscle.specimen, muscle.law)
+    bare = Muscle(muscle.specimen, muscle.law, strength=muscle.strength, correction=muscle.correction)
     try:
         return _cached(bare)
     except TypeError:  # arrays as parameters are not hashable
@@ -71,8 +71,8 @@ def _tabulate(muscle: Muscle) -> ForceTable:
     last = min(float(domain.contraction_max) + _BEYOND, _WIDEST[1])
     x, y = (np.linspace(*ends, cells + 1) for ends, cells in zip(((first, last), (0.0, _HIGHEST)), _CELLS, strict=True))
     middle_x, middle_y = ((axis[1:] + axis[:-1]) / 2 for axis in (x, y))
-    at = forces(muscle.law, x[:, None], y)
-    between = forces(muscle.law, middle_x[:, None], middle_y)
+    at = forces(muscle.force_law, x[:, None], y)
+    between = forces(muscle.force_law, middle_x[:, None], middle_y)
     if not np.isfinite(at).all():
         raise RangeError(
             f"the law of {muscle.specimen.name} has no finite force somewhere within {first / percent:.0f}.."

@@ -20,6 +20,7 @@ from mckibben.control import Controller
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
+from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
 from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.statistics import (
@@ -33,9 +34,6 @@ from mckibben.study.benchmark.statistics import (
     trial_at_air,
 )
 from mckibben.study.benchmark.suite import Suite, filename
-from mckibben.study.parameters import batched, valid_rows
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory

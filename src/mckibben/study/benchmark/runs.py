@@ -16,11 +16,11 @@ from mckibben.control.base import Setpoint
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant
+from mckibben.scenario import Scenario, batched, with_values
 from mckibben.simulation.problem import compiled_reference, sample_reference, sampling_times
 from mckibben.simulation.resolution import check_frequencies, check_substeps
 from mckibben.study.benchmark.suite import Suite, start_of
-from mckibben.study.parameters import batched, sample, with_values
-from mckibben.study.scenario import Scenario
+from mckibben.study.parameters import sample
 
 Column = NDArray[Any]
 

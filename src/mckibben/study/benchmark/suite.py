@@ -14,9 +14,10 @@ from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
+from mckibben.scenario import Scenario
+from mckibben.scenario.scenario import RunSpec
+from mckibben.scenario.values import explained
 from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
-from mckibben.study.parameters.values import explained
-from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.controller import AnyController
 from mckibben.study.scenario.plant import (
     AnyDisturbance,
@@ -28,7 +29,6 @@ from mckibben.study.scenario.plant import (
     StartSpec,
 )
 from mckibben.study.scenario.reference import ReferenceSpec
-from mckibben.study.scenario.scenario import RunSpec
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 from mckibben.units import AngularAcceleration, BoundedInt, CommandDelay, Duration, PositiveTime
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError, RangeError, UnitError, quoted
+from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, find_parameters
 from mckibben.study.parameters.distributions import (
     MAX_ROWS,
     Distribution,
@@ -21,8 +22,6 @@ from mckibben.study.parameters.distributions import (
     Uniform,
     Values,
 )
-from mckibben.study.parameters.parameter import ScenarioParameter, find_parameter, find_parameters
-from mckibben.study.scenario import Scenario
 from mckibben.units import Quantity, split_range
 
 
@@ -322,7 +321,7 @@ def sample(
     Examples
     --------
     >>> from mckibben.study.parameters import parse_sweeps
-    >>> from mckibben.study.scenario import Scenario
+    >>> from mckibben.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> over = parse_sweeps(["load.mass2=1..2 kg in 2", "load.mass1=0.1 kg, 0.2 kg, 0.4 kg"], scenario)
     >>> for name, column in sample(over, "grid").items():

@@ -20,9 +20,9 @@ from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, read_calibrations
 from mckibben.rig.steps import Step, steps_of
+from mckibben.scenario.muscle import CreepSpec, FrictionSpec, Law, MuscleSpec
 from mckibben.storage.files import atomic_write
 from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec, steps
-from mckibben.study.scenario.muscle import CreepSpec, FrictionSpec, Law, MuscleSpec
 from mckibben.units import (
     BoundedInt,
     Contraction,

@@ -26,11 +26,10 @@ from mckibben.joint.attainable import is_affine
 from mckibben.numerics.batching import cores, lanes_of, map_chunks, pad_chunk
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
+from mckibben.scenario import Scenario, batched, run_many
 from mckibben.simulation.problem import sample_reference, sampling_times
 from mckibben.simulation.simulate import attainable_band
-from mckibben.study.parameters import Table, batched
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_many
+from mckibben.study.parameters import Table
 
 FEASIBILITY = {
     "shortfall_max": ("N*m/rad", "largest distance of the stiffness reference from the attainable stiffness"),

@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.dataset.schema import load_netcdf, write_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import html_table
+from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, attributes
-from mckibben.study.parameters import list_parameters, with_values
-from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan, digest_of_model
 

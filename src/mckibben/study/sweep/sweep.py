@@ -15,10 +15,9 @@ import numpy as np
 
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, notebook_progress
+from mckibben.scenario import Known, Scenario
 from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, pack, pack_arrays, read_header, unpack_arrays
-from mckibben.study.parameters import Known
-from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
 from mckibben.study.sweep.plan import FORMAT, VERSION, Sweepable, SweepOptions, SweepPlan, manifest_differences
 from mckibben.study.sweep.result import SweepResult

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import Known, Table, find_parameters
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import run_many
+from mckibben.scenario import Known, Scenario, find_parameters, run_many
+from mckibben.study.parameters import Table
 from mckibben.study.scenario.reference import AngleSignalSpec, StiffnessSignalSpec
 from mckibben.units import deg
 

@@ -14,13 +14,21 @@ from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError, UnitError, suggest
 from mckibben.numerics.batching import cores, named_leaves
+from mckibben.scenario import (
+    Known,
+    Scenario,
+    batched,
+    find_parameters,
+    initial_state,
+    known_names,
+    run_many,
+    valid_rows,
+)
 from mckibben.simulation import Metrics, differentiate
 from mckibben.simulation.problem import split_problem
 from mckibben.simulation.resolution import check_frequencies
 from mckibben.simulation.result import attributes
-from mckibben.study.parameters import Known, SweptParameter, Table, batched, find_parameters, known_names, valid_rows
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import initial_state, run_many
+from mckibben.study.parameters import SweptParameter, Table
 from mckibben.study.tune.search import SearchSpace, Vector, is_gain
 from mckibben.units import quantity
 

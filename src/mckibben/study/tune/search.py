@@ -12,17 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import (
-    LogUniform,
-    ScenarioParameter,
-    SweptParameter,
-    Uniform,
-    find_parameter,
-    list_parameters,
-    parse_sweep,
-)
+from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, list_parameters
+from mckibben.study.parameters import LogUniform, SweptParameter, Uniform, parse_sweep
 from mckibben.study.parameters.sampling import parse_distinct
-from mckibben.study.scenario import Scenario
 from mckibben.units import quantity
 
 Vector = NDArray[np.float64]

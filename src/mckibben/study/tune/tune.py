@@ -16,11 +16,11 @@ import numpy as np
 
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress
+from mckibben.scenario import Known, Scenario, with_values
 from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
-from mckibben.study.parameters import Distribution, Known, SweptParameter, Table, sweep_parameters, with_values
+from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
-from mckibben.study.scenario import Scenario
 from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem, parse_cost
 from mckibben.study.tune.search import (
     Method,

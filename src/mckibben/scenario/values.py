@@ -2,83 +2,65 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ValidationError
 
-from mckibben.config.document import dotted, edit_yaml
+from mckibben.component.schema import replaced
+from mckibben.config.document import edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
-from mckibben.study.parameters.parameter import Place, ScenarioParameter, fields_of, find_parameters
-from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.controller import ModelBasedSpec
+from mckibben.notebook import Progress, silent
+from mckibben.scenario.parameters import Place, ScenarioParameter, find_parameters
+from mckibben.scenario.scenario import Scenario, initial_state
+from mckibben.simulation import Batch, Metrics, simulate_many
 
-P = TypeVar("P", bound=ConfigModel)
+P = TypeVar("P")
 
 
-def validated(part: P, values: Mapping[Place, Any], place: Place = ()) -> P:
-    """The part of a scenario with other values [SI], by their keys within it, validated as if it were read."""
+def changed(part: P, values: Mapping[Place, Any]) -> P:
+    """Return a scenario or a part of it with other values [SI] by their places within it, checked as on construction.
+
+    Raises `RangeError` where they contradict each other.
+    """
     if not values:
         return part
-    if isinstance(part, tuple):
-        return _with_items(part, values)
-    fields = {key: value for key, _, value in fields_of(part)}
-    for key, inner in _by_first_key(values).items():
-        fields[key] = inner[()] if () in inner else validated(fields[key], inner, (*place, key))
-    try:
-        return type(part).model_validate(fields)
-    except ValidationError as error:
-        raise explained(error, place) from None
-
-
-def update(part: P, values: Mapping[Place, Any]) -> P:
-    """The part with other values, not validated."""
-    if not values:
-        return part
-    if isinstance(part, tuple):
-        return _with_items(part, values)
-    names = fields_by_key(type(part))
-    changed = {}
-    for key, inner in _by_first_key(values).items():
-        name = names[key]
-        changed[name] = inner[()] if () in inner else update(getattr(part, name), inner)
-    return part.model_copy(update=changed)
-
-
-def _with_items(items: tuple[Any, ...], values: Mapping[Place, Any]) -> Any:
-    """A list with other items."""
-    return tuple(values.get((str(i),), item) for i, item in enumerate(items))
-
-
-def part_at(part: ConfigModel, place: Place) -> ConfigModel:
-    """The part at a place within another."""
-    for key in place:
-        part = next(value for name, _, value in fields_of(part) if name == key)
-    return part
-
-
-def _by_first_key(values: Mapping[Place, Any]) -> dict[str, dict[Place, Any]]:
+    if () in values:
+        return values[()]
     groups: dict[str, dict[Place, Any]] = {}
     for (first, *rest), value in values.items():
         groups.setdefault(first, {})[tuple(rest)] = value
-    return groups
+    if isinstance(part, tuple):
+        return cast(P, tuple(changed(one, groups.get(str(i), {})) for i, one in enumerate(part)))
+    if isinstance(part, ConfigModel):
+        names = fields_by_key(type(part))
+        update = {names[key]: changed(getattr(part, names[key]), inner) for key, inner in groups.items()}
+        return part.model_copy(update=update)
+    return replaced(part, {name: changed(getattr(part, name), inner) for name, inner in groups.items()})
 
 
-def explained(error: ValidationError, place: Place = ()) -> ParameterError:
-    """The first mistake of a part at a place."""
-    first = error.errors(include_url=False)[0]
-    found = first.get("ctx", {}).get("error")
-    where = (*place, *first["loc"])
-    if getattr(found, "parent", False):
-        where = where[:-1]
-    message = getattr(found, "message", first["msg"])
-    return ParameterError(f"{dotted(where)} {message}", value=first["input"], remedy=getattr(found, "remedy", ""))
+def part_at(part: Any, place: Place) -> Any:
+    """Return the part at a place within another."""
+    for key in place:
+        name = fields_by_key(type(part))[key] if isinstance(part, ConfigModel) else key
+        part = part[int(key)] if isinstance(part, tuple) else getattr(part, name)
+    return part
+
+
+def _with(scenario: Scenario, values: Mapping[ScenarioParameter, Any]) -> Scenario:
+    """Return the scenario with other values, and what the controller takes from its plant."""
+    found = changed(scenario, _at_places(values))
+    return found.model_copy(update={"controller": found.control()})
+
+
+def _at_places(values: Mapping[ScenarioParameter, Any]) -> dict[Place, Any]:
+    return {place: value for parameter, value in values.items() for place in parameter.places}
 
 
 _Attempt = Callable[[Sequence[Any]], str | None]
@@ -93,13 +75,22 @@ class Violation(NamedTuple):
 
 
 def violations(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> dict[int, Violation]:
-    """Invalid rows of a table whose columns are each in range, in order."""
+    """Return the invalid rows of a table whose columns are each in range, in order."""
     groups: dict[Place, list[ScenarioParameter]] = {}
     for parameter in columns:
-        groups.setdefault(_part_of(parameter.place), []).append(parameter)
+        groups.setdefault(_part_of(parameter.places[0]), []).append(parameter)
     found: dict[int, Violation] = {}
     for place, group in groups.items():
-        attempt = _attempt(scenario, place, [parameter.place[len(place) :] for parameter in group])
+        part = part_at(scenario, place[:1])
+
+        def attempt(values: Sequence[Any], part: Any = part, group: Sequence[ScenarioParameter] = group) -> str | None:
+            """Return why values are invalid."""
+            try:
+                changed(part, {at[1:]: one for at, one in _at_places(dict(zip(group, values, strict=True))).items()})
+            except RangeError as error:
+                return str(error)
+            return None
+
         table = [columns[parameter] for parameter in group]
         for row, reason in _search(attempt, table, np.arange(len(table[0]))).items():
             found.setdefault(row, Violation(tuple(group), reason))
@@ -107,51 +98,8 @@ def violations(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray])
 
 
 def _part_of(place: Place) -> Place:
-    """The part within which the validity of a parameter depends on others; of a number of the scenario that itself."""
-    return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[: len(place) > 1]
-
-
-def _attempt(scenario: Scenario, place: Place, keys: list[Place]) -> _Attempt:
-    """Validator of values within a part."""
-    part = part_at(scenario, place)
-    build = _builder(place)
-
-    def attempt(values: Sequence[Any]) -> str | None:
-        try:
-            build(validated(part, dict(zip(keys, values, strict=True)), place))
-        except (ParameterError, RangeError) as error:
-            return str(error)
-        return None
-
-    return attempt
-
-
-def _builder(place: Place) -> Callable[[Any], object]:
-    """Function that builds a part, whose constructor may raise."""
-    from mckibben.study.scenario import building
-
-    match place:
-        case ("joint",) | ("controller", "model"):
-            return lambda spec: (building.build_geometry(spec), spec.spring and spec.spring.build())
-        case ("controller", "decoupling"):
-            return lambda spec: (building.decoupling_parts(spec), _load_and_adaptations(spec))
-        case ("controller", "predictive"):
-            return lambda spec: (building.observers(spec), _load_and_adaptations(spec))
-        case ("controller", "inverse_model"):
-            return lambda spec: spec.load and spec.load.build()
-        case ("load",) | ("valve",) | ("friction",) | ("controller", _) | ("reference", _):
-            return lambda spec: spec.build()
-        case _:
-            return _nothing
-
-
-def _load_and_adaptations(spec: ModelBasedSpec) -> tuple[object, ...]:
-    """Load and adaptations of a model-based controller."""
-    return tuple(part and part.build() for part in (spec.load, spec.adaptation, spec.valve_adaptation))
-
-
-def _nothing(_: ConfigModel) -> None:
-    """A start has no rules of its own."""
+    """Return the part within which the validity of a parameter depends on others."""
+    return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[:1]
 
 
 def _search(attempt: _Attempt, table: Sequence[NDArray], rows: NDArray[np.int64]) -> dict[int, str]:
@@ -205,8 +153,7 @@ def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known:
     columns = _columns(scenario, {name: [value] for name, value in values.items()})
     _check_rules(scenario, columns)
     numbers = {parameter: column[0].item() for parameter, column in columns.items()}
-    fixed = _with_fixed_model(scenario, numbers, known)
-    return validated(fixed, {parameter.place: value for parameter, value in numbers.items()})
+    return _with(_with_fixed_model(scenario, numbers, known), numbers)
 
 
 def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = ()) -> Scenario:
@@ -229,15 +176,14 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known 
     (array([0.5, 0.8]), 0.5)
     >>> load.total_inertia.round(6)
     array([0.045, 0.057])
-    >>> batched(scenario, {"joint.connector_length": [0.2, 0.38]})
+    >>> batched(scenario, {"joint.geometry.connector_length": [0.2, 0.38]})
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: row 1: with joint.connector_length 380 mm: ...
+    mckibben.errors.ParameterError: row 1: with joint.geometry.connector_length 380 mm: ...
     """
     columns = _columns(scenario, table)
     _check_rules(scenario, columns)
-    fixed = _with_fixed_model(scenario, columns, known)
-    return update(fixed, {parameter.place: column for parameter, column in columns.items()})
+    return _with(_with_fixed_model(scenario, columns, known), columns)
 
 
 def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tuple[str, ...]:
@@ -251,8 +197,8 @@ def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tupl
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> known_names(scenario, "all", ["load.mass2", "joint.connector_length"])
-    ('joint.connector_length',)
+    >>> known_names(scenario, "all", ["load.mass2", "joint.geometry.connector_length"])
+    ('joint.geometry.connector_length',)
     """
     followed = {parameter.name: _follows(scenario, parameter) for parameter in find_parameters(scenario, varied)}
     if known == "all":
@@ -280,7 +226,7 @@ def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> valid_rows(scenario, {"joint.connector_length": [0.2, 0.38]})
+    >>> valid_rows(scenario, {"joint.geometry.connector_length": [0.2, 0.38]})
     array([ True, False])
     """
     columns = _columns(scenario, table)
@@ -290,21 +236,24 @@ def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np
 
 
 def _with_fixed_model(scenario: Scenario, values: Mapping[ScenarioParameter, Any], known: Known) -> Scenario:
-    """The scenario with the controller's model fixed, at the given values of known parameters and else at its own."""
-    plant = {parameter: value for parameter, value in values.items() if parameter.place[0] in _PLANT}
+    """Return the scenario with the controller's model fixed, at the given values of known parameters, else its own."""
+    plant = {parameter: value for parameter, value in values.items() if parameter.part in _PLANT}
     names = [parameter.name for parameter in (plant if known == "all" else find_parameters(scenario, known))]
-    follows = {parameter.place: value for parameter, value in plant.items() if parameter.name in names}
+    follows = {parameter: value for parameter, value in plant.items() if parameter.name in names}
     if len(follows) == len(plant):
         return scenario
-    return update(scenario, follows).with_fixed_model()
+    return _with(scenario, follows).with_fixed_model()
 
 
 def _follows(scenario: Scenario, parameter: ScenarioParameter) -> bool:
-    """Whether the controller takes a parameter from the plant."""
-    if parameter.place[0] not in _PLANT:
+    """Return whether the controller takes a parameter from the plant."""
+    if parameter.part not in _PLANT:
         return False
-    marked = update(scenario, {parameter.place: math.nan})
-    return marked.with_fixed_model().controller != scenario.with_fixed_model().controller
+    nominal, control = parameter.nominal or 0.0, scenario.control()
+    for value in (nominal + 1e-6 * (abs(nominal) or 1), nominal - 1e-6 * (abs(nominal) or 1)):
+        with contextlib.suppress(RangeError):
+            return bool(_with(scenario, {parameter: value}).controller != control)
+    return False
 
 
 def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[ScenarioParameter, NDArray]:
@@ -380,12 +329,17 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     """
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
-    pairs = zip(find_parameters(scenario, values), values.values(), strict=True)
-    written = {_with_indices(parameter.place): parameter.write(value) for parameter, value in pairs}
-    changed = edit_yaml(text, written)
+    spans = read_document(text).spans
+    written = {}
+    for parameter, value in zip(find_parameters(scenario, values), values.values(), strict=True):
+        place = _with_indices(tuple(parameter.name.split(".")))
+        if place[-1] == "value" and place[:-1] in spans and not spans[place[:-1]].mapping:  # a quantity alone
+            place = place[:-1]
+        written[place] = parameter.write(value)
+    edited = edit_yaml(text, written)
     try:
-        if Scenario.parse(changed, folder=folder) == wanted:
-            return changed
+        if Scenario.parse(edited, folder=folder) == wanted:
+            return edited
     except ScenarioError:
         pass
     return wanted.dumps(folder=folder)
@@ -394,3 +348,32 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
 def _with_indices(place: Place) -> tuple[str | int, ...]:
     """A place as in a document, where items of lists are numbered by integers."""
     return tuple(int(key) if key.isdecimal() else key for key in place)
+
+
+def run_many(
+    scenario: Scenario,
+    table: Mapping[str, ArrayLike],
+    *,
+    known: Known = (),
+    metrics: Sequence[str] = Metrics._fields,
+    precision: int = 64,
+    chunk: int | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Batch:
+    """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
+    many = batched(scenario, table, known=known)
+    return simulate_many(
+        many.plant(),
+        many.control(),
+        many.reference(),
+        duration=scenario.duration,
+        control_period=scenario.control_period,
+        substeps=scenario.substeps,
+        initial=initial_state(many),
+        metrics=metrics,
+        precision=precision,
+        chunk=chunk,
+        workers=workers,
+        progress=progress or silent,
+    )

@@ -1,0 +1,27 @@
+"""Scenario files: one run of a controller on a joint; parameters of scenarios by name."""
+
+from mckibben.scenario.muscle import muscle_text, read_specimen
+from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
+from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario
+from mckibben.scenario.values import Known, batched, edit_scenario, known_names, run_many, valid_rows, with_values
+
+__all__ = [
+    "Known",
+    "RunSettings",
+    "Scenario",
+    "ScenarioParameter",
+    "Start",
+    "batched",
+    "edit_scenario",
+    "find_parameter",
+    "find_parameters",
+    "initial_state",
+    "known_names",
+    "list_parameters",
+    "muscle_text",
+    "read_specimen",
+    "run_many",
+    "run_scenario",
+    "valid_rows",
+    "with_values",
+]

@@ -1,0 +1,297 @@
+"""Scalar parameters of a scenario by name, the path to a number in its tree of objects, such as `load.mass2`."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, get_args, get_origin
+
+from mckibben.component.base import Component
+from mckibben.component.schema import declared_fields, forms, inherited_fields, part_of
+from mckibben.config.fields import OneOf
+from mckibben.control import Constant, Signal
+from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
+from mckibben.scenario.scenario import Scenario, Start
+from mckibben.units import BoundedInt, Quantity, Units, show
+
+Place = tuple[str, ...]
+"""Keys from the top of a scenario to a value; of an item of a list its index."""
+
+Mark = Quantity | BoundedInt
+"""Annotation of a numeric field."""
+
+_NOT_NUMERIC = "a study varies numbers; write one scenario for each"
+_TIMING = "it is one number for all runs of a study"
+_COMPILED = "it sets the size of what is compiled"
+_IN_FILE = "change it in the file"
+_UNSET = {"strength": 1.0, "command_delay": 0.0}
+"""What stands for None."""
+
+
+@dataclass
+class _Parameters:
+    """Parameters by name, other names of them, parts of the scenario, and the reasons why others cannot be varied."""
+
+    numbers: dict[str, tuple[tuple[Place, ...], Mark, float | int | None]] = field(default_factory=dict)
+    listed: list[str] = field(default_factory=list)
+    spellings: dict[str, str] = field(default_factory=dict)
+    parts: dict[str, Any] = field(default_factory=dict)
+    refused: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    def add(self, name: str, places: tuple[Place, ...], mark: Mark, nominal: Any, *, listed: bool = True) -> None:
+        """Add a parameter; one that is not listed can be varied, too."""
+        self.numbers[name] = places, mark, nominal
+        self.spellings[name] = name
+        if listed:
+            self.listed.append(name)
+
+
+def _parameters(scenario: Scenario) -> _Parameters:
+    """Walk the fields of a scenario."""
+    found = _Parameters()
+    for name, info in type(scenario).model_fields.items():
+        key, value = info.alias or name, getattr(scenario, name)
+        mark = next((one for one in _marks(info) if isinstance(one, Quantity | BoundedInt)), None)
+        if isinstance(value, Component):
+            _walk(value, Units(), key, ((key,),), found)
+        elif isinstance(value, Start):
+            for inner, its in type(value).model_fields.items():
+                mark = next(one for one in _marks(its) if isinstance(one, Quantity))
+                found.add(f"{key}.{inner}", ((key, inner),), mark, getattr(value, inner))
+        elif mark is not None and key == "command_delay":
+            found.add(key, ((key,),), mark, _UNSET[key] if value is None else value)
+        elif value is None:
+            found.refused[key] = "the scenario has none", "write it in the file"
+        else:
+            found.refused[key] = (_TIMING, _IN_FILE) if mark else ("it is a text", _NOT_NUMERIC)
+    return found
+
+
+def _marks(info: Any) -> Iterator[Any]:
+    """Annotations of a field, also of an optional one."""
+    yield from info.metadata
+    for choice in get_args(info.annotation):
+        yield from getattr(choice, "__metadata__", ())
+
+
+def _walk(
+    part: Any, units: Units, name: str, places: tuple[Place, ...], found: _Parameters, *, listed: bool = True
+) -> None:
+    kind = type(part)
+    found.parts[name] = part
+    shared = {}
+    for alias, names in kind.aliases.items():
+        if all(getattr(part, one) == getattr(part, names[0]) for one in names[1:]):
+            shared |= dict.fromkeys(names, alias)
+            inner = tuple((*place, one) for place in places for one in names)
+            _walk(getattr(part, names[0]), units, f"{name}.{alias}", inner, found, listed=listed)
+    for key, form in forms(kind, units).items():
+        value, here = getattr(part, key), f"{name}.{key}"
+        inner = tuple((*place, key) for place in places)
+        mark = _mark(form)
+        if key in inherited_fields(part):
+            found.refused[here] = (
+                f"the controller takes its {key} from the plant",
+                f"vary the plant's as known, or write `{key}:` in the file to vary it apart from the plant",
+            )
+        elif declared_fields(kind)[key].metadata.get("static") and mark is not None:
+            found.refused[here] = _COMPILED, _IN_FILE
+        elif mark is not None:
+            found.add(here, inner, mark, _UNSET.get(key) if value is None else value, listed=listed)
+            if kind is Constant:
+                found.spellings[name] = here
+        elif (inside := part_of(form)) is not None and isinstance(value, Component):
+            _walk(value, inside.units, here, inner, found, listed=listed and key not in shared)
+        elif inside is not None and isinstance(value, tuple):
+            for i, one in enumerate(value):
+                _walk(one, inside.units, f"{here}.{i}", tuple((*place, str(i)) for place in inner), found)
+        elif isinstance(value, tuple) and isinstance(part, Signal) and (mark := _mark(get_args(form)[0])) is not None:
+            for i, item in enumerate(value):
+                found.add(f"{here}.{i}", tuple((*place, str(i)) for place in inner), mark, item, listed=listed)
+            found.refused[here] = "it is a list", f"vary an item of it, such as {here}.0"
+        elif value is None:
+            found.refused[here] = "the scenario has none", "write it in the file"
+        else:
+            found.refused[here] = _what_it_is(form), _NOT_NUMERIC
+
+
+def _mark(form: Any) -> Mark | None:
+    """Numeric annotation of a field; None for others."""
+    marks = getattr(form, "__metadata__", ())
+    return next((mark for mark in marks if isinstance(mark, Quantity | BoundedInt)), None)
+
+
+def _what_it_is(form: Any) -> str:
+    if any(isinstance(mark, OneOf) for mark in getattr(form, "__metadata__", ())):
+        return "it is a choice of words"
+    kind = get_args(form)[0] if getattr(form, "__metadata__", ()) else form
+    return {bool: "it is true or false", float: "it is a plain number without a range"}.get(
+        kind, "it is a list" if get_origin(form) is tuple else "it is a text"
+    )
+
+
+LISTING = "`mckibben sweep SCENARIO.yaml --list` shows all"
+"""Hint at the list of parameters."""
+
+
+@dataclass(frozen=True)
+class ScenarioParameter:
+    """A scalar parameter of a scenario, such as "controller.position.kp".
+
+    `places` are those of its number, several where equal muscles share it; `mark` has unit, range and text form. Its
+    `nominal` value [SI] is None where it is unset, as a minimum tension.
+    """
+
+    name: str
+    places: tuple[Place, ...]
+    mark: Mark
+    nominal: float | int | None
+
+    @property
+    def part(self) -> str:
+        """Key of the part of the scenario that it belongs to."""
+        return self.places[0][0]
+
+    @property
+    def is_integer(self) -> bool:
+        """Whether it is an integer."""
+        return isinstance(self.mark, BoundedInt)
+
+    @property
+    def unit(self) -> str:
+        """SI unit; "1" for a plain number."""
+        return self.mark.unit if isinstance(self.mark, Quantity) else "1"
+
+    @property
+    def shown(self) -> str:
+        """Unit in files."""
+        return self.mark.shown if isinstance(self.mark, Quantity) else "1"
+
+    @property
+    def lower(self) -> float | int:
+        """Lower bound [SI]."""
+        return self.mark.limits[0] if isinstance(self.mark, Quantity) else self.mark.lower
+
+    @property
+    def upper(self) -> float | int:
+        """Upper bound [SI]."""
+        return self.mark.limits[1] if isinstance(self.mark, Quantity) else self.mark.upper
+
+    @property
+    def range(self) -> str:
+        """Range as text."""
+        return self.mark.range if isinstance(self.mark, Quantity) else f"{self.mark.lower} to {self.mark.upper}"
+
+    def holds(self, value: Any) -> Any:
+        """Whether a value [SI], or each of an array, is in the range."""
+        if isinstance(self.mark, Quantity):
+            return self.mark.holds(value)
+        return (value >= self.mark.lower) & (value <= self.mark.upper) & (value % 1 == 0)
+
+    def show(self, value: float | int, digits: int = 6) -> str:
+        """Format a value [SI] in the unit of files."""
+        return f"{value:.0f}" if self.is_integer else show(float(value), self.shown, digits)
+
+    def write(self, value: float | int) -> str:
+        """Format a value [SI] so that a scenario restores it exactly."""
+        return self.mark.write(float(value)) if isinstance(self.mark, Quantity) else str(int(value))
+
+
+def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
+    """All parameters of a scenario that a study can vary, in the order of the file.
+
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> for each in list_parameters(scenario)[:3]:
+    ...     print(each.name, each.show(each.nominal), each.range, sep=", ")
+    joint.muscle.specimen.initial_length, 180 mm, above 0 to 10000 mm
+    joint.muscle.specimen.initial_diameter, 10 mm, above 0 to 500 mm
+    joint.muscle.specimen.braid_angle, 25 deg, 0.6 to 54.7 deg
+    """
+    found = _parameters(scenario)
+    return [ScenarioParameter(name, *found.numbers[name]) for name in found.listed]
+
+
+def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
+    """Parameter of a scenario by name, or by the end of its name where that is unique.
+
+    Raises
+    ------
+    ParameterError
+        If there is none, or a study cannot vary it.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> find_parameter(scenario, "position.kp").name
+    'controller.position.kp'
+    >>> find_parameter(scenario, "load.mass3")
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.ParameterError: load has no parameter 'mass3'; did you mean 'mass1'? ...
+    """
+    return find_parameters(scenario, [name])[0]
+
+
+def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioParameter]:
+    """Parameters of a scenario by their names, which must be different; raises ParameterError.
+
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> find_parameters(scenario, ["load.mass2", "load.mass2"])
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.ParameterError: 'load.mass2' and 'load.mass2' are the same parameter; keep one of them
+    """
+    found = _parameters(scenario)
+    spelt: dict[Place, str] = {}
+    several = []
+    for name in names:
+        parameter = _resolve(found, name)
+        if twice := next((spelt[place] for place in parameter.places if place in spelt), None):
+            both = f"{quoted(twice)} and {quoted(name)} are the same parameter"
+            raise ParameterError(both, value=name, remedy="keep one of them")
+        spelt |= dict.fromkeys(parameter.places, name)
+        several.append(parameter)
+    return several
+
+
+def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
+    spelling = name.strip()
+    canonical = found.spellings.get(spelling)
+    ending = [each for each in found.listed if each.endswith(f".{spelling}")]
+    if canonical is None and len(ending) == 1:
+        canonical = ending[0]
+    if canonical is not None:
+        return ScenarioParameter(canonical, *found.numbers[canonical])
+    keys = spelling.split(".")
+    for depth in range(len(keys), 0, -1):
+        reason = found.refused.get(".".join(keys[:depth]))
+        if reason is not None:
+            raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason[0]}", value=name, remedy=reason[1])
+    below = [known for known in found.numbers if known.startswith(f"{spelling}.")]
+    if below and spelling:
+        raise ParameterError(
+            f"{quoted(spelling)} is a group of parameters",
+            value=name,
+            remedy=f"choose one, such as {below[0]}; {LISTING}",
+        )
+    if len(ending) > 1:
+        raise ParameterError(
+            f"{quoted(spelling)} is the end of several names", value=name, remedy=f"write {' or '.join(ending[:3])}"
+        )
+    for depth in range(len(keys) - 1, 0, -1):
+        around, rest = ".".join(keys[:depth]), ".".join(keys[depth:])
+        if around in found.parts:
+            own = [known[len(around) + 1 :] for known in found.numbers if known.startswith(f"{around}.")]
+            close = _close(rest, own)
+            remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
+            raise ParameterError(f"{around} has no parameter {quoted(rest)}", value=name, remedy=remedy)
+    close = _close(spelling, list(found.spellings))
+    remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
+    raise ParameterError(f"the scenario has no parameter {quoted(spelling)}", value=name, remedy=remedy)
+
+
+def _close(name: str, known: list[str]) -> list[str]:
+    """Names that end with a name, or the one closest to it."""
+    ending = [each for each in known if each.endswith(f".{name}")]
+    return ending[:2] if ending else difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)

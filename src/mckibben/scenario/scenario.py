@@ -1,0 +1,240 @@
+"""A scenario: everything that one simulated run needs."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html import escape
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationInfo, field_validator, model_serializer
+
+from mckibben.catalog import entries as _  # noqa: F401  (its entries can stand in files)
+from mckibben.component.checks import whole_periods
+from mckibben.component.schema import Part, independent, inherit, write
+from mckibben.config.document import to_text
+from mckibben.config.fields import Title
+from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.control import Controller, Reference
+from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.plant import (
+    Disturbance,
+    IdealValve,
+    JointFriction,
+    JointPlant,
+    NoDisturbance,
+    PerfectSensors,
+    PlantState,
+    Sensors,
+    ValveModel,
+)
+from mckibben.simulation import AtRest, CheckedRun, checked_run
+from mckibben.storage.files import atomic_write
+from mckibben.units import Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
+
+_MOST_PERIODS = 10_000_000
+
+JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
+LoadPart = Annotated[Load, Part(Load)]
+ValvePart = Annotated[ValveModel, Part(ValveModel)]
+SensorsPart = Annotated[Sensors, Part(Sensors)]
+DisturbancePart = Annotated[Disturbance, Part(Disturbance)]
+FrictionPart = Annotated[JointFriction, Part(JointFriction)]
+ControllerPart = Annotated[Controller, Part(Controller)]
+ReferencePart = Annotated[Reference, Part(Reference)]
+
+
+class RunSettings(ConfigModel):
+    """Base of documents with a plant and the timing of its runs."""
+
+    @field_validator("control_period", mode="after", check_fields=False)
+    @classmethod
+    def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
+        duration = info.data.get("duration")
+        if duration is None:
+            return value
+        periods = duration / value
+        if periods > _MOST_PERIODS:
+            fail_validation(
+                f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
+                "choose a longer period or a shorter duration",
+            )
+        if whole_periods(duration, value) is None:
+            near = max(round(periods), 1) * value
+            fail_validation(
+                f"the duration {duration:.12g} s is not a whole number of control periods of {value * 1e3:g} ms "
+                f"({periods:.10g})",
+                f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
+            )
+        return value
+
+    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
+        """Return text that `parse` reads back to the last bit; paths are relative to a folder."""
+        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
+
+
+class Start(ConfigModel):
+    """Initial equilibrium: angle [rad], and stiffness [N*m/rad] (default: the middle of the attainable range)."""
+
+    angle: Angle = 0.0
+    stiffness: Stiffness | None = None
+
+
+class Scenario(RunSettings):
+    """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
+
+    Its parts are the objects that are simulated: read from a file, or made in Python. What a controller of a file does
+    not state of its model, it takes from the plant (`control`). Scenarios compare by value.
+
+    Attributes
+    ----------
+    joint, load, valve, sensors, disturbance, friction
+        The plant; ideal valves and sensors, no disturbance torques and no friction of the joint itself by default.
+    command_delay
+        Time from a command to the valves [s], None for none; in between two multiples of the control period a valve
+        gets the mean command over it.
+    controller, signals
+        Controller, and reference; ``reference`` in the text and as an argument.
+    start
+        The initial equilibrium.
+    duration, control_period
+        [s]; the first is a whole number of the second.
+    substeps
+        Integration steps per control period.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> scenario.control_period
+    0.001
+    >>> scenario.load.mass2
+    0.5
+    """
+
+    name: Title = Field(examples=["pre-contracted knee, PID"])
+    joint: JointPart
+    load: LoadPart = Field(examples=["knee-table-2"])
+    valve: ValvePart = IdealValve()
+    sensors: SensorsPart = PerfectSensors()
+    disturbance: DisturbancePart = NoDisturbance()
+    friction: FrictionPart | None = None
+    command_delay: CommandDelay | None = None
+    controller: ControllerPart
+    signals: ReferencePart = Field(alias="reference")
+    start: Start = Start()
+    duration: Duration = Field(examples=["10 s"])
+    control_period: PositiveTime = Field(examples=["1 ms"])
+    substeps: Annotated[int, BoundedInt(1, 1000)] = 4
+
+    @field_validator("controller", mode="after")
+    @classmethod
+    def _commands_fit(cls, value: Controller, info: ValidationInfo) -> Controller:
+        ours = type(value).__module__.startswith("mckibben.")
+        if ours and getattr(info.data.get("valve"), "direct", None):
+            fail_validation(
+                "commands pressures, but the valve has `direct` commands, which are openings",
+                "leave `direct` out, or name a controller class of your own",
+            )
+        return value
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        written = handler(self)
+        usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
+        return {key: one for key, one in written.items() if usual.get(key) != one}
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Scenario:
+        """Read a scenario file; raises ScenarioError with every problem: line, field, value, range and remedy."""
+        return cls.parse(read_text(path), source=os.fspath(path), folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
+        """Read a scenario from YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
+        return parse_model(cls, text, source=source, folder=folder)[0]
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.dumps())}</pre>"
+
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
+        """Write the scenario to a file that `read` reads back to the last bit."""
+        with atomic_write(path, overwrite=True) as part:
+            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+
+    def plant(self) -> JointPlant:
+        """Return the simulated plant."""
+        parts = self.joint, self.load, self.valve, self.sensors, self.disturbance, self.friction
+        return JointPlant(*parts, command_delay=self.command_delay)
+
+    def control(self) -> Controller:
+        """Return the controller; what its file does not state of its model is taken from this scenario's plant."""
+        return inherit(self.controller, {name: getattr(self, name) for name in ("joint", "load", "valve")})
+
+    def with_fixed_model(self) -> Scenario:
+        """Return the scenario with a model of the controller that does not follow changes of the plant."""
+        return self.model_copy(update={"controller": independent(self.control())})
+
+    def reference(self) -> Reference:
+        """Return angle and stiffness references over time."""
+        return self.signals
+
+    def initial(self, plant: JointPlant) -> PlantState:
+        """Return the initial equilibrium of a plant; raises UnreachableError if there is none."""
+        return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
+
+
+def initial_state(scenario: Scenario) -> AtRest:
+    """Return the initial state of a scenario, at rest; of a batch with one value per run."""
+    stiffness = scenario.start.stiffness
+    return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
+
+
+def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
+    """Simulate a scenario.
+
+    Parameters
+    ----------
+    scenario
+        Scenario.
+    source
+        File of the scenario, for errors. Default: its name.
+
+    Returns
+    -------
+    CheckedRun
+        Result, with the scenario's text, and the feasibility of its reference.
+
+    Raises
+    ------
+    ScenarioError
+        If its parts do not fit together.
+    """
+
+    @contextmanager
+    def building(field: str) -> Iterator[None]:
+        try:
+            yield
+        except FileError:
+            raise  # has its own file and line
+        except McKibbenError as error:
+            raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
+
+    with building("joint, load or valve"):
+        plant = scenario.plant()
+    with building("controller"):
+        control = scenario.control()
+    with building("start"):  # all else has been checked
+        return checked_run(
+            plant,
+            control,
+            scenario.reference(),
+            duration=scenario.duration,
+            control_period=scenario.control_period,
+            substeps=scenario.substeps,
+            initial=initial_state(scenario),
+            scenario=scenario.dumps(),
+        )
