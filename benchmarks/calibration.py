@@ -115,11 +115,11 @@ def main():
     nominal = with_values(
         nominal,
         {
-            "controller.decoupling.poles.bandwidth": 60.0,
-            "controller.decoupling.poles.damping": 3.0,
-            "controller.decoupling.disturbance_observer.bandwidth": 100.0,
-            "controller.decoupling.disturbance_observer.damping": 3.0,
-            "controller.decoupling.pressure_observer.bandwidth": 100.0,
+            "controller.feedback.bandwidth": 60.0,
+            "controller.feedback.damping": 3.0,
+            "controller.observer.bandwidth": 100.0,
+            "controller.observer.damping": 3.0,
+            "controller.pressure_observer.bandwidth": 100.0,
         },
     )
     control, pid = nominal.control(), suite.scenario("PID", next(iter(suite.references))).control()

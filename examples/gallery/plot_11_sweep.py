@@ -13,7 +13,7 @@ scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").model_copy(update
 # 200 runs: another load, slower valves, connectors that are off by up to 2 mm. The model of the controller keeps the
 # values of the file.
 
-ranges = ["load.mass2=0.2 kg..1.0 kg", "valve.time_constant=15 ms..40 ms", "joint.connector_length=206 mm..210 mm"]
+ranges = ["load.mass2=0.2 kg..1.0 kg", "valve.time_constant=15 ms..40 ms", "joint.geometry.connector_length=206 mm..210 mm"]
 swept = mk.sweep(scenario, ranges, samples=200, seed=1, metrics=["angle_rmse", "stiffness_rmse"])
 swept
 
@@ -25,5 +25,5 @@ figure = mk.report.sweep(swept)
 
 table = swept.table
 worst = int(table["stiffness_rmse"].to_numpy().argmax())
-for name in ("load.mass2", "valve.time_constant", "joint.connector_length", "stiffness_rmse"):
+for name in ("load.mass2", "valve.time_constant", "joint.geometry.connector_length", "stiffness_rmse"):
     print(f"{name:24} {float(table[name][worst]):.3g} {table[name].attrs['units']}")

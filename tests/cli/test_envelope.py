@@ -84,7 +84,7 @@ def test_a_design(cli, printed):
     assert re.search(r"joint radius +30 mm +31\.\d+ mm", found.out)
     numbers = json.loads((printed / "kept" / "results.json").read_text(encoding="utf-8"))
     scenario = Scenario.read(printed / "kept" / "design.yaml")
-    assert scenario.joint.connector_length * 1e3 == pytest.approx(numbers["lengths_mm"]["connector_length"])
+    assert scenario.joint.geometry.connector_length * 1e3 == pytest.approx(numbers["lengths_mm"]["connector_length"])
     assert scenario.joint.geometry.joint_radius * 1e3 == pytest.approx(numbers["lengths_mm"]["joint_radius"])
     scenario.initial(scenario.plant())
     band = scenario.plant().joint.attainable_stiffness(0.1, 0.0)

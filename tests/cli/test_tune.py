@@ -35,8 +35,8 @@ main()
 CHANGES = (
     ("duration: 10 s", "duration: 100 ms"),
     ("control_period: 1 ms", "control_period: 2 ms"),
-    ("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "2 deg"),
-    ("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}}", "15 N*m/rad"),
+    ("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "2 deg"),
+    ("{class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}", "15 N*m/rad"),
 )
 START = ("--parameters", "start.angle=-5..8 deg", "--parameters", "start.stiffness=11..20 N*m/rad log")
 COST = ("--cost", "angle_rmse/1 deg + stiffness_rmse/1 N*m/rad", "--margin", "1")
@@ -152,7 +152,7 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     (tmp_path / "a" / "reference.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
-    far = text.replace("angle: 2 deg", "angle: {samples: {file: reference.csv}}")
+    far = text.replace("angle: 2 deg", "angle: {class: samples_file, file: reference.csv}")
     assert far != text
     (tmp_path / "a" / "s.yaml").write_text(far, encoding="utf-8")
     (tmp_path / "b" / "s.yaml").write_text(text, encoding="utf-8")
@@ -169,14 +169,14 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
     assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("known", "believed"), [((), 208), (("--known", "joint.connector_length"), None)])
+@pytest.mark.parametrize(("known", "believed"), [((), 208), (("--known", "joint.geometry.connector_length"), None)])
 def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, tmp_path, monkeypatch, known, believed):
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 0])  # what is found does not matter here
-    plant = ("--parameters", "joint.connector_length=206..208 mm", *COST, "--iterations", "1", "--out", "kept")
+    plant = ("--parameters", "joint.geometry.connector_length=206..208 mm", *COST, "--iterations", "1", "--out", "kept")
     found = cli("tune", "s.yaml", *plant, "--method", "evolution", *known)
     assert found.code == 0, found.err
     tuned = Scenario.read(tmp_path / "kept" / "s-tuned.yaml")
-    assert 206e-3 <= tuned.joint.connector_length < 208e-3
+    assert 206e-3 <= tuned.joint.geometry.connector_length < 208e-3
     model = tuned.controller.model
     assert (model and round(1e3 * model.connector_length)) == believed
 
@@ -213,8 +213,8 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
             "'start.angle=-5..8 deg' and 'start.angle=0..1 deg' are about the same parameter",
         ),
         (
-            (*SMALL, "--parameters", "controller.position.kp", "--parameters", "controller.position.pid.kp"),
-            "'controller.position.kp' and 'controller.position.pid.kp' are about the same parameter; keep one of them",
+            (*SMALL, "--parameters", "controller.position.kp", "--parameters", "controller.position.kp"),
+            "'controller.position.kp' and 'controller.position.kp' are about the same parameter; keep one of them",
         ),
         ((*SMALL, "--parameters", "load.mass2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
         ((*SMALL, "--cost", "stiffness_settling"), "has no gradient; use cma or evolution"),

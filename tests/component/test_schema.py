@@ -89,7 +89,7 @@ def test_a_valve_of_ones_own():
 
 def test_a_signal_of_ones_own():
     scenario = Scenario.parse(
-        changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{class: Bump, height: 5 deg, at: 2 s}")
+        changed("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "{class: Bump, height: 5 deg, at: 2 s}")
     )
     assert float(scenario.reference()(2.0).angle) == pytest.approx(5 * deg)
     assert Scenario.parse(scenario.dumps()) == scenario

@@ -27,8 +27,7 @@ pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compil
 TEXT = """
 name: knee with friction
 joint:
-  geometry: knee-table-2
-  connector_length: 208 mm
+  geometry: {from: knee-table-2, connector_length: 208 mm}
   muscle:
     specimen: MAS-10-180N-AA-MC-O
     law: lei-mas-10-180n
@@ -37,11 +36,11 @@ joint:
 load: knee-table-2
 valve: {time_constant: 20 ms}
 controller:
-  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}}
-  stiffness: {pid: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}
+  position: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}
+  stiffness: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
 reference:
-  angle: {sine: {amplitude: 10 deg, frequency: 2 Hz}}
-  stiffness: {step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 0.2 s}}
+  angle: {class: sine, amplitude: 10 deg, frequency: 2 Hz}
+  stiffness: {class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 0.2 s}
 start: {angle: 0 deg, stiffness: 12 N*m/rad}
 duration: 0.5 s
 control_period: 1 ms

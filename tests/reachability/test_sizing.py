@@ -173,7 +173,9 @@ def test_targets_and_variables_as_text():
     assert found.angles == pytest.approx((-20 * deg, 20 * deg))
     assert found.describe() == "stiffness 12..18 N*m/rad over -20..20 deg, torque reserve 1.5 N*m"
     assert parse_target("15 N*m/rad over 5 deg").angles == (5 * deg, 5 * deg)
-    assert parse_variable("joint.connector_length = 15 cm..260 mm") == DesignVariable("connector_length", 0.15, 0.26)
+    assert parse_variable("joint.geometry.connector_length = 15 cm..260 mm") == DesignVariable(
+        "connector_length", 0.15, 0.26
+    )
 
 
 @pytest.mark.parametrize(

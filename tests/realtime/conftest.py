@@ -107,10 +107,10 @@ _MUSCLES = """  muscle1: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n,
   muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n, creep: {stiffness: 500 N/m, time_constant: 0.2 s}}
 """
 _SLIDING = """controller:
-  decoupling:
-    sliding: {slope: 40 1/s, reach: 250 rad/s^2}
-    disturbance_observer: {bandwidth: 200 rad/s}
-    pressure_observer: {bandwidth: 200 rad/s}
+  class: decoupling
+  feedback: {class: sliding, slope: 40 1/s, reach: 250 rad/s^2}
+  observer: {bandwidth: 200 rad/s}
+  pressure_observer: {bandwidth: 200 rad/s}
 
 """
 

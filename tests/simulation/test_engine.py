@@ -15,31 +15,31 @@ from mckibben.scenario import Scenario
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"
 FRICTION = ", friction: {half_width: 7.5 N, presliding_length: 0.5 mm}"
-MODEL = f"{{geometry: knee-table-2, connector_length: 208 mm, muscle: {MUSCLE % ''}}}"
+MODEL = f"{{geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: {MUSCLE % ''}}}"
 BASE = """
 name: engines
-joint: {geometry: knee-table-2, connector_length: 208 mm, muscle: %s}
+joint: {geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: %s}
 load: knee-table-2
 valve: %s
 controller: %s
 reference:
-  angle: {sine: {amplitude: 5 deg, frequency: 2 Hz}}
-  stiffness: {step: {before: 14 N*m/rad, after: 15 N*m/rad, at: 100 ms}}
+  angle: {class: sine, amplitude: 5 deg, frequency: 2 Hz}
+  stiffness: {class: step, before: 14 N*m/rad, after: 15 N*m/rad, at: 100 ms}
 duration: 300 ms
 control_period: 1 ms
 substeps: 2
 """
 PID = f"""
   model: {MODEL}
-  position: {{pid: {{kp: 1.165 bar/rad, ki: 120 bar/(rad*s), kd: 1.567 bar*s/rad, derivative_on_error: true}}}}
-  stiffness: {{pid: {{kp: 0.3 bar/(N*m/rad), ki: 11 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}}}
+  position: {{kp: 1.165 bar/rad, ki: 120 bar/(rad*s), kd: 1.567 bar*s/rad, derivative_on_error: true}}
+  stiffness: {{kp: 0.3 bar/(N*m/rad), ki: 11 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}
 """
-OBSERVERS = "disturbance_observer: {bandwidth: 200 rad/s}"
-DECOUPLING = f"{{model: {MODEL}, decoupling: {{poles: {{bandwidth: 60 rad/s}}, {OBSERVERS}}}}}"
-PREDICTIVE = f"{{model: {MODEL}, predictive: {{bandwidth: 60 rad/s, {OBSERVERS}}}}}"
+OBSERVERS = "observer: {bandwidth: 200 rad/s}"
+DECOUPLING = f"{{model: {MODEL}, class: decoupling, feedback: {{bandwidth: 60 rad/s}}, {OBSERVERS}}}"
+PREDICTIVE = f"{{model: {MODEL}, class: predictive, bandwidth: 60 rad/s, {OBSERVERS}}}"
 REAL = """
 sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 1}
-disturbance: {pulses: {height: 0.5 N*m, width: 20 ms, interval: 50 ms, start: 40 ms}}
+disturbance: {height: 0.5 N*m, width: 20 ms, interval: 50 ms, start: 40 ms}
 """
 FLOW = "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar}"
 SCENARIOS = {

@@ -103,7 +103,7 @@ class TestRuns:
 
 def mean_cost(runs, kp):
     """Of `invented`, by hand, run by run: those that cannot begin do not count, a lost one costs 1e6."""
-    lags, heights = runs.conditions["valve.time_constant"], runs.conditions["disturbance.pulses.height"]
+    lags, heights = runs.conditions["valve.time_constant"], runs.conditions["disturbance.height"]
     costs = []
     for mass, lag, height in zip(runs.conditions["load.mass2"], lags, heights, strict=True):
         if lag <= 0.048:
@@ -144,7 +144,7 @@ class TestTuning:
         contest = compare(one, folder=tmp_path)
         training = draw(one, 8, 99)
         assert (training.conditions["valve.time_constant"] > 0.048).any(), "one cannot begin"
-        assert (training.conditions["disturbance.pulses.height"] > 0).any(), "and some can be lost"
+        assert (training.conditions["disturbance.height"] > 0).any(), "and some can be lost"
         tried = trials(tmp_path)
         kps = 1e4 * 200 ** np.array([trial.point[0] for trial in tried])
         assert [trial.cost for trial in tried] == pytest.approx([mean_cost(training, kp) for kp in kps], rel=1e-9)
@@ -256,7 +256,7 @@ class TestTuning:
     def test_lost_runs_cost_a_million(self):
         alone = TEXT[: TEXT.index("  PID 3:")] + TEXT[TEXT.index("  as it is:") :]
         wild = compare(Suite.parse(alone.replace("{kp: 2 bar/rad", "{kp: 9 bar/rad")))
-        lost = wild.runs.conditions["disturbance.pulses.height"][wild.started] > 0
+        lost = wild.runs.conditions["disturbance.height"][wild.started] > 0
         assert np.array_equal(wild.diverged("as it is"), lost)
         assert lost.any()
         assert np.array_equal(np.isnan(wild.metric("as it is", "angle_rmse")), lost)
@@ -289,18 +289,18 @@ def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
 
 @pytest.mark.parametrize("friction", ["", ", friction: {half_width: 6 N, presliding_length: 0.5 mm}"])
 def test_a_true_model_is_the_plant_of_each_run(friction):
-    compensated = "decoupling: {poles: {bandwidth: 40 rad/s}}" + (
+    compensated = "class: decoupling, feedback: {bandwidth: 40 rad/s}" + (
         "\n    friction_compensation: true" if friction else ""
     )
     suite = changed(
         ("tuning: {", "true_model: [decoupling]\ntuning: {"),
         ("strength: 1}", f"strength: 1{friction}}}"),
         ("strength: 1.05}", f"strength: 1.05{friction}}}"),
-        ("decoupling: {poles: {bandwidth: 40 rad/s}}", compensated),
+        ("class: decoupling, feedback: {bandwidth: 40 rad/s}", compensated),
     )
     runs = draw(suite, 8, 1)
     assert len(set(runs.joint)) == 2
-    bandwidths = {"controller.decoupling.poles.bandwidth": [30.0, 50.0]}
+    bandwidths = {"controller.feedback.bandwidth": [30.0, 50.0]}
     (group,) = runs.groups
     control = _controller(runs, group, "decoupling", bandwidths, 2)
     for row in range(2 * runs.count):

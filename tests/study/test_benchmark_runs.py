@@ -49,13 +49,13 @@ def test_conditions_fill_their_ranges(runs):
         "load.mass2",
         "valve.time_constant",
         "sensors.delay",
-        "disturbance.pulses.height",
+        "disturbance.height",
     ]
     for name, low, high in (("load.mass2", 0.25, 0.75), ("valve.time_constant", 0.01, 0.05)):
         cells = np.floor((found[name] - low) / (high - low) * 64)
         assert sorted(cells) == list(range(64)), "a Sobol sequence has one point in each 64th"
     assert counted(found["sensors.delay"].tolist()) == {0.0: 32, 1.0: 32}
-    assert counted(found["disturbance.pulses.height"].tolist()) == {0.0: 32, 0.5: 32}
+    assert counted(found["disturbance.height"].tolist()) == {0.0: 32, 0.5: 32}
 
 
 def test_references_fill_their_ranges(runs):
@@ -151,14 +151,14 @@ def test_any_signal_is_a_reference(tmp_path):
 references:
   random:
     reference:
-      angle: {random_steps: {low: -8 deg, high: 8 deg, dwell: 10 ms, longest_dwell: 30 ms}}
-      stiffness: {ramp: {before: 14 N*m/rad, after: 16 N*m/rad, start: 20 ms, duration: 40 ms}}
+      angle: {class: random_steps, low: -8 deg, high: 8 deg, dwell: 10 ms, longest_dwell: 30 ms}
+      stiffness: {class: ramp, before: 14 N*m/rad, after: 16 N*m/rad, start: 20 ms, duration: 40 ms}
     over: [reference.angle.seed=0..9999, reference.stiffness.duration=10..80 ms]
   recorded:
-    reference: {angle: {samples: {file: recorded.csv}}, stiffness: 15 N*m/rad}
+    reference: {angle: {class: samples_file, file: recorded.csv}, stiffness: 15 N*m/rad}
   sines:
     reference:
-      angle: {multisine: {amplitudes: [3 deg, 1 deg], frequencies: [2 Hz, 5 Hz]}}
+      angle: {class: multisine, amplitudes: [3 deg, 1 deg], frequencies: [2 Hz, 5 Hz]}
       stiffness: 15 N*m/rad
     over: [reference.angle.amplitudes.0=1..3 deg]
 """
@@ -183,7 +183,7 @@ def test_a_frequency_that_no_control_period_resolves_is_refused():
 
 OTHER_PLANTS = """other_joints:
   other law:
-    joint: {geometry: knee-table-2, connector_length: 208 mm, muscle: {specimen: MAS-10-180N-AA-MC-O, law: chou}}
+    joint: {geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: {specimen: MAS-10-180N-AA-MC-O, law: chou}}
   flow valves: {valve: {class: FlowValve, conductance: 0.4 L/(s*bar), supply: 5 bar}}
 """
 

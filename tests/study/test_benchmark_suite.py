@@ -72,7 +72,7 @@ def test_controllers_believe_in_the_suites_own_plant(suite, controller):
     """In whatever plant a run has; and two plants whose numbers all differ have the same controller."""
     own = suite.scenario(controller, "angle step")
     other = suite.scenario(controller, "both move", "longer")
-    assert other.joint.connector_length == pytest.approx(0.21)
+    assert other.joint.geometry.connector_length == pytest.approx(0.21)
     assert np.asarray(other.plant().joint.geometry.connector_length) == pytest.approx(0.21)
     heavy = other.model_copy(
         update={"load": other.load.model_copy(update={"mass2": 2.0}), "valve": None, "sensors": None}
@@ -88,7 +88,9 @@ def test_controllers_believe_in_the_suites_own_plant(suite, controller):
 
 
 def test_what_a_controller_says_it_believes_is_kept():
-    text = changed(("{poles: {bandwidth: 40 rad/s}}", "{poles: {bandwidth: 40 rad/s}, valve_time_constant: 33 ms}"))
+    text = changed(
+        ("{feedback: {bandwidth: 40 rad/s}}", "{feedback: {bandwidth: 40 rad/s}, valve_time_constant: 33 ms}")
+    )
     control = Suite.parse(text).scenario("decoupling", "angle step").control()
     assert float(control.valve_time_constant) == 0.033
     assert float(control.load.mass2) == 0.5
@@ -158,7 +160,7 @@ MISTAKES = {
     ),
     "misspelt gain": (
         (KP, KP.replace("kp:", "kpp:")),
-        ("controllers.PID 3.position.pid.kpp", KP, "did you mean 'kp'"),
+        ("controllers.PID 3.position.kpp", KP, "did you mean 'kp'"),
     ),
     "misspelt part": (
         ("    decoupling: {poles:", "    decoupling: {pols:"),
@@ -166,7 +168,7 @@ MISTAKES = {
     ),
     "missing gain": (
         (KP, "{kp: 1.2 bar/rad, kd: 0.2 bar*s/rad}"),
-        ("controllers.PID 3.position.pid.ki", KP, "is missing"),
+        ("controllers.PID 3.position.ki", KP, "is missing"),
     ),
     "share": (("    share: 2\n", "    share: 0\n"), ("references.sine and step.share", "    share: 2", "")),
     "names belong": (

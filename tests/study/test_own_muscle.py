@@ -16,7 +16,7 @@ from mckibben.units import bar, deg, mm
 
 FOLDER = Path(__file__).parent / "own_muscle"
 TEXT = (FOLDER / "pendulum.yaml").read_text()
-MUSCLE, LOAD = "muscle: fit/muscle.yaml", "load: {mass: 2 kg, length: 250 mm, damping: 0.1 N*m*s/rad}"
+MUSCLE, LOAD = "muscle: fit/muscle.yaml", "load: {class: pendulum, mass: 2 kg, length: 250 mm, damping: 0.1 N*m*s/rad}"
 
 
 def read(muscle="fit/muscle.yaml", load=LOAD, folder=FOLDER):
@@ -169,9 +169,12 @@ def test_mistakes_in_a_load(load, field):
 
 def test_adaptation_of_a_load_without_a_mass():
     text = TEXT[: TEXT.index("controller:")] + TEXT[TEXT.index("reference:") :]
-    text += "controller: {decoupling: {poles: {bandwidth: 40 rad/s}, adaptation: {mass_spread: 0.2 kg}}}\n"
+    text += "controller: {class: decoupling, feedback: {bandwidth: 40 rad/s}, adaptation: {mass_spread: 0.2 kg}}\n"
     Scenario.parse(text, folder=FOLDER).control()
-    general = Scenario.parse(text.replace(LOAD, "load: {inertia: 0.02 kg*m^2, gravity_torque: 1 N*m}"), folder=FOLDER)
+    general = Scenario.parse(
+        text.replace(LOAD, "load: {class: general, inertia: 0.02 kg*m^2, greatest_gravity_torque: 1 N*m}"),
+        folder=FOLDER,
+    )
     with pytest.raises(RangeError) as caught:
         general.control()
     assert caught.value.field == "mass_spread"

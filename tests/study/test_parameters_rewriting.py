@@ -33,8 +33,8 @@ load:
   # a comment at the end of the load
 
 controller:
-  position: {pid: {kp: 2 bar/rad,   # proportional
-                   ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad,}}
+  position: {kp: 2 bar/rad,   # proportional
+                   ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad,}
   stiffness:
     pid:
       kp: 0.08 bar/(N*m/rad)
@@ -42,7 +42,7 @@ controller:
       kd: 0 bar*s/(N*m/rad)   # none
 reference:
   angle: 0 deg
-  stiffness: {samples: {times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}}
+  stiffness: {class: samples, times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}
 duration: 2 s
 control_period: 2 ms   # the last line"""
 
@@ -56,8 +56,8 @@ control_period: 2 ms   # the last line"""
         (PID, {"controller.position.filter_time": 1e-3}, "0.4 bar*s/rad}", "0.4 bar*s/rad, filter_time: 1 ms}"),
         (PID, {"reference.angle.offset": 0.0}, "frequency: 0.5 Hz}", "frequency: 0.5 Hz, offset: 0 deg}"),
         (PRINTED, {"reference.stiffness": 72.0}, "stiffness: 72.5 N*m/rad ", "stiffness: 72 N*m/rad "),
-        (PRINTED, {"joint.connector_length": 0.2}, "law: lei-mas-10-180n}\n\n", None),
-        (BLOCK, {"joint.connector_length": 0.2}, "'208 mm'", "200 mm"),
+        (PRINTED, {"joint.geometry.connector_length": 0.2}, "law: lei-mas-10-180n}\n\n", None),
+        (BLOCK, {"joint.geometry.connector_length": 0.2}, "'208 mm'", "200 mm"),
         (BLOCK, {"load.mass2": 0.8}, "  from: knee-table-2\n  # a", "  from: knee-table-2\n  mass2: 0.8 kg\n  # a"),
         (
             BLOCK,

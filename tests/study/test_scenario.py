@@ -21,19 +21,20 @@ joint:
   geometry: {joint_length: 370 mm, joint_radius: 3 cm, connector_length: 0.208 m}
   muscle1: {specimen: DMSP-10-250, law: chou}
   muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-  spring: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}
+  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}
 load: {from: knee-table-2, mass2: 0.8 kg, hanging: false}
 valve: {time_constant: 20 ms}
 controller:
-  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, derivative_on_error: true}}
+  position: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, derivative_on_error: true}
   stiffness:
-    backprop:
-      {kp: 50 mbar/(N*m/rad), ki: 3 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad), signal_scale: 15 N*m/rad,
-       error_scale: 1 N*m/rad, output_scale: 1 bar/s, momentum: 0.25, jacobian: model, hidden: 5, seed: 3}
-  model: {geometry: knee-table-2, connector_length: 208 mm, muscle: {specimen: DMSP-10-250, law: chou}}
+    class: backprop
+    base:
+    {kp: 50 mbar/(N*m/rad), ki: 3 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad), signal_scale: 15 N*m/rad,
+     error_scale: 1 N*m/rad, output_scale: 1 bar/s, momentum: 0.25, jacobian: model, hidden: 5, seed: 3}
+  model: {geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: {specimen: DMSP-10-250, law: chou}}
 reference:
-  angle: {multisine: {amplitudes: [3 deg, 1 deg], frequencies: [0.5 Hz, 1.25 Hz], offset: 2 deg}}
-  stiffness: {samples: {times: [0 s, 1 s, 2000 ms], values: [13 N*m/rad, 14 N*m/rad, 13.5 N*m/rad]}}
+  angle: {class: multisine, amplitudes: [3 deg, 1 deg], frequencies: [0.5 Hz, 1.25 Hz], offset: 2 deg}
+  stiffness: {class: samples, times: [0 s, 1 s, 2000 ms], values: [13 N*m/rad, 14 N*m/rad, 13.5 N*m/rad]}
 duration: 2 s
 control_period: 2 ms
 """
@@ -125,8 +126,8 @@ def test_units_of_the_same_kind_are_the_same_scenario():
 def test_short_forms():
     load = Scenario.parse(changed("load: knee-table-2  ", "load: {from: knee-table-2}  "))
     assert load == Scenario.parse(BASE)
-    constant = Scenario.parse(changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{constant: 3 deg}"))
-    assert constant == Scenario.parse(changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "3 deg"))
+    constant = Scenario.parse(changed("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "{constant: 3 deg}"))
+    assert constant == Scenario.parse(changed("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "3 deg"))
     assert "angle: 3 deg" in constant.dumps()
     assert "load: knee-table-2\n" in constant.dumps()
 
@@ -148,7 +149,7 @@ def test_three_mistakes_are_three_problems_with_lines():
     assert (wrong_unit.line, wrong_unit.field) == (8, "valve.time_constant")
     assert "'mm'" in wrong_unit.message
     assert "like ms" in wrong_unit.remedy
-    assert (misspelt.line, misspelt.field) == (17, "reference.angle.multisine.amplitude")
+    assert (misspelt.line, misspelt.field) == (17, "reference.angle.amplitude")
     assert "'amplitudes'" in misspelt.remedy
     assert (no_whole.line, no_whole.field) == (20, "control_period")
     assert "2.001 s" in no_whole.message
@@ -160,16 +161,16 @@ def test_three_mistakes_are_three_problems_with_lines():
 @pytest.mark.parametrize(
     ("old", "new", "field", "words"),
     [
-        ("208 mm", "208", "joint.connector_length", "'208' has no unit; write it like '208 mm'"),
-        ("208 mm", "4,5 m", "joint.connector_length", "write it like '4.5 m'"),
-        ("208 mm", "208 MM", "joint.connector_length", "unknown unit 'MM'"),
-        ("208 mm", "-1 mm", "joint.connector_length", "outside 0 to 10000 mm"),
-        ("208 mm", "1e400 m", "joint.connector_length", "not a finite number"),
-        ("208 mm", "9**9**9 m", "joint.connector_length", "is not a"),
-        ("208 mm", "1 " + "m*" * 2000 + "m", "joint.connector_length", "not a quantity"),
-        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.connector_length", "kind"),
-        ("208 mm", "", "joint.connector_length", "has no value"),
-        ("208 mm", "[208 mm]", "joint.connector_length", "not a quantity"),
+        ("208 mm", "208", "joint.geometry.connector_length", "'208' has no unit; write it like '208 mm'"),
+        ("208 mm", "4,5 m", "joint.geometry.connector_length", "write it like '4.5 m'"),
+        ("208 mm", "208 MM", "joint.geometry.connector_length", "unknown unit 'MM'"),
+        ("208 mm", "-1 mm", "joint.geometry.connector_length", "outside 0 to 10000 mm"),
+        ("208 mm", "1e400 m", "joint.geometry.connector_length", "not a finite number"),
+        ("208 mm", "9**9**9 m", "joint.geometry.connector_length", "is not a"),
+        ("208 mm", "1 " + "m*" * 2000 + "m", "joint.geometry.connector_length", "not a quantity"),
+        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.geometry.connector_length", "kind"),
+        ("208 mm", "", "joint.geometry.connector_length", "has no value"),
+        ("208 mm", "[208 mm]", "joint.geometry.connector_length", "not a quantity"),
         ("geometry: knee-table-2 ", "geometry: knee-tabel-2 ", "joint.geometry", "did you mean 'knee-table-2'"),
         ("law: lei-mas-10-180n", "law: lei", "joint.muscle.law", "known are lei-mas-10-180n, sarosi-dmsp-10, chou"),
         ("law: lei-mas-10-180n", "law: missing.yaml", "joint.muscle.law", "there is no file 'missing.yaml'"),
@@ -183,13 +184,13 @@ def test_three_mistakes_are_three_problems_with_lines():
         (VALVE, "valve: {time_constant: 0 ms}", "valve.time_constant", "outside above 0"),
         ("ki: 60", "ki: -60", "controller.position.pid", "kp positive, ki negative, kd positive"),
         ("0.08 bar/(N*m/rad)", "0,08 bar/rad", "controller.stiffness.pid", "decimals with a point"),
-        ("kp: 2 bar/rad, ", "", "controller.position.pid.kp", "add it, such as `kp: 12.5 bar/rad`"),
-        ("ki: 60", "k: 60", "controller.position.pid.k", "did you mean 'ki'"),
+        ("kp: 2 bar/rad, ", "", "controller.position.kp", "add it, such as `kp: 12.5 bar/rad`"),
+        ("ki: 60", "k: 60", "controller.position.k", "did you mean 'ki'"),
         ("position: {pid:", "position: {pud:", "controller.position.pud", "did you mean 'pid'"),
         ("{sine:", "{constant: 1 deg, sine:", "reference.angle", "constant and sine at once"),
-        ("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{}", "reference.angle", "has no signal"),
-        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.sine.amplitude", "unit like deg"),
-        ("0.5 Hz", "-0.5 Hz", "reference.angle.sine.frequency", "outside 0 to 1e+06 Hz"),
+        ("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "{}", "reference.angle", "has no signal"),
+        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.amplitude", "unit like deg"),
+        ("0.5 Hz", "-0.5 Hz", "reference.angle.frequency", "outside 0 to 1e+06 Hz"),
         ("start: {angle: 0 deg,", "start: {angel: 0 deg,", "start.angel", "did you mean 'angle'"),
         ("duration: 10 s", "duration: 10000 min", "control_period", "more than 10000000 periods"),
         ("duration: 10 s\n", "", "duration", "is missing"),
@@ -237,23 +238,23 @@ def test_one_mistake_is_told_with_its_place(old, new, field, words):
 @pytest.mark.parametrize(
     ("signal", "words"),
     [
-        ("{samples: {times: [0 s, 2 s, 1 s], values: [1 deg, 1 deg, 1 deg]}}", "do not rise: 1 s follows 2 s"),
-        ("{samples: {times: [0 s, 0 s], values: [1 deg, 1 deg]}}", "do not rise"),
-        ("{samples: {times: [0 s], values: [1 deg, 1 deg]}}", "1 times and 2 values"),
-        ("{samples: {times: [], values: []}}", "0 times and 0 values"),
-        ("{samples: {times: [0 s]}}", "lacks its samples"),
-        ("{samples: {times: 0 s, values: [1 deg]}}", "stands where a list belongs"),
-        ("{samples: {times: [0 s], values: [1 deg], file: pyproject.csv}}", "no file"),
-        ("{samples: {file: nowhere.csv}}", "there is no file 'nowhere.csv'"),
-        ("{samples: {file: 3}}", "there is no file"),
-        ("{multisine: {amplitudes: [1 deg], frequencies: [1 Hz, 2 Hz]}}", "1 amplitudes, 2 frequencies"),
-        ("{multisine: {amplitudes: [], frequencies: []}}", "is empty"),
-        ("{multisine: {amplitudes: [1 deg, 2], frequencies: [1 Hz, 2 Hz]}}", "'2' has no unit"),
+        ("{class: samples, times: [0 s, 2 s, 1 s], values: [1 deg, 1 deg, 1 deg]}", "do not rise: 1 s follows 2 s"),
+        ("{class: samples, times: [0 s, 0 s], values: [1 deg, 1 deg]}", "do not rise"),
+        ("{class: samples, times: [0 s], values: [1 deg, 1 deg]}", "1 times and 2 values"),
+        ("{class: samples, times: [], values: []}", "0 times and 0 values"),
+        ("{class: samples, times: [0 s]}", "lacks its samples"),
+        ("{class: samples, times: 0 s, values: [1 deg]}", "stands where a list belongs"),
+        ("{class: samples, times: [0 s], values: [1 deg], file: pyproject.csv}", "no file"),
+        ("{class: samples_file, file: nowhere.csv}", "there is no file 'nowhere.csv'"),
+        ("{class: samples_file, file: 3}", "there is no file"),
+        ("{class: multisine, amplitudes: [1 deg], frequencies: [1 Hz, 2 Hz]}", "1 amplitudes, 2 frequencies"),
+        ("{class: multisine, amplitudes: [], frequencies: []}", "is empty"),
+        ("{class: multisine, amplitudes: [1 deg, 2], frequencies: [1 Hz, 2 Hz]}", "'2' has no unit"),
         ("fast", "not a number and a unit"),
     ],
 )
 def test_bad_signals(signal, words):
-    problem = only(changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", signal))
+    problem = only(changed("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", signal))
     assert words in str(problem)
     assert problem.field.startswith("reference.angle")
 
@@ -344,8 +345,12 @@ def test_windows_line_ends_and_byte_order_marks_are_fine(tmp_path):
 
 def test_samples_from_a_table(tmp_path):
     (tmp_path / "reference.csv").write_text("time_ms,angle_deg,stiffness_N*m/rad\n0,0,13\n500,5,14\n1000,0,15\n")
-    text = changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{samples: {file: reference.csv}}")
-    text = changed("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}}", "{samples: {file: reference.csv}}", text)
+    text = changed("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "{class: samples_file, file: reference.csv}")
+    text = changed(
+        "{class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}",
+        "{class: samples_file, file: reference.csv}",
+        text,
+    )
     scenario = Scenario.parse(text, folder=tmp_path)
     setpoint = scenario.reference()(0.25)
     np.testing.assert_allclose(setpoint.angle, 2.5 * deg)
@@ -372,7 +377,7 @@ def test_samples_from_a_table(tmp_path):
 )
 def test_bad_tables(tmp_path, table, words):
     (tmp_path / "reference.csv").write_text(table)
-    text = changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{samples: {file: reference.csv}}")
+    text = changed("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "{class: samples_file, file: reference.csv}")
     assert words in str(only(text, folder=tmp_path))
 
 

@@ -24,17 +24,17 @@ TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml")
 BEFORE, LOOPS = TEXT.split("controller:\n")
 AFTER = LOOPS[LOOPS.index("reference:") :]
 FULL = """\
-  decoupling:
-    sliding: {slope: 30 1/s, reach: 50 rad/s^2}
-    velocity_observer: {bandwidth: 300 rad/s}
-    pressure_observer: {bandwidth: 150 rad/s}
-    valve_time_constant: 15 ms
-    minimum_tension: 8 N
-    load: {from: knee-table-2, mass2: 0.6 kg}
+  class: decoupling
+  feedback: {class: sliding, slope: 30 1/s, reach: 50 rad/s^2}
+  observer: {class: velocity, bandwidth: 300 rad/s}
+  pressure_observer: {bandwidth: 150 rad/s}
+  valve_time_constant: 15 ms
+  minimum_tension: 8 N
+  load: {from: knee-table-2, mass2: 0.6 kg}
 """
 
 
-def scenario(controller="  decoupling: {poles: {bandwidth: 50 rad/s}}\n"):
+def scenario(controller="  class: decoupling, feedback: {bandwidth: 50 rad/s}\n"):
     return Scenario.parse(f"{BEFORE}controller:\n{controller}{AFTER}")
 
 
@@ -67,7 +67,7 @@ def test_it_builds_what_it_says():
 
 
 @pytest.mark.parametrize(
-    "controller", [FULL, "  decoupling: {poles: {bandwidth: 50 rad/s, integral: true}, load: knee-table-2}\n"]
+    "controller", [FULL, "  class: decoupling, feedback: {bandwidth: 50 rad/s, integral: true}, load: knee-table-2\n"]
 )
 def test_it_comes_back_from_its_text(controller):
     read = scenario(controller)
@@ -78,26 +78,26 @@ def test_it_comes_back_from_its_text(controller):
 def test_all_its_numbers_can_be_varied_and_have_a_value():
     for controller in (
         FULL,
-        "  decoupling: {poles: {bandwidth: 50 rad/s}, disturbance_observer: {bandwidth: 90 rad/s}}\n",
+        "  class: decoupling, feedback: {bandwidth: 50 rad/s}, observer: {bandwidth: 90 rad/s}\n",
     ):
         read = scenario(controller)
         mine = [a for a in list_parameters(read) if a.name.startswith("controller.decoupling.")]
         assert len(mine) >= 4
         assert all(a.nominal is not None for a in mine), mine
-    assert find_parameter(scenario(), "controller.decoupling.minimum_tension").nominal == 5.0
-    assert find_parameter(scenario(), "controller.decoupling.poles.damping").nominal == 3.0
-    assert find_parameter(scenario(), "controller.decoupling.valve_time_constant").nominal == 0.02
-    assert find_parameter(scenario(FULL), "controller.decoupling.load.mass2").nominal == 0.6
-    many = batched(scenario(FULL), {"controller.decoupling.load.mass2": [0.4, 0.5], "load.mass2": [0.5, 0.5]})
+    assert find_parameter(scenario(), "controller.minimum_tension").nominal == 5.0
+    assert find_parameter(scenario(), "controller.feedback.damping").nominal == 3.0
+    assert find_parameter(scenario(), "controller.valve_time_constant").nominal == 0.02
+    assert find_parameter(scenario(FULL), "controller.load.mass2").nominal == 0.6
+    many = batched(scenario(FULL), {"controller.load.mass2": [0.4, 0.5], "load.mass2": [0.5, 0.5]})
     np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
-        find_parameter(scenario(), "controller.decoupling.load.mass2")
+        find_parameter(scenario(), "controller.load.mass2")
     with pytest.raises(ParameterError, match="outside above 0"):
-        batched(scenario(), {"controller.decoupling.poles.bandwidth": [50.0, 0.0]})
+        batched(scenario(), {"controller.feedback.bandwidth": [50.0, 0.0]})
 
 
 def test_the_supply_may_be_estimated_around_any_controller():
-    for controller in ("  decoupling: {poles: {bandwidth: 50 rad/s}}\n", LOOPS[: LOOPS.index("reference:")]):
+    for controller in ("  class: decoupling, feedback: {bandwidth: 50 rad/s}\n", LOOPS[: LOOPS.index("reference:")]):
         read = scenario(f"{controller.rstrip()}\n  supply_limit: {{recovery: 0.2 bar/s}}\n")
         control = read.control()
         assert isinstance(control, SupplyLimit) and type(control.controller) is type(scenario(controller).control())
@@ -107,22 +107,22 @@ def test_the_supply_may_be_estimated_around_any_controller():
 
 
 def test_bandwidths_count_as_gains():
-    assert list(gain_ranges(scenario())) == ["controller.decoupling.poles.bandwidth"]
-    assert "controller.decoupling.sliding.reach" in gain_ranges(scenario(FULL))
+    assert list(gain_ranges(scenario())) == ["controller.feedback.bandwidth"]
+    assert "controller.feedback.reach" in gain_ranges(scenario(FULL))
 
 
 def test_what_does_not_go_together_is_said():
-    assert "has no feedback" in problem("  decoupling: {minimum_tension: 5 N}\n").message
-    both = "  decoupling: {poles: {bandwidth: 50 rad/s}, sliding: {slope: 30 1/s, reach: 50 rad/s^2}}\n"
+    assert "has no feedback" in problem("  class: decoupling, minimum_tension: 5 N\n").message
+    both = "  class: decoupling, feedback: {bandwidth: 50 rad/s}, feedback: {class: sliding, slope: 30 1/s, reach: 50 rad/s^2}\n"
     assert "poles and sliding at once" in problem(both).message
     nine = "{bandwidth: 9 rad/s}"
-    two = f"{{poles: {nine}, velocity_observer: {nine}, disturbance_observer: {nine}}}"
+    two = f"{{feedback: {nine}, observer: {class: velocity, nine}, observer: {nine}}}"
     assert "beside velocity_observer" in problem(f"  decoupling: {two}\n").message
-    found = problem(LOOPS[: LOOPS.index("reference:")] + "  decoupling: {poles: {bandwidth: 50 rad/s}}\n\n")
+    found = problem(LOOPS[: LOOPS.index("reference:")] + "  class: decoupling, feedback: {bandwidth: 50 rad/s}\n\n")
     assert found.field == "controller.decoupling" and "beside position and stiffness" in found.message
-    assert "unit" in problem("  decoupling: {poles: {bandwidth: 50 Hz*m}}\n").message
-    assert "outside" in problem("  decoupling: {poles: {bandwidth: 0 rad/s}}\n").message
-    assert "friction" in problem("  decoupling: {poles: {bandwidth: 5 rad/s}}\n  friction_compensation: true\n").message
+    assert "unit" in problem("  class: decoupling, feedback: {bandwidth: 50 Hz*m}\n").message
+    assert "outside" in problem("  class: decoupling, feedback: {bandwidth: 0 rad/s}\n").message
+    assert "friction" in problem("  class: decoupling, feedback: {bandwidth: 5 rad/s}\n  friction_compensation: true\n").message
 
 
 def test_a_controller_needs_one_form_or_the_other():

@@ -81,7 +81,7 @@ def test_its_numbers_can_be_varied():
 
 
 def test_the_model_may_have_another_friction_or_none():
-    own = BASE.replace(LOOP, f"  model: {{geometry: knee-table-2, connector_length: 208 mm, {MUSCLE}}}\n{LOOP}")
+    own = BASE.replace(LOOP, f"  model: {{geometry: {from: knee-table-2, connector_length: 208 mm}, {MUSCLE}}}\n{LOOP}")
     scenario = Scenario.parse(own.replace(f"\n  {MUSCLE}", f"\n  {RUBBING}", 1))
     assert scenario.plant().joint.muscle1.friction != NoFriction()
     assert scenario.control().model.muscle1.friction == NoFriction()
@@ -94,7 +94,7 @@ def test_what_does_not_go_together_is_said():
     spring = with_friction(
         (
             "connector_length: 208 mm",
-            "connector_length: 208 mm\n  spring: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}",
+            "connector_length: 208 mm\n  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}",
         )
     )
     assert "viscous friction" in problem(spring).message
@@ -104,7 +104,7 @@ def test_what_does_not_go_together_is_said():
 
 def test_the_stiffness_of_a_motion_is_controlled_by_any_controller():
     model_based = BASE[BASE.index("  position: {pid:") : BASE.index("  # model:")]
-    for part in ("", "  decoupling: {poles: {bandwidth: 80 rad/s}}\n", "  predictive: {bandwidth: 80 rad/s}\n"):
+    for part in ("", "  class: decoupling, feedback: {bandwidth: 80 rad/s}\n", "  class: predictive, bandwidth: 80 rad/s\n"):
         text = with_friction((LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}"))
         text = text.replace(model_based, f"  stiffness_amplitude: 1 deg\n{part}") if part else text
         scenario = Scenario.parse(text)

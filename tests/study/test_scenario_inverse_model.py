@@ -70,15 +70,15 @@ def test_its_numbers_can_be_varied_and_have_a_value():
         mine = [a for a in list_parameters(scenario(more)) if a.name.startswith("controller.inverse_model.")]
         assert len(mine) >= 9
         assert all(a.nominal is not None for a in mine), mine
-    assert find_parameter(scenario(), "controller.inverse_model.valve_time_constant").nominal == 0.02
-    values = {"controller.inverse_model.learning_rate": [1.0, 2.0], "controller.minimum_tension": [5.0, 6.0]}
+    assert find_parameter(scenario(), "controller.valve_time_constant").nominal == 0.02
+    values = {"controller.learning_rate": [1.0, 2.0], "controller.minimum_tension": [5.0, 6.0]}
     many = batched(scenario(FULL), values).control()
     np.testing.assert_array_equal(many.learning_rate, [1.0, 2.0])
     np.testing.assert_array_equal(many.loops.minimum_tension, [5.0, 6.0])
-    many = batched(scenario(FULL), {"controller.inverse_model.load.mass2": [0.4, 0.5]})
+    many = batched(scenario(FULL), {"controller.load.mass2": [0.4, 0.5]})
     np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
-        find_parameter(scenario(), "controller.inverse_model.load.mass2")
+        find_parameter(scenario(), "controller.load.mass2")
     with pytest.raises(ParameterError, match="outside above 0"):
         batched(scenario(FULL), {"controller.minimum_tension": [5.0, 0.0]})
 
@@ -96,6 +96,6 @@ def test_what_does_not_go_together_is_said():
     assert "outside" in problem("  minimum_tension: 0 N\n").message
     loops = BEFORE.index("controller:\n") + len("controller:\n")
     for more in ("inverse_model: {learning_rate: 5 1/s}", "minimum_tension: 5 N"):
-        text = f"{BEFORE[:loops]}  decoupling: {{poles: {{bandwidth: 50 rad/s}}}}\n  {more}\n\nreference:{AFTER}"
+        text = f"{BEFORE[:loops]}  class: decoupling, feedback: {{bandwidth: 50 rad/s}}\n  {more}\n\nreference:{AFTER}"
         with pytest.raises(ScenarioError, match="goes with position and stiffness"):
             Scenario.parse(text)

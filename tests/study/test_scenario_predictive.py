@@ -13,23 +13,23 @@ from mckibben.units import deg, ms
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 BEFORE, LOOPS = TEXT.split("controller:\n")
 AFTER = LOOPS[LOOPS.index("reference:") :]
-SHORT = "  predictive: {bandwidth: 70 rad/s}\n"
+SHORT = "  class: predictive, bandwidth: 70 rad/s\n"
 FULL = """\
-  predictive:
-    bandwidth: 70 rad/s
-    stiffness_bandwidth: 90 rad/s
-    damping: 2.5
-    angle_scale: 0.2 deg
-    stiffness_scale: 0.4 N*m/rad
-    horizon: 80 ms
-    stages: 16
-    iterations: 2
-    velocity_observer: {bandwidth: 300 rad/s}
-    pressure_observer: {bandwidth: 150 rad/s}
-    valve_time_constant: 15 ms
-    minimum_tension: 8 N
-    load: {from: knee-table-2, mass2: 0.6 kg}
-    adaptation: {strength_spread: 0.05, torque_error: 0.04 N*m, bandwidth: 25 rad/s, drift_time: 20 s}
+  class: predictive
+  bandwidth: 70 rad/s
+  stiffness_bandwidth: 90 rad/s
+  damping: 2.5
+  angle_scale: 0.2 deg
+  stiffness_scale: 0.4 N*m/rad
+  horizon: 80 ms
+  stages: 16
+  iterations: 2
+  observer: {class: velocity, bandwidth: 300 rad/s}
+  pressure_observer: {bandwidth: 150 rad/s}
+  valve_time_constant: 15 ms
+  minimum_tension: 8 N
+  load: {from: knee-table-2, mass2: 0.6 kg}
+  adaptation: {strength_spread: 0.05, torque_error: 0.04 N*m, bandwidth: 25 rad/s, drift_time: 20 s}
 """
 
 
@@ -78,21 +78,21 @@ def test_its_numbers_can_be_varied_and_have_a_value():
         mine = [a for a in list_parameters(scenario(controller)) if a.name.startswith("controller.predictive.")]
         assert len(mine) >= count
         assert all(a.nominal is not None for a in mine), mine
-    many = batched(scenario(), {"controller.predictive.damping": [2.0, 3.0]}).control()
+    many = batched(scenario(), {"controller.damping": [2.0, 3.0]}).control()
     assert many.damping.tolist() == [2.0, 3.0]
-    assert find_parameter(scenario(FULL), "controller.predictive.adaptation.mass_spread").nominal == 0.0
-    assert find_parameter(scenario(), "controller.predictive.horizon").nominal == pytest.approx(60 * ms)
+    assert find_parameter(scenario(FULL), "controller.adaptation.mass_spread").nominal == 0.0
+    assert find_parameter(scenario(), "controller.horizon").nominal == pytest.approx(60 * ms)
     for name in ("stages", "iterations"):
         with pytest.raises(ParameterError, match="size of what is compiled"):
             find_parameter(scenario(FULL), f"controller.predictive.{name}")
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
-        find_parameter(scenario(), "controller.predictive.load.mass2")
+        find_parameter(scenario(), "controller.load.mass2")
     with pytest.raises(ParameterError, match="outside 2"):
-        batched(scenario(), {"controller.predictive.damping": [2.0, 3.5]})
+        batched(scenario(), {"controller.damping": [2.0, 3.5]})
 
 
 def test_its_bandwidths_count_as_gains():
-    both = ["controller.predictive.bandwidth", "controller.predictive.stiffness_bandwidth"]
+    both = ["controller.bandwidth", "controller.stiffness_bandwidth"]
     assert list(gain_ranges(scenario())) == both
     found = {name.removeprefix("controller.predictive.") for name in gain_ranges(scenario(FULL))}
     others = {"velocity_observer.bandwidth", "pressure_observer.bandwidth"}
@@ -100,13 +100,13 @@ def test_its_bandwidths_count_as_gains():
 
 
 def test_what_does_not_go_together_is_said():
-    found = problem(f"{SHORT}  decoupling: {{poles: {{bandwidth: 50 rad/s}}}}\n")
+    found = problem(f"{SHORT}  class: decoupling, feedback: {{bandwidth: 50 rad/s}}\n")
     assert found.field == "controller.predictive" and "beside decoupling" in found.message
     found = problem(LOOPS[: LOOPS.index("reference:")] + SHORT + "\n")
     assert found.field == "controller.predictive" and "beside position and stiffness" in found.message
     nine = "{bandwidth: 9 rad/s}"
-    two = f"{{bandwidth: 9 rad/s, velocity_observer: {nine}, disturbance_observer: {nine}}}"
+    two = f"{{bandwidth: 9 rad/s, observer: {class: velocity, nine}, observer: {nine}}}"
     assert "beside velocity_observer" in problem(f"  predictive: {two}\n").message
-    assert "outside" in problem("  predictive: {bandwidth: 9 rad/s, stages: 0}\n").message
-    assert "outside" in problem("  predictive: {bandwidth: 9 rad/s, damping: 1}\n").message
+    assert "outside" in problem("  class: predictive, bandwidth: 9 rad/s, stages: 0\n").message
+    assert "outside" in problem("  class: predictive, bandwidth: 9 rad/s, damping: 1\n").message
     assert "friction" in problem(f"{SHORT}  friction_compensation: true\n").message

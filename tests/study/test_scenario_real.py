@@ -18,8 +18,8 @@ BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml")
 MUSCLE = "law: lei-mas-10-180n}"
 LOOPS = BASE[BASE.index("  # From the angle's error") : BASE.index("reference:")]
 SENSORS = "sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 0.5, seed: 7}\n"
-PULSES = "disturbance: {pulses: {height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 250 ms}}\n"
-DECOUPLING = "  decoupling: {{poles: {{bandwidth: 50 rad/s}}, adaptation: {}, valve_adaptation: {{}}}}\n\n"
+PULSES = "disturbance: {height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 250 ms}\n"
+DECOUPLING = "  class: decoupling, feedback: {{bandwidth: 50 rad/s}}, adaptation: {}, valve_adaptation: {{}}\n\n"
 FULL = "{strength_spread: 0.08, mass_spread: 0.1 kg, friction_spread: 0.4, torque_error: 0.03 N*m, bandwidth: 25 rad/s}"
 
 
@@ -87,15 +87,15 @@ NUMBERS = {
     "sensors.pressure_noise": 4e3,
     "sensors.delay": 0.5,
     "sensors.seed": 7,
-    "disturbance.pulses.height": 0.5,
-    "disturbance.pulses.width": 0.1,
-    "disturbance.pulses.interval": 1.0,
-    "disturbance.pulses.start": 0.25,
-    "controller.decoupling.adaptation.strength_spread": 0.08,
-    "controller.decoupling.adaptation.mass_spread": 0.1,
-    "controller.decoupling.adaptation.friction_spread": 0.4,
-    "controller.decoupling.adaptation.torque_error": 0.03,
-    "controller.decoupling.adaptation.bandwidth": 25.0,
+    "disturbance.height": 0.5,
+    "disturbance.width": 0.1,
+    "disturbance.interval": 1.0,
+    "disturbance.start": 0.25,
+    "controller.adaptation.strength_spread": 0.08,
+    "controller.adaptation.mass_spread": 0.1,
+    "controller.adaptation.friction_spread": 0.4,
+    "controller.adaptation.torque_error": 0.03,
+    "controller.adaptation.bandwidth": 25.0,
 }
 
 
@@ -105,7 +105,7 @@ def test_all_its_numbers_are_listed_with_what_they_are(real):
     shown = {each["name"]: (each["nominal"], each["range"], each["unit"]) for each in parameter_rows(real)}
     assert shown["sensors.encoder"] == ("0.022 deg", "0 to 90 deg", "deg")
     assert shown["sensors.pressure_noise"] == ("4 kPa", "0 to 100000 kPa", "kPa")
-    assert shown["controller.decoupling.adaptation.strength_spread"] == ("0.08", "above 0 to 0.3", "1")
+    assert shown["controller.adaptation.strength_spread"] == ("0.08", "above 0 to 0.3", "1")
 
 
 def test_what_is_left_out_is_that_of_the_classes():
@@ -114,9 +114,9 @@ def test_what_is_left_out_is_that_of_the_classes():
     assert nominal["joint.muscle.strength"] == 1.0  # that of the law
     assert [nominal[f"sensors.{key}"] for key in ("encoder", "pressure_noise", "delay", "seed")] == [0.0, 0.0, 0.0, 0]
     for key in ("strength_spread", "mass_spread", "friction_spread", "torque_error", "bandwidth"):
-        assert nominal[f"controller.decoupling.adaptation.{key}"] == getattr(LawAdaptation(), key)
+        assert nominal[f"controller.adaptation.{key}"] == getattr(LawAdaptation(), key)
     for key in ("time_constant_spread", "pressure_error", "memory"):
-        assert nominal[f"controller.decoupling.valve_adaptation.{key}"] == getattr(ValveAdaptation(), key)
+        assert nominal[f"controller.valve_adaptation.{key}"] == getattr(ValveAdaptation(), key)
 
 
 def test_they_can_be_varied(real):
@@ -135,7 +135,7 @@ def test_they_can_be_varied(real):
 def test_the_model_keeps_its_own_strength():
     own = text(strength=None, adaptation=None).replace(
         "controller:\n",
-        "controller:\n  model: {geometry: knee-table-2, connector_length: 208 mm, "
+        "controller:\n  model: {geometry: {from: knee-table-2, connector_length: 208 mm}, "
         f"muscle: {{specimen: MAS-10-180N-AA-MC-O, {MUSCLE}}}\n",
     )
     many = batched(
@@ -153,7 +153,7 @@ def test_what_an_adaptation_takes_for_true_is_no_gain(real):
 
 @pytest.mark.parametrize(
     ("name", "what"),
-    [("sensors.delay", "none"), ("disturbance.pulses.height", "none"), ("controller.decoupling.adaptation", "")],
+    [("sensors.delay", "none"), ("disturbance.height", "none"), ("controller.adaptation", "")],
 )
 def test_what_is_not_there_cannot_be_varied(name, what):
     with pytest.raises(ParameterError, match=f"cannot be varied: .*{what}") as refused:
@@ -172,10 +172,10 @@ def test_what_is_not_there_cannot_be_varied(name, what):
         (text(sensors="sensors: {seed: 1.5}\n"), "sensors.seed", "1.5"),
         (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is not a known key"),
         (text(disturbance="disturbance: {}\n"), "disturbance.pulses", "is missing"),
-        (text(disturbance=PULSES.replace("height: 0.5 N*m, ", "")), "disturbance.pulses.height", "is missing"),
-        (text(disturbance=PULSES.replace("1 s", "0 s")), "disturbance.pulses.interval", "outside above 0"),
-        (text(adaptation="{strength_spread: 0.5}"), "controller.decoupling.adaptation.strength_spread", "to 0.3"),
-        (text(adaptation="{torque_error: 0 N*m}"), "controller.decoupling.adaptation.torque_error", "outside above 0"),
+        (text(disturbance=PULSES.replace("height: 0.5 N*m, ", "")), "disturbance.height", "is missing"),
+        (text(disturbance=PULSES.replace("1 s", "0 s")), "disturbance.interval", "outside above 0"),
+        (text(adaptation="{strength_spread: 0.5}"), "controller.adaptation.strength_spread", "to 0.3"),
+        (text(adaptation="{torque_error: 0 N*m}"), "controller.adaptation.torque_error", "outside above 0"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_line(said, field, words):

@@ -103,7 +103,7 @@ def test_the_table_says_what_made_it(kept, scenario):
 
 
 def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp_path):
-    varied, few = ["joint.connector_length=0.207 m, 0.208 m"], {"design": "grid", "metrics": ["angle_rmse"]}
+    varied, few = ["joint.geometry.connector_length=0.207 m, 0.208 m"], {"design": "grid", "metrics": ["angle_rmse"]}
     fixed = sweep(scenario, varied, **few)
     known = sweep(scenario, varied, out=tmp_path, known="all", **few)
     for swept, believed in ((fixed, 0.208), (known, 0.207)):
@@ -201,7 +201,8 @@ def test_another_scenario_is_not_mixed_in(kept, scenario):
 def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
     text = (ROOT / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
     text = text.replace("duration: 10 s", "duration: 50 ms").replace(
-        "angle: {sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "angle: {samples: {file: reference.csv}}"
+        "angle: {class: sine, amplitude: 10 deg, frequency: 0.5 Hz}",
+        "angle: {class: samples_file, file: reference.csv}",
     )
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,5\n", encoding="utf-8")
@@ -314,7 +315,7 @@ def test_a_journal_that_is_none_of_a_sweep(scenario, tmp_path):
         ({"over": ["load.mass2=2..1 kg"]}, "the range is empty"),
         ({"over": ["load.mass2=1..2 N"]}, "not a unit of the kind 'kg'"),
         ({"over": ["load.mass2=1..2 kg", "load.mass2=1..2 kg"]}, "are about the same parameter"),
-        ({"over": ["joint.connector_length=200..390 mm"]}, r"row \d+: with joint.connector_length"),
+        ({"over": ["joint.geometry.connector_length=200..390 mm"]}, r"row \d+: with joint.geometry.connector_length"),
         ({"samples": 0}, "samples is 0"),
         ({"samples": 2, "seed": -1}, "seed is -1"),
         ({"design": "gird"}, "choose sobol, random or grid"),

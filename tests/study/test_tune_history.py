@@ -20,8 +20,8 @@ TEXT = EXAMPLE
 for old, new in (
     ("duration: 10 s", "duration: 100 ms"),
     ("control_period: 1 ms", "control_period: 2 ms"),
-    ("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "2 deg"),
-    ("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}}", "15 N*m/rad"),
+    ("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "2 deg"),
+    ("{class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}", "15 N*m/rad"),
 ):
     assert old in TEXT
     TEXT = TEXT.replace(old, new)
@@ -124,7 +124,7 @@ def test_another_search_is_refused_by_name_and_nothing_is_changed(tmp_path, chan
 def test_a_file_that_the_scenario_names_is_a_part_of_the_search(tmp_path):
     samples = tmp_path / "reference.csv"
     samples.write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
-    text = TEXT.replace("angle: 2 deg", "angle: {samples: {file: reference.csv}}")
+    text = TEXT.replace("angle: 2 deg", "angle: {class: samples_file, file: reference.csv}")
     assert text != TEXT
     path = tmp_path / "history.journal"
     run(path, iterations=1, scenarios=Scenario.parse(text, folder=tmp_path))
@@ -136,7 +136,9 @@ def test_a_file_that_the_scenario_names_is_a_part_of_the_search(tmp_path):
 @pytest.mark.usefixtures("for_free")
 def test_it_does_not_matter_from_where_a_search_goes_on(tmp_path, monkeypatch):
     (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
-    scenario = Scenario.parse(TEXT.replace("angle: 2 deg", "angle: {samples: {file: reference.csv}}"), folder=tmp_path)
+    scenario = Scenario.parse(
+        TEXT.replace("angle: 2 deg", "angle: {class: samples_file, file: reference.csv}"), folder=tmp_path
+    )
     monkeypatch.chdir(tmp_path)
     first = run(Path("history.journal"), iterations=1, scenarios=scenario)
     (tmp_path / "elsewhere").mkdir()

@@ -14,12 +14,12 @@ from mckibben.study.tune.margin import SMALL_STEP, in_conditions
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 POLES, OBSERVED, PRESSURE, LAG, PERIOD = 60.0, 160.0, 100.0, 0.02, 1e-3
 CONTROLLER = f"""controller:
-  decoupling:
-    poles: {{bandwidth: {POLES} rad/s}}
-    disturbance_observer: {{bandwidth: {OBSERVED} rad/s}}
-    pressure_observer: {{bandwidth: {PRESSURE} rad/s}}
+  class: decoupling
+  feedback: {{bandwidth: {POLES} rad/s}}
+  observer: {{bandwidth: {OBSERVED} rad/s}}
+  pressure_observer: {{bandwidth: {PRESSURE} rad/s}}
 reference:
-  angle: {{step: {{before: 0 deg, after: 0.2 deg, at: 50 ms}}}}
+  angle: {{class: step, before: 0 deg, after: 0.2 deg, at: 50 ms}}
   stiffness: 13 N*m/rad
 start: {{angle: 0 deg, stiffness: 13 N*m/rad}}
 duration: 3 s

@@ -17,8 +17,8 @@ TEXT = EXAMPLE
 for old, new in (
     ("duration: 10 s", "duration: 100 ms"),
     ("control_period: 1 ms", "control_period: 2 ms"),
-    ("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "2 deg"),
-    ("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}}", "15 N*m/rad"),
+    ("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "2 deg"),
+    ("{class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}", "15 N*m/rad"),
 ):
     assert old in TEXT
     TEXT = TEXT.replace(old, new)

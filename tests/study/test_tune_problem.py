@@ -28,7 +28,7 @@ RANGES = {
     "controller.position.kp": LogUniform(0.1 * bar, 40 * bar),
     "controller.stiffness.ki": LogUniform(0.05 * bar, 500 * bar),
     "load.damping": Uniform(0.0, 0.5),
-    "joint.connector_length": Uniform(200 * mm, 212 * mm),  # in the plant, and in the controller's model
+    "joint.geometry.connector_length": Uniform(200 * mm, 212 * mm),  # in the plant, and in the controller's model
     "start.stiffness": Uniform(11.5, 14.0),
 }
 GAINS = np.array([True, True, False, False, False])
@@ -133,10 +133,10 @@ def test_texts_are_read_and_conditions_that_cannot_run_are_refused_before_the_se
 
 
 def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():
-    connectors = sweep_parameters(LIGHT, {"joint.connector_length": RANGES["joint.connector_length"]})
+    connectors = sweep_parameters(LIGHT, {"joint.geometry.connector_length": RANGES["joint.geometry.connector_length"]})
     rows, cost = np.array([[0.207], [0.208]]), Cost(TERMS)
     fixed = TuningProblem.of((LIGHT,), connectors, cost).costs(rows)
-    known = TuningProblem.of((LIGHT,), connectors, cost, ["joint.connector_length"]).costs(rows)
+    known = TuningProblem.of((LIGHT,), connectors, cost, ["joint.geometry.connector_length"]).costs(rows)
     assert fixed[1] == pytest.approx(known[1], rel=1e-9)  # the model's own length
     assert abs(fixed[0] - known[0]) > 1e-3
     with pytest.raises(ParameterError, match=r"does not take load\.damping from the plant"):
@@ -154,7 +154,10 @@ def test_points_are_places_in_the_ranges():
 
 def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbours_alone():
     task = TuningProblem.of(
-        (LIGHT,), sweep_parameters(LIGHT, RANGES | {"joint.connector_length": Uniform(0.2, 0.39)}), Cost(TERMS), "all"
+        (LIGHT,),
+        sweep_parameters(LIGHT, RANGES | {"joint.geometry.connector_length": Uniform(0.2, 0.39)}),
+        Cost(TERMS),
+        "all",
     )
     rows = ROWS.copy()
     rows[1, 3] = 0.38  # no allowed one
@@ -207,7 +210,7 @@ def test_a_number_that_one_scenario_lacks_is_said_with_the_scenario():
 
 
 def test_coupling_needs_a_step():
-    text = TEXT.replace("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 50 ms}}", "13 N*m/rad")
+    text = TEXT.replace("{class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 50 ms}", "13 N*m/rad")
     assert text != TEXT
     cost = Cost.of({"coupling": deg})
     with pytest.raises(ParameterError, match=r"coupling is not defined.*never steps"):

@@ -320,7 +320,9 @@ def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
 def test_a_scenario_names_no_files_of_other_folders(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
-    text = workbench.with_section(workbench.START, "{samples: {file: ../other/angle.csv}}", ("reference", "angle"))
+    text = workbench.with_section(
+        workbench.START, "{class: samples_file, file: ../other/angle.csv}", ("reference", "angle")
+    )
     (tmp_path / "mine").mkdir()
     with pytest.raises(ScenarioError) as found:
         workbench.parse(text, tmp_path / "mine")
