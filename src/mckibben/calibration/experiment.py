@@ -8,26 +8,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from mckibben.calibration.equations import JointPrior, JointRecording
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
-from mckibben.config.document import to_text
+from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
+from mckibben.control import Controller, Multisine, Reference, Sine
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.identification.storage import find_fit
-from mckibben.joint import Load, ScaledArms
+from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
 from mckibben.plant import FirstOrderValve
 from mckibben.realtime import JointRig, JointRunResult, prepare
-from mckibben.scenario import Scenario
-from mckibben.scenario.muscle import CorrectionSpec, FrictionSpec, MuscleSpec
+from mckibben.scenario import Scenario, Start
 from mckibben.simulation import Result
+from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write
-from mckibben.study.scenario.building import build_joint
-from mckibben.study.scenario.plant import GeneralLoadSpec, JointSpec, StartSpec
-from mckibben.study.scenario.reference import ReferenceSpec, read_columns
 from mckibben.units import show
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness in a part
@@ -80,40 +79,35 @@ class Sweeps:
                 remedy="give other --angles, or a smaller --weight",
             )
         fast = min(_FAST_SHARE * amplitude, _FASTEST / (2 * np.pi * _FAST) ** 2)
-        angle = {
-            "amplitudes": (_rad(amplitude - fast), _rad(fast)),
-            "frequencies": (f"{_SWEEPS / self.duration!r} Hz", f"{_FAST} Hz"),
-            "offset": _rad(middle),
-        }
-        stiffness = {
-            "amplitude": f"{_BAND * (high - low) / 2!r} N*m/rad",
-            "frequency": f"{_COCONTRACTIONS / self.duration!r} Hz",
-            "offset": f"{(low + high) / 2!r} N*m/rad",
-        }
-        signals = ReferenceSpec.model_validate({"angle": {"multisine": angle}, "stiffness": {"sine": stiffness}})
-        control = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve).without_adaptation()
+        amplitudes, frequencies = (float(amplitude - fast), float(fast)), (_SWEEPS / self.duration, _FAST)
+        signals = Reference(
+            Multisine(amplitudes, frequencies, offset=float(middle)),
+            Sine(_BAND * (high - low) / 2, _COCONTRACTIONS / self.duration, offset=(low + high) / 2),
+        )
+        control = _with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "valve_adaptation")))
         parts = {}
         for mass in self.weights:
-            known = control if control.load is None else control.with_load(self._weighted(control.load, mass))
+            load = _field(control, "load")
+            known = control if load is None else _with_fields(control, {"load": self._weighted(load, mass)})
             parts[mass] = scenario.model_copy(
                 update={
                     "name": f"{scenario.name[:150]}, calibration with {mass:g} kg",
                     "controller": known,
                     "load": self._weighted(scenario.load, mass),
                     "signals": signals,
-                    "start": StartSpec(angle=middle),
+                    "start": Start(angle=middle),
                     "duration": self.duration,
                 }
             )
         return parts
 
     def _weighted(self, load: Any, added_mass: float) -> Any:
-        """Section of a load with the weight."""
-        return _general(load.build().with_weight(added_mass, self.distance))
+        """Return a load with the weight."""
+        return _general(load.with_weight(added_mass, self.distance))
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness [N*m/rad] attainable at all angles with each weight; the first above the second for none."""
-        joint, load = build_joint(model_of(scenario)), load_of(scenario)
+        joint, load = model_of(scenario), load_of(scenario)
         angles = np.linspace(self.lowest, self.highest, _ANGLES)
         middle = joint.contractions((self.lowest + self.highest) / 2, (0.0, 0.0))
         muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
@@ -121,7 +115,7 @@ class Sweeps:
         least = _TAUT * float(min(highest))
         bands = []
         for mass in self.weights:
-            torque = -self._weighted(load, mass).build().gravity_torque(jnp.asarray(angles))
+            torque = -self._weighted(load, mass).gravity_torque(jnp.asarray(angles))
             bands += [np.asarray(joint.attainable_stiffness(angles, torque, minimum_tension=least))]
         low, high = np.max([band[0] for band in bands]), np.min([band[1] for band in bands])
         if any(joint.springs):  # the angle determines it, and none is held at all angles
@@ -129,24 +123,36 @@ class Sweeps:
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
 
 
-def _general(load: Load) -> GeneralLoadSpec:
-    return GeneralLoadSpec(
+def _general(load: Load) -> GeneralLoad:
+    return GeneralLoad(
         inertia=float(load.total_inertia),
-        gravity_torque=float(load.gravity_moment),
+        greatest_gravity_torque=float(load.gravity_moment),
         damping=float(load.damping),
         hanging_angle=float(load.hanging_angle),
     )
 
 
-def _rad(angle: float) -> str:
-    return f"{float(angle)!r} rad"
+def _field(controller: Controller, name: str) -> Any:
+    """Field of a controller, or of the one that it wraps; None without."""
+    own = getattr(controller, name, None)
+    return own if own is not None else next((_field(one, name) for one in _inner(controller).values()), None)
 
 
-def model_of(scenario: Scenario) -> JointSpec:
-    """Section of the controller's model of the joint, which a calibration corrects."""
-    model = scenario.controller.model or scenario.joint
-    muscles = filter(None, (model.muscle, model.muscle1, model.muscle2))
-    if model.arm_scale is not None or any(muscle.correction is not None for muscle in muscles):
+def _with_fields(controller: Controller, fields: dict[str, Any]) -> Any:
+    """Controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
+    kept = inherited_fields(controller)
+    own = {name: one for name, one in fields.items() if name not in kept and vars(controller).get(name) is not None}
+    return replaced(controller, own | {name: _with_fields(one, fields) for name, one in _inner(controller).items()})
+
+
+def _inner(controller: Controller) -> dict[str, Controller]:
+    return {name: one for name, one in vars(controller).items() if isinstance(one, Controller)}
+
+
+def model_of(scenario: Scenario) -> AntagonisticJoint:
+    """Return the controller's model of the joint, which a calibration corrects."""
+    model = _field(scenario.control(), "model") or scenario.joint
+    if isinstance(model.geometry, ScaledArms) or model.muscle1.correction or model.muscle2.correction:
         raise ParameterError(
             "the controller's model has been calibrated already",
             remedy="give the scenario with the model before: intervals need its prior",
@@ -154,9 +160,9 @@ def model_of(scenario: Scenario) -> JointSpec:
     return model
 
 
-def load_of(scenario: Scenario) -> Any:
-    """Section of the controller's model of the load."""
-    return scenario.controller.load or scenario.load
+def load_of(scenario: Scenario) -> Load:
+    """Return the controller's model of the load."""
+    return _field(scenario.control(), "load") or scenario.load
 
 
 def run_sweeps(
@@ -228,8 +234,8 @@ def read_joint_recording(
 def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
     """The prior with the fits that the laws of the controller's model are from."""
     model = model_of(scenario)
-    muscles = (model.muscle1 or model.muscle, model.muscle2 or model.muscle)
-    first, second = (find_fit(one.law) if one and isinstance(one.law, Path) else None for one in muscles)
+    files = (origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2))
+    first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
     return replace(prior, fits=(first, second))
 
 
@@ -237,75 +243,61 @@ def calibrate_scenario(
     scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
 ) -> JointCalibration:
     """The controller's model of a scenario identified from recordings of measured or of commanded pressures."""
-    joint, load = build_joint(model_of(scenario)), load_of(scenario).build()
+    joint, load = model_of(scenario), load_of(scenario)
     prior = with_fits(scenario, prior or JointPrior())
     if not any(one.commanded for one in recordings):
         return calibrate_joint(joint, load, recordings, prior)
     if not all(one.commanded for one in recordings):
         raise ParameterError("recordings of commands and of measured pressures", remedy="give those of one kind")
-    valve = None if scenario.valve is None else scenario.valve.build()
+    valve = scenario.valve
     if not isinstance(valve, FirstOrderValve):
         raise ParameterError(
             "recordings of commands need a valve with a first-order lag",
             field="valve",
             remedy="give the scenario one that may be, such as `valve: {time_constant: 50 ms}`",
         )
-    friction = None if scenario.friction is None else scenario.friction.build()
     delay = scenario.command_delay
-    return calibrate_from_commands(joint, load, valve, recordings, prior, friction=friction, delay=delay)
+    return calibrate_from_commands(joint, load, valve, recordings, prior, friction=scenario.friction, delay=delay)
 
 
-def calibrated_model(scenario: Scenario, found: JointCalibration) -> JointSpec:
-    """Section of the controller's model with the estimates."""
-    spec, joint = model_of(scenario), found.joint
-    update: dict[str, Any] = {"muscle": None}
-    for i, muscle in enumerate((joint.muscle1, joint.muscle2), 1):
-        before: MuscleSpec | None = getattr(spec, f"muscle{i}") or spec.muscle
-        if before is None or not isinstance(muscle.law, CorrectedLaw | CorrectedAffineLaw):
-            continue
-        friction = {name: getattr(muscle.friction, name) for name in FrictionSpec.model_fields}
-        given = {name: one for name, one in friction.items() if one is not None}
-        correction = muscle.law.correction
-        update[f"muscle{i}"] = before.model_copy(
-            update={
-                "correction": CorrectionSpec(
-                    offset=tuple(map(float, correction.offset)),
-                    gain=tuple(map(float, correction.gain)),
-                    centre=float(correction.centre),
-                    half_width=float(correction.half_width),
-                ),
-                "friction": FrictionSpec(**given),
-            }
-        )
+def calibrated_model(scenario: Scenario, found: JointCalibration) -> AntagonisticJoint:
+    """Return the controller's model with the estimates."""
+    model, joint, muscles = model_of(scenario), _numbers(found.joint), {}
+    for name in ("muscle1", "muscle2"):
+        before, after = getattr(model, name), getattr(joint, name)
+        if isinstance(after.law, CorrectedLaw | CorrectedAffineLaw):
+            muscles[name] = replaced(before, {"correction": after.law.correction, "friction": after.friction})
     assert isinstance(joint.geometry, ScaledArms)
-    return spec.model_copy(update={**update, "arm_scale": float(joint.geometry.scale)})
+    return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
+
+
+def _numbers(part: Any) -> Any:
+    """Part with floats in place of arrays of one number."""
+    return jax.tree.map(lambda leaf: float(leaf) if np.ndim(leaf) == 0 else leaf, part)
 
 
 def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
-    """The scenario with the estimates as its controller's model of joint and load.
+    """Return the scenario with the estimates as its controller's model of joint and load.
 
     Those from commands are its plant, too.
     """
+    control, model = scenario.control(), calibrated_model(scenario, found)
     if isinstance(found, CommandedCalibration):
-        joint, load = calibrated_model(scenario, found), _general(found.load)
-        control = scenario.controller.with_load(load)
-        if control.model is not None:
-            control = control.model_copy(update={"model": joint})
-        assert scenario.valve is not None  # or nothing could have been found
-        rows = {name: float(getattr(found.valve, name)) for name in ("time_constant", "rate")}
-        valve = scenario.valve.model_copy(update=rows)
-        update: dict[str, Any] = {"joint": joint, "load": load, "valve": valve, "controller": control}
-        update["command_delay"] = found.delay
+        load = _general(found.load)
+        valve = replaced(
+            scenario.valve, _numbers({name: getattr(found.valve, name) for name in ("time_constant", "rate")})
+        )
+        update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": found.delay}
         if found.friction is not None:
             rows = {name: float(getattr(found.friction, name)) for name in ("torque", "presliding")}
-            update["friction"] = scenario.friction.model_copy(update=rows)  # type: ignore[union-attr]
+            update["friction"] = replaced(scenario.friction, rows)
+        update["controller"] = _with_fields(scenario.controller, {"load": load, "model": model})
         return scenario.model_copy(update=update)
-    control = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
-    mass = found.load.adapted_mass
-    if mass and control.load is not None:
-        control = control.with_load(control.load.model_copy(update={mass: float(getattr(found.load, mass))}))
-    control = control.model_copy(update={"model": calibrated_model(scenario, found)})
-    return scenario.model_copy(update={"controller": control})
+    mass, load = found.load.adapted_mass, _field(control, "load")
+    fields: dict[str, Any] = {"model": model}
+    if mass and load is not None:
+        fields["load"] = replaced(load, {mass: float(getattr(found.load, mass))})
+    return scenario.model_copy(update={"controller": _with_fields(independent(control), fields)})
 
 
 def expected(
@@ -315,7 +307,7 @@ def expected(
     model, load = model_of(scenario), load_of(scenario)
     recordings = run_sweeps(scenario.model_copy(update={"joint": model, "load": load}), sweeps, folder)
     prior = with_fits(scenario, prior or JointPrior())
-    return deviations(calibrate_joint(build_joint(model), load.build(), recordings, prior), recordings)
+    return deviations(calibrate_joint(model, load, recordings, prior), recordings)
 
 
 def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tuple[float, float]:
@@ -354,7 +346,6 @@ def statements(found: JointCalibration, *, weighted: bool) -> list[str]:
 
 def write_model(scenario: Scenario, found: JointCalibration, path: str | os.PathLike[str]) -> None:
     """Write the section of the controller's model with the estimates, for ``model: FILE`` of a controller."""
-    spec, folder = calibrated_model(scenario, found), Path(path).parent
-    data = spec.model_dump(mode="json", by_alias=True, exclude_none=True, context={"folder": folder})
+    text = write_text(calibrated_model(scenario, found), folder=Path(path).parent)
     with atomic_write(path, overwrite=True) as part:
-        part.write_text(_HEAD + to_text(data), encoding="utf-8")
+        part.write_text(_HEAD + text, encoding="utf-8")

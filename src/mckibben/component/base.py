@@ -24,11 +24,8 @@ _LONGEST = 120  # characters of a value
 _NO_UNITS = Units()
 
 
-class Component(eqx.Module):
-    """Module whose fields are of their types and numbers in range; the check of a subclass begins with this one."""
-
-    def __check_init__(self) -> None:
-        check_fields(self)
+class Described:
+    """What a class states about its form in files."""
 
     short_name: ClassVar[str] = ""
     """Name of the class in files, in addition to its own."""
@@ -44,11 +41,18 @@ class Component(eqx.Module):
         """Return unit and range of a field that does not state them in its type; None for a plain number."""
         return None
 
+
+class Component(Described, eqx.Module):
+    """Module whose fields are of their types and numbers in range; the check of a subclass begins with this one."""
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+
     def _repr_html_(self) -> str:
         return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
 
 
-class Checked:
+class Checked(Described):
     """Base of dataclasses whose fields are checked as those of components."""
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ import contextlib
 import dataclasses
 import enum
 import functools
+import importlib
 import inspect
 import warnings
 from collections import ChainMap
@@ -52,6 +53,13 @@ class Catalog:
 
 
 _CATALOGS: dict[type, Catalog] = {}
+_BUILT_IN = "mckibben.catalog.entries"
+"""Module that registers the published entries: above this one, and loaded when a file names one."""
+
+
+def _catalog_of(base: type) -> Catalog | None:
+    importlib.import_module(_BUILT_IN)
+    return next((_CATALOGS[one] for one in base.__mro__ if one in _CATALOGS), None)
 
 
 def register(base: type, catalog: Catalog) -> None:
@@ -105,13 +113,19 @@ class Section(ConfigModel):
         known = any(find_class(base, key) for base in bases)
         return f"class: {key}, with its fields in the same section" if known else super().former(key)
 
+    def build(self, **others: Any) -> Any:
+        """Return the component; what is not given keeps the default of its class."""
+        known = declared_fields(self.runtime)
+        given = {name: getattr(self, name) for name in self.model_fields_set if name in known}
+        return self.runtime(**{name: one for name, one in given.items() if one is not None} | others)
+
 
 @functools.cache
 def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[Section]:  # noqa: B008
     """Return the model of a class in files; in a `partial` one no field is needed."""
     declared, fields = declared_fields(runtime), {}
     known = forms(runtime, units)
-    aliased = {name for names in runtime.aliases.values() for name in names}
+    aliased = {name for names in getattr(runtime, "aliases", {}).values() for name in names}
     for name, form in known.items():
         field = declared[name]
         has_default = not field.default is field.default_factory is dataclasses.MISSING
@@ -119,11 +133,11 @@ def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) 
             fields[name] = form | None, None
         else:
             fields[name] = form, ...
-    fields |= {alias: (known[names[0]] | None, None) for alias, names in runtime.aliases.items()}
+    fields |= {alias: (known[names[0]] | None, None) for alias, names in getattr(runtime, "aliases", {}).items()}
     with warnings.catch_warnings(action="ignore"):  # a field may have the name of a method of pydantic
         model = cast(Any, create_model(f"{runtime.__name__}Section", __base__=Section, **fields))
     model.runtime = runtime
-    model.renamed = runtime.renamed
+    model.renamed = getattr(runtime, "renamed", {})
     return model
 
 
@@ -141,10 +155,14 @@ def forms(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noqa: B00
     for name in declared_fields(runtime):
         form = _form(hints.get(name), units)
         if form is None and hints.get(name) is float:
-            form = Annotated[float, runtime.unit_of(name) or Number()]
+            form = Annotated[float, getattr(runtime, "unit_of", _no_unit)(name) or Number()]
         if form is not None:
             found[name] = form
     return found
+
+
+def _no_unit(_: str) -> None:
+    """Return no unit, for classes that are no components."""
 
 
 def part_of(form: Any) -> Part | None:
@@ -253,7 +271,7 @@ class Part:
         context |= {"scope": scope.maps if isinstance(scope, ChainMap) else (scope,), "changed": around}
         given = model.model_validate(section, context=context)
         fields = {name: getattr(given, name) for name in given.model_fields_set - {"class_"}}
-        for alias, names in kind.aliases.items():
+        for alias, names in getattr(kind, "aliases", {}).items():
             if alias not in fields:
                 continue
             if both := [name for name in names if name in fields]:
@@ -265,7 +283,7 @@ class Part:
 
     def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
         """Component of a catalog entry or a file."""
-        catalog = next((_CATALOGS[one] for one in self.base.__mro__ if one in _CATALOGS), None)
+        catalog = _catalog_of(self.base)
         if not name.endswith(ENDINGS):
             known = [*(catalog.names() if catalog else ()), *classes_of(self.base)]
             if catalog is None or name not in catalog.names():
@@ -317,7 +335,7 @@ class Part:
 
     @property
     def _noun(self) -> str:
-        catalog = next((_CATALOGS[one] for one in self.base.__mro__ if one in _CATALOGS), None)
+        catalog = _catalog_of(self.base)
         return f"a {catalog.noun}" if catalog else f"a {self.base.__name__}"
 
     def _expected(self, value: Any) -> tuple[str, str]:
@@ -347,7 +365,7 @@ def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
             with contextlib.suppress(KeyError):
                 inherited[name] = mark.find(scope)
         if field.default is field.default_factory is dataclasses.MISSING and name not in inherited:
-            both = [f"`{alias}` for both" for alias, names in kind.aliases.items() if name in names]
+            both = [f"`{alias}` for both" for alias, names in getattr(kind, "aliases", {}).items() if name in names]
             fail_validation(f"lacks {name}", f"give {' or '.join([name, *both])}", follows=mark is not None)
     return _marked(kind(**fields, **inherited), inherited=frozenset(inherited))
 
@@ -358,6 +376,11 @@ def _marked(component: Any, **marks: Any) -> Any:
     for name, value in marks.items():
         object.__setattr__(component, f"_{name}", value)
     return component
+
+
+def origin_of(component: Any) -> str:
+    """Return the catalog entry or the path that a component was read from; empty if it has been changed since."""
+    return getattr(component, "_origin", "")
 
 
 def inherited_fields(component: Any) -> frozenset[str]:
@@ -412,7 +435,7 @@ def independent(component: Any) -> Any:
 
 def write(component: Any, part: Part | None = None, *, folder: Path = Path()) -> Any:
     """Return the section of a component, as plain data with units: what differs from the defaults of its class."""
-    if origin := getattr(component, "_origin", ""):
+    if origin := origin_of(component):
         return write_path(Path(origin), _Folder(folder)) if origin.endswith(ENDINGS) else origin
     kind = type(component)
     part = Part(kind) if part is None else part
@@ -425,7 +448,7 @@ def write(component: Any, part: Part | None = None, *, folder: Path = Path()) ->
         if value is None:
             explicit_none.append(name)
         given[name] = _plain(value)
-    for alias, (first, *others) in kind.aliases.items():
+    for alias, (first, *others) in getattr(kind, "aliases", {}).items():
         if first in given and all(_same(given.get(other), given[first]) for other in others):
             given[alias] = given.pop(first)
             given = {name: one for name, one in given.items() if name not in others}
@@ -505,5 +528,6 @@ def parse_component(
     part = Part(base, units)
     model = part.model_for(read_document(text).data) or Section
     adapter: Any = TypeAdapter(Annotated[Any, part])
-    found, _ = parse_text(adapter.validate_python, model, text, source=source, key=key, context={**(context or {}), "folder": folder})
+    inner = {**(context or {}), "folder": folder}
+    found, _ = parse_text(adapter.validate_python, model, text, source=source, key=key, context=inner)
     return found

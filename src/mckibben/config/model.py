@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document
-from mckibben.errors import McKibbenError, Problem, ScenarioError, closest, quoted, suggest
+from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, closest, quoted, suggest
 
 
 class ConfigModel(BaseModel):
@@ -108,6 +108,14 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
         reason = str(error)
     problem = Problem(f"cannot be read: {reason}", remedy=f"give the path of {what}, see {example}")
     raise ScenarioError(source, [problem]) from None
+
+
+def explained(error: ValidationError) -> ParameterError:
+    """The first mistake of a validation."""
+    first = error.errors(include_url=False)[0]
+    found = first.get("ctx", {}).get("error")
+    message, where = getattr(found, "message", first["msg"]), dotted(tuple(first["loc"]))
+    return ParameterError(f"{where} {message}", value=first["input"], remedy=getattr(found, "remedy", ""))
 
 
 P = TypeVar("P", bound=ConfigModel)

@@ -11,7 +11,18 @@ from mckibben.control.observer import ExtendedStateObserver, Observer, PressureO
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.predictive import PredictiveControl
-from mckibben.control.reference import Constant, Multisine, Ramp, RandomSteps, Samples, Signal, Sine, Step, Sum
+from mckibben.control.reference import (
+    Constant,
+    Multisine,
+    Ramp,
+    RandomSteps,
+    Samples,
+    SamplesFile,
+    Signal,
+    Sine,
+    Step,
+    Sum,
+)
 from mckibben.control.supply_limit import SupplyLimit
 from mckibben.control.valve_adaptation import ValveAdaptation
 
@@ -39,6 +50,7 @@ __all__ = [
     "RandomSteps",
     "Reference",
     "Samples",
+    "SamplesFile",
     "Setpoint",
     "Signal",
     "Sine",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from numbers import Real
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from mckibben.control.base import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.numerics.elementary import exp
-from mckibben.units import COMPONENT, Instant, PositiveTime, Pressure, ShortTime, Tension, ms
+from mckibben.units import Instant, PositiveTime, Pressure, ShortTime, Tension, ms
 
 Scalar = Float[Array, ""]
 
@@ -256,7 +256,7 @@ class JointwiseControl(LegController):
         Gauge pressures [Pa] of the biarticular muscles.
     """
 
-    controllers: tuple[Annotated[Controller, COMPONENT], ...]
+    controllers: tuple[Controller, ...]
     reference: LegReference
     biarticular: tuple[Pressure, ...] = ()
 

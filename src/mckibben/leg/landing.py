@@ -69,7 +69,7 @@ class LandingStudy:
     @property
     def angles(self) -> tuple[float, ...]:
         """Angles [rad] of the joints at the touch."""
-        return self.scenario.leg.build().posture_angles(self._landing.touchdown)
+        return self.scenario.leg.posture_angles(self._landing.touchdown)
 
     def body_weights(self, name: str = "peak_force") -> Floats:
         """A force in weights of the leg, shape (valve, drop, stiffness, draw)."""

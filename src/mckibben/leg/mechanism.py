@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Annotated, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben import catalog
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive
-from mckibben.errors import McKibbenError, RangeError, quoted
+from mckibben.config.model import fail_validation, with_changes
+from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.units import (
-    COMPONENT,
     Angle,
     Damping,
     Distance,
@@ -168,8 +169,8 @@ class BiarticularMuscle(Component):
     """
 
     muscle: Muscle
-    path1: Annotated[MusclePath, COMPONENT]
-    path2: Annotated[MusclePath, COMPONENT]
+    path1: MusclePath
+    path2: MusclePath
     joint1: str = eqx.field(static=True)
     joint2: str = eqx.field(static=True)
     action1: Action = eqx.field(static=True)
@@ -234,6 +235,19 @@ class Leg(Component):
     biarticular: tuple[BiarticularMuscle, ...] = ()
     foot_radius: Distance = 0.0
     side_swing: LegJoint | None = None
+
+    @classmethod
+    def from_file(cls, value: Any) -> Any:
+        """Return the section of an entry of the catalog with changes; those of `joints` name the joint."""
+        section = {"from": value} if isinstance(value, str) else value
+        if not isinstance(section, dict) or "from" not in section:
+            return value
+        if section["from"] not in catalog.names("legs"):
+            fail_validation(
+                f"the catalog has no leg {quoted(section['from'])}",
+                suggest(str(section["from"]), catalog.names("legs")),
+            )
+        return with_changes(catalog.leg_section(section["from"]), section)
 
     def __check_init__(self) -> None:
         super().__check_init__()

@@ -8,18 +8,16 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from mckibben.component.schema import model_of
+from mckibben.component.schema import Part, parse_component
+from mckibben.config.document import to_text
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text, with_changes
-from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
-from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
+from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.errors import quoted, suggest
+from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import Ground, LegPlant
 from mckibben.muscle import SpringLaw
 from mckibben.plant import AirValve, IdealValve
-from mckibben.scenario.muscle import CatalogName, MuscleSpec
-from mckibben.scenario.scenario import RunSpec
-from mckibben.study.scenario.building import build_joint
-from mckibben.study.scenario.plant import AnyValve, JointSpec
+from mckibben.scenario.scenario import RunSettings, ValvePart
 from mckibben.units import (
     Angle,
     BoundedInt,
@@ -38,105 +36,11 @@ _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the leg."""
 
 
-class TrunkSpec(model_of(Trunk)):
-    """Body above the hip."""
-
-
-class LinkSpec(model_of(Link)):
-    """Link below a joint."""
-
-
-class GroundSpec(model_of(Ground)):
-    """Ground below the foot."""
-
-
-_JOINT_FIELDS = tuple(name for name in LegJoint.__dataclass_fields__ if name not in ("muscles", "name"))
-
-
-class LegJointSpec(model_of(LegJoint, base=JointSpec, without=("muscles",), name=(Title, Field(examples=["knee"])))):
-    """A joint of a leg: geometry and muscles as in a scenario's `joint`, its range, and the link below it."""
-
-    link: LinkSpec | None = None
-
-    def build(self) -> LegJoint:
-        """The joint."""
-        given = {name: one for name, one in explicit_fields(self).items() if name in _JOINT_FIELDS}
-        return LegJoint(build_joint(self), name=self.name, **given)
-
-
-class BiarticularSpec(model_of(BiarticularMuscle, without=("muscle",))):
-    """Muscle over two joints."""
-
-    name: Title = "biarticular"
-    muscle: MuscleSpec
-    joint1: Title
-    joint2: Title
-
-    def build(self, *args: Any, **others: Any) -> BiarticularMuscle:
-        """The muscle."""
-        return super().build(
-            muscle=self.muscle.build(), name=self.name, joint1=self.joint1, joint2=self.joint2, **others
-        )
-
-
-class LegSpec(model_of(Leg, without=("trunk", "links", "joints", "biarticular", "side_swing"), base=ConfigModel)):
-    """A leg: an entry of the catalog by `from`, with changes, or all its parts, joints from the hip down.
-
-    In text the name alone will do: ``leg: lei-leg``. A change of a part of `joints` names the joint.
-    """
-
-    trunk: TrunkSpec
-    joints: tuple[LegJointSpec, ...]
-    biarticular: tuple[BiarticularSpec, ...] = ()
-    side_swing: LegJointSpec | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_catalog(cls, value: Any) -> Any:
-        section = {"from": value} if isinstance(value, str) else value
-        if not isinstance(section, dict) or "from" not in section:
-            return value
-        from mckibben import catalog
-
-        entry = catalog.leg_section(CatalogName("legs").read(section["from"]))
-        return with_changes(entry, section)
-
-    @field_validator("joints", mode="after")
-    @classmethod
-    def _with_links(cls, value: tuple[LegJointSpec, ...]) -> tuple[LegJointSpec, ...]:
-        if not value:
-            fail_validation("has no joint", "list them from the hip down")
-        for joint in value:
-            if joint.link is None:
-                fail_validation(f"{joint.name} has no link", "give `link: {length, mass, centre, inertia}`")
-        return value
-
-    @model_validator(mode="after")
-    def _fits(self) -> LegSpec:
-        try:
-            self.build()
-        except RangeError as error:
-            fail_validation(error.message, error.remedy, value=error.value)
-        return self
-
-    def build(self) -> Leg:
-        """The leg."""
-        links = tuple(joint.link.build() for joint in self.joints if joint.link is not None)
-        return Leg(
-            self.trunk.build(),
-            links,
-            tuple(joint.build() for joint in self.joints),
-            tuple(one.build() for one in self.biarticular),
-            side_swing=None if self.side_swing is None else self.side_swing.build(),
-            **explicit_fields(self, "trunk", "joints", "biarticular", "side_swing"),
-        )
-
-
 Angles = dict[str, Angle]
 """Angles [rad] by the name of the joint."""
 
 
-class UncertaintySpec(ConfigModel):
+class Uncertainty(ConfigModel):
     """Uncertainty: relative standard deviations of the strength of each muscle and of the mass of each body.
 
     All are independent; the inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors
@@ -149,7 +53,7 @@ class UncertaintySpec(ConfigModel):
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
 
-class LandingSpec(ConfigModel):
+class LandingSettings(ConfigModel):
     """Drops on the ground over stiffness of a joint, drop height and valve.
 
     Attributes
@@ -176,7 +80,7 @@ class LandingSpec(ConfigModel):
     duration: Duration = 0.3
 
 
-class JumpSpec(ConfigModel):
+class JumpSettings(ConfigModel):
     """A jump from a squat.
 
     Attributes
@@ -196,7 +100,7 @@ class JumpSpec(ConfigModel):
     duration: Duration = 0.5
 
     @model_validator(mode="after")
-    def _in_order(self) -> JumpSpec:
+    def _in_order(self) -> JumpSettings:
         if self.high <= self.low:
             fail_validation(
                 f"high, {self.high / bar:g} bar, is not above low", "give a higher pressure", value=self.high
@@ -210,7 +114,7 @@ class JumpSpec(ConfigModel):
         return self
 
 
-class LegScenario(RunSpec):
+class LegScenario(RunSettings):
     """Leg, valves, ground, and the studies of it; `read` and `dumps` know the units.
 
     Examples
@@ -221,26 +125,26 @@ class LegScenario(RunSpec):
     """
 
     name: Title
-    leg: LegSpec
-    valve: AnyValve | None = None
-    ground: GroundSpec | None = None
-    landing: LandingSpec | None = None
-    jump: JumpSpec | None = None
-    uncertainty: UncertaintySpec = UncertaintySpec()
+    leg: Annotated[Leg, Part(Leg)]
+    valve: ValvePart = IdealValve()
+    ground: Annotated[Ground, Part(Ground)] = Ground()
+    landing: LandingSettings | None = None
+    jump: JumpSettings | None = None
+    uncertainty: Uncertainty = Uncertainty()
     step: PositiveTime = 0.25e-3
 
     @field_validator("ground", mode="after")
     @classmethod
-    def _carries(cls, value: GroundSpec | None, info: ValidationInfo) -> GroundSpec | None:
+    def _carries(cls, value: Ground, info: ValidationInfo) -> Ground:
         leg = info.data.get("leg")
-        if value is None or leg is None:
+        if leg is None:
             return value
-        weight = float(leg.build().total_mass) * LegPlant.gravity
-        if (depth := weight / value.effective("stiffness")) > _DEEPEST:
+        weight = float(leg.total_mass) * LegPlant.gravity
+        if (depth := weight / value.stiffness) > _DEEPEST:
             fail_validation(
                 f"the leg would stand {depth / mm:.3g} mm deep in the ground",
                 f"give a stiffness of {weight / _DEEPEST:.2g} N/m or more",
-                value=value.effective("stiffness"),
+                value=value.stiffness,
             )
         return value
 
@@ -254,11 +158,11 @@ class LegScenario(RunSpec):
             fail_validation("needs a trunk that can move", "give the trunk the freedom vertical, planar or free")
         ranges = {joint.name: (joint.lower, joint.upper) for joint in leg.joints}
         locked = {joint.name: joint.locked for joint in leg.joints if joint.locked is not None}
-        angles = value.touchdown if isinstance(value, LandingSpec) else value.squat
-        for name in [*angles, *([value.joint] if isinstance(value, LandingSpec) else [])]:
+        angles = value.touchdown if isinstance(value, LandingSettings) else value.squat
+        for name in [*angles, *([value.joint] if isinstance(value, LandingSettings) else [])]:
             if name not in ranges:
                 fail_validation(f"there is no joint {quoted(name)}", suggest(name, list(ranges)))
-        if isinstance(value, LandingSpec) and value.joint in locked:
+        if isinstance(value, LandingSettings) and value.joint in locked:
             fail_validation(f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move")
         for name, angle in angles.items():
             lower, upper = ranges[name]
@@ -274,11 +178,11 @@ class LegScenario(RunSpec):
 
     @field_validator("jump", mode="after")
     @classmethod
-    def _supplied(cls, value: JumpSpec | None, info: ValidationInfo) -> JumpSpec | None:
+    def _supplied(cls, value: JumpSettings | None, info: ValidationInfo) -> JumpSettings | None:
         leg, supply = info.data.get("leg"), getattr(info.data.get("valve"), "supply", None)
         if value is None or leg is None:
             return value
-        muscles = [one for one in leg.build().muscles if not isinstance(one.law, SpringLaw)]
+        muscles = [one for one in leg.muscles if not isinstance(one.law, SpringLaw)]
         rated = min(float(one.specimen.domain.pressure_max) for one in muscles)
         for what, highest in (("rating of a muscle", rated), ("supply", supply)):
             if highest is not None and value.high > highest:
@@ -291,13 +195,11 @@ class LegScenario(RunSpec):
 
     @model_validator(mode="after")
     def _with_air(self) -> LegScenario:
-        if self.landing is not None and self.landing.time_constants:
-            runtime = None if self.valve is None else self.valve.runtime
-            if runtime is None or not issubclass(runtime, AirValve):
-                fail_validation(
-                    "landing.time_constants (20 ms unless given) are of a valve with air, and the valve has none",
-                    "give a valve such as {class: PressureRegulator, ...}, or `time_constants: []`",
-                )
+        if self.landing is not None and self.landing.time_constants and not isinstance(self.valve, AirValve):
+            fail_validation(
+                "landing.time_constants (default: 20 ms) are of a valve with air, and the valve has none",
+                "give a valve such as {class: regulator, ...}, or `time_constants: []`",
+            )
         return self
 
     @classmethod
@@ -317,16 +219,12 @@ class LegScenario(RunSpec):
 
     def plant(self) -> LegPlant:
         """The simulated leg."""
-        ground = Ground() if self.ground is None else self.ground.build()
-        return LegPlant(self.leg.build(), IdealValve() if self.valve is None else self.valve.build(), ground)
+        return LegPlant(self.leg, self.valve, self.ground)
 
 
 def read_leg(name: str | os.PathLike[str]) -> Leg:
     """The leg of the catalog of that name, or of a file; raises ScenarioError."""
     text = os.fspath(name)
     if text.endswith((".yaml", ".yml")):
-        return LegScenario.read(name).leg.build()
-    try:
-        return LegSpec.model_validate(text).build()
-    except ValueError as error:
-        raise ScenarioError(text, [Problem(str(error))]) from error
+        return LegScenario.read(name).leg
+    return parse_component(Leg, to_text({"from": text}), source=text)

@@ -11,12 +11,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.identification.fit import Fit
 from mckibben.identification.storage import read_fit
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
-from mckibben.muscle import ForceLaw, Muscle, SpringLaw, scaled_law
-from mckibben.scenario.muscle import MuscleSpec
+from mckibben.muscle import ForceLaw, Muscle, SpringLaw
 
 
 def drawn_plant(scenario: LegScenario) -> LegPlant:
@@ -32,31 +32,29 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
         return found
 
     leg = plant.leg
-    fits: dict[Path, ForceLaw] = {}  # one draw of a fit for all muscles that have it
+    fits: dict[str, ForceLaw] = {}  # one draw of a fit for all muscles that have it
 
-    def drawn(own: MuscleSpec | None, muscle: Muscle) -> Muscle:
+    def drawn(muscle: Muscle) -> Muscle:
         """A muscle with arrays in its law; springs do not scatter."""
-        if own is None or isinstance(muscle.law, SpringLaw):
+        if isinstance(muscle.law, SpringLaw):
             return muscle
-        if isinstance(own.law, Path):
-            if own.law not in fits:
-                fit = read_fit(own.law)
-                fits[own.law] = dataclasses.replace(fit.law, **_fit_draws(fit, rng, count))
-            muscle = own.build(fits[own.law])
-        return eqx.tree_at(lambda x: x.law, muscle, scaled_law(muscle.law, factors(spec.strength)))
+        file = origin_of(muscle.law)
+        if file.endswith(ENDINGS):
+            if file not in fits:
+                fit = read_fit(Path(file))
+                fits[file] = dataclasses.replace(fit.law, **_fit_draws(fit, rng, count))
+            muscle = eqx.tree_at(lambda x: x.law, muscle, fits[file])
+        strength = factors(spec.strength) * (1.0 if muscle.strength is None else muscle.strength)
+        return dataclasses.replace(muscle, strength=strength)
 
     trunk = _with_mass(leg.trunk, factors(spec.mass))
     links = tuple(_with_mass(link, factors(spec.mass)) for link in leg.links)
     joints = []
-    for joint, part in zip(leg.joints, scenario.leg.joints, strict=True):
-        given = (part.muscle1 or part.muscle, part.muscle2 or part.muscle)
-        muscles = list(map(drawn, given, (joint.muscles.muscle1, joint.muscles.muscle2)))
-        pair = eqx.tree_at(lambda one: (one.muscle1, one.muscle2), joint.muscles, tuple(muscles))
+    for joint in leg.joints:
+        muscles = drawn(joint.muscles.muscle1), drawn(joint.muscles.muscle2)
+        pair = eqx.tree_at(lambda one: (one.muscle1, one.muscle2), joint.muscles, muscles)
         joints.append(eqx.tree_at(lambda one: one.muscles, joint, pair))
-    biarticular = tuple(
-        eqx.tree_at(lambda x: x.muscle, one, drawn(part.muscle, one.muscle))
-        for one, part in zip(leg.biarticular, scenario.leg.biarticular, strict=True)
-    )
+    biarticular = tuple(eqx.tree_at(lambda x: x.muscle, one, drawn(one.muscle)) for one in leg.biarticular)
     leg = eqx.tree_at(lambda x: (x.trunk, x.links, x.joints), leg, (trunk, links, tuple(joints)))
     if biarticular:
         leg = eqx.tree_at(lambda x: x.biarticular, leg, biarticular)

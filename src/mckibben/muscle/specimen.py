@@ -178,6 +178,14 @@ class Specimen(Component):
         return float("inf") if self.rated_force is None else self.rated_force
 
     @property
+    def known_force_limit(self) -> float:
+        """Rated force [N]; `RangeError` without one."""
+        if self.rated_force is None:
+            remedy = "give the specimen its rated_force, or a limit of the force, such as `force: 200 N`"
+            raise RangeError(f"{self.name} has no rated force", field="force", remedy=remedy)
+        return self.rated_force
+
+    @property
     def has_volume(self) -> bool:
         """Whether the volume is known: as a polynomial, or from diameter and angle of the braid."""
         if self.volume_terms is not None:

@@ -6,21 +6,20 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import jax
 import numpy as np
 
-from mckibben.control import Constant, Multisine, Signal, Sine, Step
+from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
 from mckibben.errors import ParameterError, RangeError, UnreachableError
 from mckibben.notebook import html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
-from mckibben.reachability.lengths import Place, design_lengths
+from mckibben.reachability.lengths import design_lengths
 from mckibben.reachability.sizing import Design
 from mckibben.reachability.static import StaticEnvelope, static_envelope
 from mckibben.reachability.trackability import Trackability, TrackabilityChecker
-from mckibben.scenario import Scenario, with_values
+from mckibben.scenario import Scenario, Start, with_values
 from mckibben.storage.files import atomic_write
-
 from mckibben.units import bar, deg
 
 HEADERS = ("angle", "gravity torque", "torque range", "stiffness range", "p1, p2 at lowest", "p1, p2 at highest")
@@ -162,18 +161,21 @@ def save_reference(scenario: Scenario, found: FeasibleReference, folder: Path, n
     sampled = any(map(_is_sampled, signals))
     if sampled:
         _write_samples(table, found)
-    angle, stiffness = (_signal_record(signal, table) for signal in signals)
+    angle, stiffness = (
+        SamplesFile(table, name) if _is_sampled(signal) else jax.tree.map(float, signal)
+        for name, signal in zip(("angle", "stiffness"), signals, strict=True)
+    )
     trajectory = found.trackability.trajectory
     periods = math.ceil(scenario.duration / found.speed / scenario.control_period - 1e-9)
     update = {
         "name": f"{scenario.name[:150]}, nearest, {found.preserved.name.lower()} preserved",
-        "signals": ReferenceSpec.model_validate({"angle": angle, "stiffness": stiffness}),
-        "start": StartSpec(angle=float(trajectory.angle[0]), stiffness=float(trajectory.stiffness[0])),
+        "signals": Reference(angle, stiffness),
+        "start": Start(angle=float(trajectory.angle[0]), stiffness=float(trajectory.stiffness[0])),
         "duration": scenario.duration if found.speed == 1 else periods * scenario.control_period,
     }
     changed = scenario.model_copy(update=update)
     if not _has_initial_state(changed):  # a reference that begins in motion may need a torque that rest does not have
-        changed = changed.model_copy(update={"start": StartSpec(angle=float(trajectory.angle[0]))})
+        changed = changed.model_copy(update={"start": Start(angle=float(trajectory.angle[0]))})
     changed.to_yaml(folder / f"{name}.yaml")
     return [f"{name}.yaml", *([table.name] if sampled else [])]
 
@@ -185,30 +187,14 @@ def save_design(scenario: Scenario, found: Design, path: Path) -> bool:
     """
     known = design_lengths(found.plant)
     places = {place: value for name, value in found.lengths.items() for place in known[name]}
-    joint = scenario.joint
-    own = [{place[1:]: value for place, value in places.items() if place[0] == name} for name in ("muscle1", "muscle2")]
-    if joint.muscle is not None and True not in found.plant.joint.springs and own[0] != own[1]:
-        each = {"muscle": None, "muscle1": joint.muscle, "muscle2": joint.muscle}
-        scenario = scenario.model_copy(update={"joint": joint.model_copy(update=each)})
     try:
-        values = {_address(scenario, place): value for place, value in places.items()}
-        changed = with_values(scenario, values)
+        changed = with_values(scenario, {".".join(("joint", *place)): value for place, value in places.items()})
     except ParameterError:
         return False
     if not _has_initial_state(changed):
-        changed = changed.model_copy(update={"start": StartSpec(angle=scenario.start.angle)})
+        changed = changed.model_copy(update={"start": Start(angle=scenario.start.angle)})
     changed.to_yaml(path)
     return True
-
-
-def _address(scenario: Scenario, place: Place) -> str:
-    """Address of a length in a scenario."""
-    joint = scenario.joint
-    if place == ("geometry", "connector_length"):
-        return "joint.connector_length"
-    if place[0] != "geometry" and joint.muscle is not None:
-        place = ("muscle", *place[1:])
-    return ".".join(("joint", *place))
 
 
 def _has_initial_state(scenario: Scenario) -> bool:
@@ -235,23 +221,6 @@ def _write_samples(path: Path, found: FeasibleReference) -> None:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns.values(), strict=True))
-
-
-def _signal_record(signal: Signal, table: Path) -> dict[str, Any]:
-    """A signal as in a scenario, in SI."""
-    match signal:
-        case Constant():
-            return {"constant": float(signal.value)}
-        case Step():
-            return {"step": {name: float(getattr(signal, name)) for name in ("before", "after", "at")}}
-        case Sine():
-            names = ("amplitude", "frequency", "offset", "phase")
-            return {"sine": {name: float(getattr(signal, name)) for name in names}}
-        case Multisine():
-            lists = {name: tuple(map(float, getattr(signal, name))) for name in ("amplitudes", "frequencies", "phases")}
-            given = {name: values for name, values in lists.items() if values}
-            return {"multisine": {**given, "offset": float(signal.offset)}}
-    return {"samples": {"file": table}}
 
 
 def _pressures(pair: np.ndarray) -> str:

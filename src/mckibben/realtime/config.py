@@ -11,14 +11,14 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.component.schema import model_of
+from mckibben.component.schema import section_of
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import Calibration
-from mckibben.study.rig.steps import JsonPath
+from mckibben.study.rig.document import JsonPath
 from mckibben.units import (
     BoundedInt,
     Duration,
@@ -155,7 +155,7 @@ _Step = Annotated[float, Quantity("rad", "deg", 0, 10)]
 _Noise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3)]
 
 
-class SimulatedJointSpec(ConfigModel):
+class SimulatedJointSettings(ConfigModel):
     """Sensors of the simulated joint, see `Sensing`; the joint is the scenario's own plant."""
 
     angle_step: _Step | None = None
@@ -163,7 +163,7 @@ class SimulatedJointSpec(ConfigModel):
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
 
-class JointCardSpec(ConfigModel):
+class JointCardSettings(ConfigModel):
     """Terminals of an NI card, and the file of the five calibrations."""
 
     device: str
@@ -178,11 +178,11 @@ class JointCardSpec(ConfigModel):
     calibration: JsonPath
 
 
-class JointLimitsSpec(model_of(JointLimits, optional=True)):
+class JointLimitsSettings(section_of(JointLimits, partial=True)):
     """Safety limits: by default 10 deg beyond references, start and vented joint, 5 % above the rated pressure."""
 
 
-class ApproachSpec(ConfigModel):
+class ApproachSettings(ConfigModel):
     """Approach: in `raising` the pressures are ramped to the start, in `settling` the first reference is held."""
 
     raising: WaitTime = 2.0
@@ -202,10 +202,10 @@ class JointRig(ConfigModel):
     renamed: ClassVar = {"virtual": "simulated"}
 
     name: Title = Field("simulated joint", examples=["knee on the bench"])
-    simulated: SimulatedJointSpec | None = None
-    nidaqmx: JointCardSpec | None = Field(None, validate_default=True)
-    limits: JointLimitsSpec = JointLimitsSpec()
-    approach: ApproachSpec = ApproachSpec()
+    simulated: SimulatedJointSettings | None = None
+    nidaqmx: JointCardSettings | None = Field(None, validate_default=True)
+    limits: JointLimitsSettings = JointLimitsSettings()
+    approach: ApproachSettings = ApproachSettings()
     patience: Duration = 0.1
 
     @field_validator("simulated", mode="before")

@@ -17,7 +17,7 @@ import mckibben
 from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
-from mckibben.realtime.config import JointCardSpec, JointRig, Wiring
+from mckibben.realtime.config import JointCardSettings, JointRig, Wiring
 from mckibben.realtime.loop import (
     RunOutcome,
     RunPlan,
@@ -249,7 +249,7 @@ def _connected(
     return wiring, joint
 
 
-def _card(spec: JointCardSpec, period: float, patience: float) -> tuple[Wiring, Backend]:
+def _card(spec: JointCardSettings, period: float, patience: float) -> tuple[Wiring, Backend]:
     from mckibben.rig import ni
 
     def terminal(name: str) -> str:

@@ -13,6 +13,7 @@ from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
 from mckibben.calibration import JointCalibration, JointRecording
+from mckibben.control import Constant, Sine
 from mckibben.paper.identification import JointMap
 from mckibben.reachability import Design, Envelope, FeasibleReference, Preserved, StaticEnvelope
 from mckibben.report.style import (
@@ -268,9 +269,8 @@ def _angle(axes: Axes, found: Envelope) -> None:
 
 def _shown(found: Envelope) -> slice:
     """Samples that are drawn: two periods of a sine, else all."""
-    times, sine = found.trackability.trajectory.times, found.scenario.signals.angle.sine
-    constant = found.scenario.signals.stiffness.constant is not None
-    if sine is None or not constant or not sine.frequency:
+    times, sine = found.trackability.trajectory.times, found.scenario.signals.angle
+    if not (isinstance(sine, Sine) and sine.frequency and isinstance(found.scenario.signals.stiffness, Constant)):
         return slice(None)
     return slice(0, max(int(np.searchsorted(times, times[0] + 2 / sine.frequency)), 2))
 

@@ -148,7 +148,7 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
         "closed valve compresses its air, so that the best stiffness moves with the valve and the drop."
     )
     figure = ReportFigure("landing", "", "Landings", caption, "Forces over stiffness", landing_forces(study))
-    leg, posture = study.scenario.leg.build(), study.angles
+    leg, posture = study.scenario.leg, study.angles
     ellipses = ReportFigure(
         "foot",
         "",
@@ -197,7 +197,7 @@ def _published(study: JumpStudy) -> Table:
         found = catalog.find("robots", name)[0]
         rows.append((found["title"], found["jump"], found["of_height"], found["actuators"], found["differs"]))
     height, length = study.timed.heights[0] / mm, study.leg_length / mm
-    leg = study.scenario.leg.build()
+    leg = study.scenario.leg
     ours = (
         f"{height:.0f} mm, centre of mass",
         f"{height / length * 100:.0f} % of the leg",

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.component.base import Checked, check_fields
+from mckibben.component.base import Checked, Inherited, check_fields
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle, Specimen
@@ -103,7 +103,7 @@ class RigLimits(Checked):
     """Limits of a test rig; a single sample beyond one of them stops the test."""
 
     pressure: PositivePressure  # highest
-    force: Tension  # highest
+    force: Annotated[Tension, Inherited(lambda scope: scope["muscle"].specimen.known_force_limit)]  # highest
     stretch: Travel  # travel from where the muscle was mounted, either way
     shorten: Travel
     pressure_rate: PressureRate = 50 * bar / s  # between the means of two cycles; not checked during venting

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.component.base import field_problems
+from mckibben.component.base import Checked, field_problems
+from mckibben.component.schema import find_class
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
@@ -137,8 +138,41 @@ class Plateaus(NamedTuple):
     time: NDArray[np.float64]  # start of the acquisition [s] after the start of the test
 
 
+class Keyed(Checked):
+    """Base of classes whose section may stand below their short name, as in ``isobaric: {repeats: 2}``."""
+
+    alone: ClassVar[str] = ""
+    """Field of a section that is one value, as in ``move: 10 %``."""
+
+    @classmethod
+    def from_file(cls, value: Any) -> Any:
+        """Return the section with its class of one below a short name."""
+        if not isinstance(value, dict) or len(value) != 1:
+            return value
+        ((name, section),) = value.items()
+        kind = find_class(cls, name)
+        if kind is None:
+            return value
+        if section == "":
+            section = {}
+        return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "alone", ""): section})}
+
+    @classmethod
+    def to_file(cls, section: dict[str, Any]) -> Any:
+        """Return a section below the short name of its class."""
+        name, inner = section.pop("class", cls.short_name), section
+        alone = getattr(find_class(cls, name), "alone", "")
+        if not inner:
+            return name
+        return {name: inner[alone] if list(inner) == [alone] else inner}
+
+
+class Protocol(Keyed):
+    """A test."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class IsobaricProtocol:
+class IsobaricProtocol(Protocol):
     """Isobaric test: strokes at constant pressures.
 
     Defaults are the paper's ("Parameters identification") unless marked as ours.
@@ -183,6 +217,8 @@ class IsobaricProtocol:
       step: is -0.001 m, outside above 0 to 100 mm; choose a value inside
       repeats: is 0, outside 1 to 10000; choose a value inside
     """
+
+    short_name = "isobaric"
 
     pressures: Sequence[SetPressure] = PAPER_PRESSURES
     contraction_min: Contraction | None = None

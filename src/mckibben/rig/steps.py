@@ -9,12 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from mckibben.component.base import Checked, check_fields, field_problems
+from mckibben.component.base import check_fields, field_problems
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.rig.protocol import (
     PAPER_PRESSURES,
     IsobaricProtocol,
+    Keyed,
+    Protocol,
     SetPressure,
     StepTravel,
     boundaries,
@@ -44,9 +46,20 @@ SPEED = 0.2 * mm / s
 """Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
 
 
+class Step(Keyed):
+    """A step of a test."""
+
+    def describe(self) -> str:
+        """Description as text."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, kw_only=True)
-class Move(Checked):
+class Move(Step):
     """Move of the motor to a contraction."""
+
+    short_name = "move"
+    alone = "to"
 
     to: Contraction
     speed: Speed = SPEED
@@ -57,8 +70,11 @@ class Move(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dwell(Checked):
+class Dwell(Step):
     """Wait for a duration [s]."""
+
+    short_name = "dwell"
+    alone = "duration"
 
     duration: WaitTime
 
@@ -68,8 +84,11 @@ class Dwell(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pressurise(Checked):
+class Pressurise(Step):
     """Change of the set pressure, until the muscle has it."""
+
+    short_name = "pressurise"
+    alone = "pressure"
 
     pressure: SetPressure
     rate: PressureRate | None = None  # of the set pressure; a step unless given
@@ -83,8 +102,11 @@ class Pressurise(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class HoldForce(Checked):
+class HoldForce(Step):
     """Move until the muscle has a force, by feedback of the force."""
+
+    short_name = "hold_force"
+    alone = "force"
 
     force: Tension
     tolerance: Tension = 2 * N  # of the mean over a cycle
@@ -97,8 +119,10 @@ class HoldForce(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Acquire(Checked):
+class Acquire(Step):
     """Acquisition of a point: the samples of a plateau."""
+
+    short_name = "acquire"
 
     samples: Samples = 1000
     duration: Duration = 1 * s
@@ -112,10 +136,12 @@ class Acquire(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Walk(Checked):
+class Walk(Step):
     """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire."""
 
-    to: Contraction | None  # None: the start of the walk before
+    short_name = "walk"
+
+    to: Contraction | None = None  # the start of the walk before
     step: StepTravel = 1 * mm
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
@@ -138,8 +164,10 @@ class Walk(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vent:
+class Vent(Step):
     """Vent, and wait until the muscle is empty."""
+
+    short_name = "vent"
 
     def describe(self) -> str:
         """Description as text."""
@@ -147,8 +175,10 @@ class Vent:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Repeat:
+class Repeat(Step):
     """Repeated steps. The points inside have the number of the innermost repeat, from 0."""
+
+    short_name = "repeat"
 
     times: Repeats
     steps: tuple[Step, ...]
@@ -164,7 +194,19 @@ class Repeat:
         return f"{self.times} times"
 
 
-Step = Move | Dwell | Pressurise | HoldForce | Acquire | Walk | Vent | Repeat
+@dataclass(frozen=True, kw_only=True)
+class Steps(Protocol):
+    """Steps one after another."""
+
+    short_name = "steps"
+    alone = "steps"
+
+    steps: tuple[Step, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.steps:
+            raise RangeError("a protocol of no steps", field="steps", remedy="give at least one")
 
 
 def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
@@ -242,8 +284,10 @@ def _short_of(low: float, protocol: IsobaricProtocol, of: Muscle) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsometricProtocol:
+class IsometricProtocol(Protocol):
     """Isometric test: constant length, the pressure stepped up and down."""
+
+    short_name = "isometric"
 
     contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))  # ours
     pressures: Sequence[SetPressure] = PAPER_PRESSURES
@@ -284,8 +328,10 @@ class IsometricProtocol:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsotonicProtocol:
+class IsotonicProtocol(Protocol):
     """Isotonic test: constant force, the pressure stepped up and down."""
+
+    short_name = "isotonic"
 
     forces: Sequence[Tension] = (50.0, 100.0, 200.0)  # ours
     pressures: Sequence[SetPressure] = PAPER_PRESSURES[4:]  # ours; 200 N takes about 2 bar
@@ -322,12 +368,12 @@ class IsotonicProtocol:
         return (*steps, Vent())
 
 
-Procedure = IsobaricProtocol | IsometricProtocol | IsotonicProtocol
-
-
-def steps_of(procedure: Procedure, of: Muscle | Specimen) -> tuple[Step, ...]:
-    """Steps of a whole test, for a muscle or for a specimen without a law."""
-    return isobaric_steps(procedure, of) if isinstance(procedure, IsobaricProtocol) else procedure.steps(of)
+def steps_of(protocol: Protocol, of: Muscle | Specimen) -> tuple[Step, ...]:
+    """Steps of a test, for a muscle or for a specimen without a law."""
+    if isinstance(protocol, Steps):
+        return protocol.steps
+    assert isinstance(protocol, IsobaricProtocol | IsometricProtocol | IsotonicProtocol)
+    return isobaric_steps(protocol, of) if isinstance(protocol, IsobaricProtocol) else protocol.steps(of)
 
 
 def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequence[float]) -> list[float]:

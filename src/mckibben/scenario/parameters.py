@@ -92,8 +92,8 @@ def _walk(
         mark = _mark(form)
         if key in inherited_fields(part):
             found.refused[here] = (
-                f"the controller takes its {key} from the plant",
-                f"vary the plant's as known, or write `{key}:` in the file to vary it apart from the plant",
+                "it is not given and follows the plant",
+                f"write `{key}:` in the file to vary it alone",
             )
         elif declared_fields(kind)[key].metadata.get("static") and mark is not None:
             found.refused[here] = _COMPILED, _IN_FILE

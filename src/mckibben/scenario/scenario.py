@@ -12,7 +12,6 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
-from mckibben.catalog import entries as _  # noqa: F401  (its entries can stand in files)
 from mckibben.component.checks import whole_periods
 from mckibben.component.schema import Part, independent, inherit, write
 from mckibben.config.document import to_text

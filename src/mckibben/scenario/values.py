@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.component.schema import replaced
+from mckibben.component.schema import inherit, replaced
 from mckibben.config.document import edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
@@ -56,6 +56,8 @@ def part_at(part: Any, place: Place) -> Any:
 def _with(scenario: Scenario, values: Mapping[ScenarioParameter, Any]) -> Scenario:
     """Return the scenario with other values, and what the controller takes from its plant."""
     found = changed(scenario, _at_places(values))
+    plant = {name: inherit(getattr(found, name), {}) for name in _PLANT}  # such as the braid angle of Chou's law
+    found = found.model_copy(update=plant)
     return found.model_copy(update={"controller": found.control()})
 
 

@@ -105,6 +105,7 @@ def joint_named(name: str) -> AntagonisticJoint:
     """A joint of the catalog, or that of a scenario file."""
     if Path(name).suffix in (".yaml", ".yml"):
         from mckibben.scenario import Scenario
+
         return Scenario.read(name).joint
     if name in catalog.names("joints"):
         return catalog.joint(name)

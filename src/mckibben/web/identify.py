@@ -19,7 +19,6 @@ from mckibben.identification import Fit, Ranking, identify, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.scenario import muscle_text
-from mckibben.scenario.muscle import MuscleSpec
 from mckibben.units import Length, Quantity, bar, factor, percent
 from mckibben.web.layout import (
     PALETTE,
@@ -100,7 +99,7 @@ def keep_muscle(fit: Fit, data: IsobaricDataset, folder: Path) -> Muscle | None:
     if not text:
         return None
     (folder / "muscle.yaml").write_text(text, encoding="utf-8")
-    return MuscleSpec.model_validate("muscle.yaml", context={"folder": folder}).build()
+    return read_component(Muscle, folder / "muscle.yaml")
 
 
 def page() -> None:

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.control import Reference, Samples
+from mckibben.control import Reference, Samples, Sine
 from mckibben.control.base import Setpoint
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled, numeric
@@ -116,7 +116,7 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     joint = _dealt(shares, count, order[0])
     names = _dealt({name: each.share for name, each in suite.references.items()}, count, order[1])
     conditions = dict(sample(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
-    if suite.sensors is not None and "sensors.seed" not in conditions:
+    if suite.has_noise and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
     values, setpoints = _references(suite, names, seed)
     runs = Runs(suite, joint, names, conditions, values, ())
@@ -191,8 +191,8 @@ def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[st
     """Values of a reference's varied parameters, with sine amplitudes of the angle within the suite's acceleration."""
     varied = suite.reference_over(name)
     table = dict(sample(varied, samples=count, seed=seed)) if varied else {}
-    sine, most = getattr(suite.references[name].reference.angle, "sine", None), suite.max_angular_acceleration
-    if sine is None or most is None:
+    sine, most = suite.references[name].reference.angle, suite.max_angular_acceleration
+    if not isinstance(sine, Sine) or most is None:
         return table
     amplitude = table.get("reference.angle.amplitude", np.full(count, sine.amplitude))
     frequency = table.get("reference.angle.frequency", np.full(count, sine.frequency))

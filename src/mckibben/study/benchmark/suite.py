@@ -6,29 +6,31 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
+from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, explained, fail_validation, parse_model, read_text
+from mckibben.control import Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
-from mckibben.scenario import Scenario
-from mckibben.scenario.scenario import RunSpec
-from mckibben.scenario.values import explained
-from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
-from mckibben.study.scenario.controller import AnyController
-from mckibben.study.scenario.plant import (
-    AnyDisturbance,
-    AnyLoad,
-    AnySensors,
-    AnyValve,
-    JointFrictionSpec,
-    JointSpec,
-    StartSpec,
+from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
+from mckibben.scenario import Scenario, list_parameters
+from mckibben.scenario.scenario import (
+    ControllerPart,
+    DisturbancePart,
+    FrictionPart,
+    JointPart,
+    LoadPart,
+    ReferencePart,
+    RunSettings,
+    SensorsPart,
+    Start,
+    ValvePart,
 )
-from mckibben.study.scenario.reference import ReferenceSpec
+from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 from mckibben.units import AngularAcceleration, BoundedInt, CommandDelay, Duration, PositiveTime
 
@@ -102,13 +104,7 @@ def _check_name(name: str, reserved: str) -> None:
 
 
 def _check_controller(suite: Suite, name: str) -> None:
-    """Check the friction of its model, and that its file name is unique."""
-    spec = suite.controllers[name]
-    if spec.friction_compensation and not (spec.model or suite.joint).has_friction:
-        raise ParameterError(
-            "has friction_compensation, but no muscle of its model has friction",
-            remedy="give the muscles of the model `friction`, or leave the compensation out",
-        )
+    """Check that its file name is unique."""
     same = next(other for other in suite.controllers if filename(other) == filename(name))
     if same != name:
         raise ParameterError(f"would be kept in the same file as {same!r}", remedy="give it another name")
@@ -116,13 +112,13 @@ def _check_controller(suite: Suite, name: str) -> None:
 
 def _check_differs(suite: Suite) -> None:
     first, *others = suite.references.values()
-    if not (others or first.over or suite.conditions or suite.sensors or suite.other_joints):
+    if not (others or first.over or suite.conditions or suite.has_noise or suite.other_joints):
         raise ParameterError("nothing differs from run to run", remedy="give conditions, or `over` of a reference")
 
 
 def _check_cost(suite: Suite) -> None:
     """Check that every run has a value of each metric."""
-    steps = all(getattr(case.reference.stiffness, "step", None) for case in suite.references.values())
+    steps = all(isinstance(case.reference.stiffness, Step) for case in suite.references.values())
     if "coupling" in suite.cost.metrics and not steps:
         raise ParameterError("coupling is of steps of the stiffness", remedy="leave it out, or let all references step")
 
@@ -156,17 +152,17 @@ NOMINAL_JOINT = "nominal"
 """Name of the suite's own joint, that of the controllers' models, as the plant of a run."""
 
 
-def start_of(reference: ReferenceSpec) -> StartSpec:
+def start_of(reference: Reference) -> Start:
     """Start at rest at the first angle of a reference, with the middle of the attainable stiffness."""
-    return StartSpec(angle=float(reference.angle.build()(0.0)))
+    return Start(angle=float(reference.angle(0.0)))
 
 
-class PlantSpec(ConfigModel):
+class PlantCase(ConfigModel):
     """A joint, valves or both in place of the suite's own, and their share of the runs."""
 
     share: _Share = 1
-    joint: JointSpec | None = None
-    valve: AnyValve | None = Field(None, validate_default=True)
+    joint: JointPart | None = None
+    valve: ValvePart | None = Field(None, validate_default=True)
 
     @field_validator("valve", mode="after")
     @classmethod
@@ -180,11 +176,11 @@ class ReferenceCase(ConfigModel):
     """A reference, its parameters that vary from run to run, and its share of the runs."""
 
     share: _Share = 1
-    reference: ReferenceSpec
+    reference: ReferencePart
     over: tuple[str, ...] = ()
 
 
-class TuningSpec(ConfigModel):
+class TuningSettings(ConfigModel):
     """Tuning of each controller by CMA-ES, with the same budget for all but those of `starts_of`."""
 
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
@@ -208,14 +204,14 @@ class TuningSpec(ConfigModel):
         return value
 
 
-class EvaluationSpec(ConfigModel):
+class EvaluationSettings(ConfigModel):
     """Runs on which controllers are compared, with another seed than those of the tuning."""
 
     runs: Annotated[int, BoundedInt(2, _MOST)] = 512
     seed: _Seed = 1
 
 
-class Suite(RunSpec):
+class Suite(RunSettings):
     """A benchmark suite: plants, references, conditions and controllers.
 
     The models of all controllers are the nominal `joint`, `load` and `valve`, whatever the plant of a run.
@@ -239,32 +235,30 @@ class Suite(RunSpec):
         Training runs and budget, and evaluation runs.
     """
 
-    renamed: ClassVar = {"wishes": "references", "fastest": "max_angular_acceleration", "unseen": "evaluation"}
-
     name: Title
-    joint: JointSpec
+    joint: JointPart
     joint_share: _Share = 1
-    other_joints: dict[str, PlantSpec] = Field(default_factory=dict)
-    load: AnyLoad
-    valve: AnyValve | None = None
-    sensors: AnySensors | None = None
-    disturbance: AnyDisturbance | None = None
-    friction: JointFrictionSpec | None = None
+    other_joints: dict[str, PlantCase] = Field(default_factory=dict)
+    load: LoadPart
+    valve: ValvePart = IdealValve()
+    sensors: SensorsPart = PerfectSensors()
+    disturbance: DisturbancePart = NoDisturbance()
+    friction: FrictionPart | None = None
     command_delay: CommandDelay | None = None
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None
-    controllers: dict[str, AnyController] = Field(min_length=1)
+    controllers: dict[str, ControllerPart] = Field(min_length=1)
     true_model: tuple[str, ...] = ()
-    tuning: TuningSpec = TuningSpec()
-    evaluation: EvaluationSpec = EvaluationSpec()
+    tuning: TuningSettings = TuningSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
     duration: Duration
     control_period: PositiveTime
     substeps: Annotated[int, BoundedInt(1, 1000)] = 4
 
     @field_validator("evaluation", mode="after")
     @classmethod
-    def _other_seed(cls, value: EvaluationSpec, info: ValidationInfo) -> EvaluationSpec:
+    def _other_seed(cls, value: EvaluationSettings, info: ValidationInfo) -> EvaluationSettings:
         tuning = info.data.get("tuning")
         if tuning is not None and tuning.seed == value.seed:
             fail_validation("has the seed of the tuning", "give another: the training runs are no evaluation")
@@ -285,19 +279,24 @@ class Suite(RunSpec):
         return suite
 
     @property
+    def has_noise(self) -> bool:
+        """Whether its sensors have noise."""
+        return "sensors.seed" in [one.name for one in list_parameters(self.example())]
+
+    @property
     def cost(self) -> Cost:
         """Cost of a run."""
         return parse_cost(self.tuning.cost)
 
     @property
-    def plants(self) -> dict[str, PlantSpec]:
+    def plants(self) -> dict[str, PlantCase]:
         """Joint and valves of all plants by name, each with its share; the nominal one comes first."""
         own = {"joint": self.joint, "valve": self.valve}
         others = {
             name: other.model_copy(update={key: part for key, part in own.items() if getattr(other, key) is None})
             for name, other in self.other_joints.items()
         }
-        return {NOMINAL_JOINT: PlantSpec.model_construct(share=self.joint_share, **own), **others}
+        return {NOMINAL_JOINT: PlantCase.model_construct(share=self.joint_share, **own), **others}
 
     def has(self, joint: str, condition: str) -> bool:
         """Whether a condition is of a plant: other valves are as they are given."""
@@ -308,7 +307,7 @@ class Suite(RunSpec):
         """Scenario of a run before its conditions; the controller has the nominal model, or the plant's own."""
         control = self.controllers[controller]
         if controller not in self.true_model:
-            control = control.with_model(self.joint, self.load, self.valve)
+            control = independent(inherit(control, {"joint": self.joint, "load": self.load, "valve": self.valve}))
         signals, plant = self.references[reference].reference, self.plants[joint]
         assert plant.joint is not None
         return Scenario(

@@ -3,33 +3,42 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, SerializationInfo, ValidationInfo, field_validator
 
-from mckibben.component.schema import model_of
+from mckibben.component.base import Component
+from mckibben.component.schema import Part, section_of
 from mckibben.config.document import Document, to_text
-from mckibben.config.fields import Flag, OneOf, Title
+from mckibben.config.fields import Flag, OneOf, Title, read_path, write_path
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
-from mckibben.errors import ScenarioError
-from mckibben.muscle import Muscle, Specimen
+from mckibben.errors import ScenarioError, quoted
+from mckibben.muscle import (
+    Creep,
+    ForceCorrection,
+    ForceLaw,
+    Friction,
+    Muscle,
+    NoCreep,
+    NoFriction,
+    Specimen,
+)
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, read_calibrations
-from mckibben.rig.steps import Step, steps_of
-from mckibben.scenario.muscle import CreepSpec, FrictionSpec, Law, MuscleSpec
+from mckibben.rig.protocol import Protocol
 from mckibben.storage.files import atomic_write
-from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec, steps
 from mckibben.units import (
     BoundedInt,
     Contraction,
     Factor,
     PositiveTime,
     SampleRate,
-    Tension,
+    Strength,
     Travel,
 )
 
@@ -37,28 +46,65 @@ if TYPE_CHECKING:
     from mckibben.rig.ni import Terminals
 
 
-class TestedMuscleSpec(MuscleSpec):
-    """Muscle under test; the boundaries of the test follow from its `law`, or are found without one.
+_ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
+
+
+def _read_address(value: object) -> str:
+    if not isinstance(value, str) or not _ADDRESS.fullmatch(value):
+        fail_validation(
+            f"{quoted(value)} is no address", "write it as the driver calls it, such as Dev1, ai0 or port0/line1"
+        )
+    return value
+
+
+Address = Annotated[str, BeforeValidator(_read_address)]
+
+
+def _read(value: object, info: ValidationInfo) -> object:
+    return read_path(value, info, ".json")
+
+
+def _write(value: object, info: SerializationInfo) -> str:
+    return write_path(value, info)  # type: ignore[arg-type]
+
+
+JsonPath = Annotated[object, BeforeValidator(_read), PlainSerializer(_write, when_used="json")]
+
+
+class MountedMuscle(Component):
+    """Muscle under test; the boundaries of the test follow from its law, or are found without one.
 
     Friction and creep are those of the simulated rig's muscle, unless it has its own.
     """
 
-    law: Law | None = None  # type: ignore[assignment]
+    specimen: Specimen
+    law: ForceLaw | None = None
     mounted_at: Contraction = 0.0
+    friction: Friction = NoFriction()
+    creep: Creep = NoCreep()
+    strength: Strength | None = None
+    correction: ForceCorrection | None = None
+
+    def muscle(self, **others: Any) -> Muscle:
+        """Return the muscle, or one with other parts."""
+        fields = {name: getattr(self, name) for name in ("friction", "creep", "strength", "correction")} | others
+        law = fields.pop("law", self.law)
+        assert law is not None  # the test sees to it
+        return Muscle(self.specimen, law, **fields)
 
 
-class SimulatedRigSpec(ConfigModel):
+class SimulatedRigSettings(ConfigModel):
     """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts."""
 
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
-    law: Law | None = None
-    friction: FrictionSpec | None = None
-    creep: CreepSpec | None = None
+    law: Annotated[ForceLaw, Part(ForceLaw)] | None = None
+    friction: Annotated[Friction, Part(Friction)] | None = None
+    creep: Annotated[Creep, Part(Creep)] | None = None
     parts: Annotated[str, OneOf(("real", "ideal"))] | None = None
     paced: Flag | None = None
 
 
-class DriveSpec(ConfigModel):
+class DriveSettings(ConfigModel):
     """The motor, its reducer and its lead screw, see `Drive`; the paper's unless given."""
 
     steps: Annotated[int, BoundedInt(1, 1_000_000)] | None = None
@@ -67,7 +113,7 @@ class DriveSpec(ConfigModel):
     fastest: SampleRate | None = None
 
 
-class CardSpec(ConfigModel):
+class CardSettings(ConfigModel):
     """A card of National Instruments, see `Wiring` and `NiRig`: its terminals, and the file of its calibrations."""
 
     device: Address = "Dev1"
@@ -82,16 +128,16 @@ class CardSpec(ConfigModel):
     calibration: JsonPath
     rate: SampleRate | None = None
     patience: PositiveTime | None = None
-    drive: DriveSpec | None = None
+    drive: DriveSettings | None = None
 
 
-class RigSpec(ConfigModel):
+class RigSettings(ConfigModel):
     """One of `simulated` and `nidaqmx`."""
 
     renamed: ClassVar = {"virtual": "simulated"}
 
-    simulated: SimulatedRigSpec | None = None
-    nidaqmx: CardSpec | None = Field(None, validate_default=True)
+    simulated: SimulatedRigSettings | None = None
+    nidaqmx: CardSettings | None = Field(None, validate_default=True)
 
     @field_validator("simulated", mode="before")
     @classmethod
@@ -113,13 +159,7 @@ class RigSpec(ConfigModel):
         return value
 
 
-class LimitsSpec(model_of(RigLimits)):
-    """Safety limits; the force is the rated one unless given."""
-
-    force: Tension | None = None
-
-
-class RecordingSpec(model_of(Bench, optional=True)):
+class RecordingSettings(section_of(Bench, partial=True)):
     """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
 
 
@@ -127,28 +167,20 @@ class RigTest(ConfigModel):
     """A test: specimen, rig, limits and protocol in SI; `read` and `to_yaml` know the units."""
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
-    muscle: TestedMuscleSpec
-    rig: RigSpec
-    limits: LimitsSpec
-    recording: RecordingSpec = RecordingSpec()
-    protocol: ProtocolSpec
+    muscle: Annotated[MountedMuscle, Part(MountedMuscle)]
+    rig: RigSettings
+    limits: Annotated[RigLimits, Part(RigLimits)]
+    recording: RecordingSettings = RecordingSettings()
+    protocol: Annotated[Protocol, Part(Protocol)]
 
     @field_validator("rig", mode="after")
     @classmethod
-    def _law_known(cls, value: RigSpec, info: ValidationInfo) -> RigSpec:
+    def _law_known(cls, value: RigSettings, info: ValidationInfo) -> RigSettings:
         muscle = info.data.get("muscle")
         if value.simulated is not None and value.simulated.law is None and muscle is not None and muscle.law is None:
             fail_validation(
                 "has no law for its simulated muscle", "give `simulated: {law: lei-mas-10-180n}`, or the muscle a law"
             )
-        return value
-
-    @field_validator("limits", mode="after")
-    @classmethod
-    def _force_known(cls, value: LimitsSpec, info: ValidationInfo) -> LimitsSpec:
-        muscle = info.data.get("muscle")
-        if value.force is None and muscle is not None and muscle.specimen.effective("rated_force") is None:
-            fail_validation("has no force, and the specimen no rated_force", "give `force`, such as `force: 200 N`")
         return value
 
     @classmethod
@@ -199,14 +231,12 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
     else:
         assert test.rig.nidaqmx is not None  # the model of the rig sees to it
         backend, calibrations, drive = _card(test.rig.nidaqmx)
-    specimen = of.specimen if isinstance(of, Muscle) else of
-    limits = RigLimits(**{"force": specimen.force_limit, **explicit_fields(test.limits)})
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
         drive=drive,
         calibrations=calibrations,
-        limits=limits,
+        limits=test.limits,
         rate=backend.rate,
         **explicit_fields(test.recording),
     )
@@ -215,19 +245,13 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
 
 def build_muscle(test: RigTest) -> Muscle | Specimen:
     """The specimen with its law, or alone if the law is unknown."""
-    muscle = test.muscle.model_copy(update={"friction": None, "creep": None})
-    return muscle.specimen.build() if muscle.law is None else muscle.build()
-
-
-def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ...]:
-    """The steps of a protocol; `RangeError` if a whole test does not suit the muscle."""
-    if protocol.steps is not None:
-        return steps(protocol.steps)
-    return steps_of(getattr(protocol, protocol.form).build(), of)
+    if test.muscle.law is None:
+        return test.muscle.specimen
+    return test.muscle.muscle(friction=NoFriction(), creep=NoCreep())
 
 
 def _simulated(
-    spec: SimulatedRigSpec, test: RigTest, session: int
+    spec: SimulatedRigSettings, test: RigTest, session: int
 ) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
     from dataclasses import replace
 
@@ -242,7 +266,7 @@ def _simulated(
     )
 
     changes = explicit_fields(spec, "seed", "parts", "paced")
-    muscle = test.muscle.model_copy(update={**changes, "strength": None} if spec.law else changes).build()
+    muscle = test.muscle.muscle(**changes, **({"strength": None} if spec.law else {}))
     parts: dict[str, Any] = {}
     if spec.parts == "ideal":
         parts = {
@@ -256,7 +280,7 @@ def _simulated(
     return RealTimeRig(twin) if spec.paced else twin, twin.calibrations, twin.drive
 
 
-def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
+def _card(spec: CardSettings) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
     from mckibben.rig.ni import NiRig
 
     calibrations = rig_calibrations(cast(Path, spec.calibration))
@@ -264,7 +288,7 @@ def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Dri
     return NiRig(build_wiring(spec), **given), calibrations, Drive(**explicit_fields(spec.drive) if spec.drive else {})
 
 
-def build_wiring(spec: CardSpec) -> Terminals:
+def build_wiring(spec: CardSettings) -> Terminals:
     """Terminals of the card."""
     from mckibben.rig.ni import Terminals
 

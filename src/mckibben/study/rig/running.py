@@ -27,13 +27,12 @@ from mckibben.rig.record import Event, Point, assemble, header_of, passages, poi
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, ProgressCallback
-from mckibben.rig.steps import Step, describe_steps
+from mckibben.rig.steps import Step, describe_steps, steps_of
 from mckibben.storage.files import check_free, file_lock, handle_signals, make_folder
 from mckibben.study.rig.document import (
     RigTest,
     Setup,
     build_setup,
-    build_steps,
     build_wiring,
     read_test,
     rig_calibrations,
@@ -132,9 +131,11 @@ def check(
     lines = document or Document()
     setup = build_setup(test, session)
     try:
-        steps = build_steps(test.protocol, setup.bench.of)
+        steps = steps_of(test.protocol, setup.bench.of)
     except RangeError as error:
-        raise ScenarioError(source, _parse_problems(str(error), ("protocol", test.protocol.form), lines)) from None
+        raise ScenarioError(
+            source, _parse_problems(str(error), ("protocol", test.protocol.short_name), lines)
+        ) from None
     found = dry_run(steps, setup.bench, setup.backend.inputs, patience=setup.backend.patience)
     if found.problems:
         raise ScenarioError(source, [_with_line(problem, test, lines) for problem in found.problems])
@@ -158,7 +159,7 @@ def _with_line(problem: Problem, test: RigTest, lines: Document) -> Problem:
     parts: Sequence[str] = re.findall(r"[a-z_]+|\d+", problem.field)
     place: Place = tuple(int(part) if part.isdigit() else part for part in parts)
     if problem.field.startswith("["):
-        form = test.protocol.form
+        form = test.protocol.short_name
         place = ("protocol", "steps", *place) if form == "steps" else ("protocol", form)
     return Problem(problem.message, lines.line(place), dotted(place), problem.remedy)
 
@@ -196,7 +197,7 @@ class _PastSessions:
 
 def data_name(test: RigTest) -> str:
     """File name of the dataset: ``isobaric.nc``, ``isometric.nc`` ..., ``points.nc`` of steps."""
-    return "points.nc" if test.protocol.form == "steps" else f"{test.protocol.form}.nc"
+    return "points.nc" if test.protocol.short_name == "steps" else f"{test.protocol.short_name}.nc"
 
 
 def run_test(

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.control import Reference, Step
 from mckibben.errors import ParameterError
+from mckibben.plant import NoDisturbance
 from mckibben.scenario import Known, Scenario, find_parameters, run_many
 from mckibben.study.parameters import Table
-from mckibben.study.scenario.reference import AngleSignalSpec, StiffnessSignalSpec
 from mckibben.units import deg
 
 SMALL_STEP = 0.2 * deg
@@ -24,14 +25,8 @@ def on_small_step(scenario: Scenario) -> Scenario:
     """The scenario with a step of 0.2 deg from its start at constant stiffness, without disturbance torques."""
     start = scenario.start
     stiffness = float(scenario.reference().stiffness(0.0)) if start.stiffness is None else start.stiffness
-    step = {"before": start.angle, "after": start.angle + SMALL_STEP, "at": _STEP_AT * scenario.duration}
-    signals = {
-        "angle": AngleSignalSpec.model_validate({"step": step}),
-        "stiffness": StiffnessSignalSpec.model_validate({"constant": stiffness}),
-    }
-    return scenario.model_copy(
-        update={"signals": scenario.signals.model_copy(update=signals), "disturbance": None},
-    )
+    step = Step(start.angle, start.angle + SMALL_STEP, at=_STEP_AT * scenario.duration)
+    return scenario.model_copy(update={"signals": Reference(step, stiffness), "disturbance": NoDisturbance()})
 
 
 def stability_margin(

@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.control import RandomSteps, Samples, Step
 from mckibben.errors import ParameterError, UnitError, suggest
 from mckibben.numerics.batching import cores, named_leaves
 from mckibben.scenario import (
@@ -229,9 +230,10 @@ class TuningProblem:
             if "coupling" in self.cost.metrics:
                 _check_steps(scenario)
             if "air" in self.cost.metrics:
-                for muscle in (scenario.joint.muscle, scenario.joint.muscle1, scenario.joint.muscle2):
-                    if muscle is not None:
-                        muscle.specimen.build().braid("the use of air")
+                muscles = zip((scenario.joint.muscle1, scenario.joint.muscle2), scenario.joint.springs, strict=True)
+                for muscle, is_spring in muscles:
+                    if not is_spring:
+                        muscle.specimen.braid("the use of air")
 
     @classmethod
     def of(
@@ -387,7 +389,7 @@ class TuningProblem:
 
 def _check_steps(scenario: Scenario) -> None:
     stiffness = scenario.signals.stiffness
-    if not (stiffness.step or stiffness.random_steps or stiffness.samples):
+    if not isinstance(stiffness, Step | RandomSteps | Samples):
         raise ParameterError(
             f"coupling is not defined for {scenario.name!r}: its desired stiffness never steps",
             remedy="leave it out of the cost, or give the stiffness a step",
