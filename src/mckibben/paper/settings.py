@@ -101,7 +101,7 @@ def pid_scenario(
 ) -> Scenario:
     """Scenario of a run under PID, by default with the moderate gains."""
     gains = gains or setting.moderate
-    return _scenario(setting, reference, name, f"{{pid: {{{gains.position}}}}}", f"{{pid: {{{gains.stiffness}}}}}")
+    return _scenario(setting, reference, name, f"{{{gains.position}}}", f"{{{gains.stiffness}}}")
 
 
 def bp_scenario(
@@ -117,28 +117,27 @@ def bp_scenario(
     gains = gains or setting.moderate
     learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: {seed}"
     position = (
-        f"{{backprop: {{{gains.position}, {learning}, signal_scale: {setting.amplitude}, "
-        f"error_scale: {setting.angle_scale}, output_scale: {setting.rates[0]}}}}}"
+        f"{{class: backprop, base: {{{gains.position}}}, {learning}, signal_scale: {setting.amplitude}, "
+        f"error_scale: {setting.angle_scale}, output_scale: {setting.rates[0]}}}"
     )
     stiffness = (
-        f"{{backprop: {{{gains.stiffness}, {learning}, signal_scale: {setting.constant}, "
-        f"error_scale: {setting.stiffness_scale}, output_scale: {setting.rates[1]}}}}}"
+        f"{{class: backprop, base: {{{gains.stiffness}}}, {learning}, signal_scale: {setting.constant}, "
+        f"error_scale: {setting.stiffness_scale}, output_scale: {setting.rates[1]}}}"
     )
     return _scenario(setting, reference, name, position, stiffness)
 
 
 def _scenario(setting: Setting, reference: StiffnessReference, name: str, position: str, stiffness: str) -> Scenario:
     desired = (
-        f"{{constant: {setting.constant}}}"
+        setting.constant
         if reference is StiffnessReference.CONSTANT
-        else f"{{step: {{before: {setting.before}, after: {setting.after}, at: {STEP_TIME}}}}}"
+        else f"{{class: step, before: {setting.before}, after: {setting.after}, at: {STEP_TIME}}}"
     )
     return Scenario.parse(
         f"""
 name: {setting.name} knee, {reference.value} stiffness, {name}
 joint:
-  geometry: knee-table-2
-  connector_length: {setting.connectors}
+  geometry: {{from: knee-table-2, connector_length: {setting.connectors}}}
   muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}
 load: knee-table-2
 valve: {{time_constant: 20 ms}}
@@ -146,7 +145,7 @@ controller:
   position: {position}
   stiffness: {stiffness}
 reference:
-  angle: {{sine: {{amplitude: {setting.amplitude}, frequency: 0.5 Hz}}}}
+  angle: {{class: sine, amplitude: {setting.amplitude}, frequency: 0.5 Hz}}
   stiffness: {desired}
 start: {{angle: 0 deg, stiffness: {setting.start}}}
 duration: 10 s

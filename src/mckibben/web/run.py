@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -56,6 +57,10 @@ def page() -> None:
     kept = session()
     with frame("/run"):
         _Page(kept.state(Workbench), kept.folder)
+
+
+_HIDDEN = re.compile(r"\.(model|specimen|law|domain)\.")
+"""Parameters without a field on the page."""
 
 
 class _Page:
@@ -203,7 +208,7 @@ class _Page:
         """Fields of the numbers of a scenario that are set."""
         every = [(one, one.nominal) for one in list_parameters(scenario) if one.nominal is not None]
         for prefix, title in _GROUPS.items():
-            found = [one for one in every if one[0].name.startswith(prefix) and ".model." not in one[0].name]
+            found = [one for one in every if one[0].name.startswith(prefix) and not _HIDDEN.search(one[0].name)]
             if found:
                 with panel(title), ui.element("div").classes("fields"):
                     for one, nominal in found:
@@ -221,8 +226,7 @@ class _Page:
             if (scenario := self.state.scenario) is not None:
                 self.change(lambda: with_values(scenario, {parameter.name: si(float(value))}), form=False)
 
-        short = name.removeprefix("decoupling.").removeprefix("predictive.")
-        label = short.replace(".", " ").replace("_", " ") + (f" [{unit}]" if unit else "")
+        label = name.replace(".", " ").replace("_", " ") + (f" [{unit}]" if unit else "")
         wide = "grid-column: 1 / -1" if len(label) > 21 else ""
         NumberField(
             label,

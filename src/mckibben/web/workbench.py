@@ -25,17 +25,16 @@ MOST_STEPS = 2_000_000
 START = """\
 name: knee
 joint:
-  geometry: knee-table-2
-  connector_length: 208 mm
+  geometry: {from: knee-table-2, connector_length: 208 mm}
   muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
 load: knee-table-2
 valve: {time_constant: 20 ms}
 controller:
-  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}}
-  stiffness: {pid: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}
+  position: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}
+  stiffness: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
 reference:
-  angle: {sine: {amplitude: 10 deg, frequency: 0.5 Hz}}
-  stiffness: {step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 3 s}}
+  angle: {class: sine, amplitude: 10 deg, frequency: 0.5 Hz}
+  stiffness: {class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 3 s}
 start: {angle: 0 deg, stiffness: 12 N*m/rad}
 duration: 6 s
 control_period: 1 ms
@@ -43,30 +42,30 @@ control_period: 1 ms
 CONTROLLERS = {
     "two PID loops": START[START.index("  position") : START.index("reference")],
     "PID loops with backpropagation": """\
-  position: {backprop: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, gain_ratio: 2, learning_rate: 3 1/s,
-    momentum: 0.5, signal_scale: 10 deg, error_scale: 1 deg, output_scale: 10 bar/s, seed: 0}}
-  stiffness: {backprop: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad), gain_ratio: 2,
-    learning_rate: 3 1/s, momentum: 0.5, signal_scale: 15 N*m/rad, error_scale: 1 N*m/rad, output_scale: 1 bar/s,
-    jacobian: sign, seed: 0}}
+  position: {class: backprop, base: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}, gain_ratio: 2,
+    learning_rate: 3 1/s, momentum: 0.5, signal_scale: 10 deg, error_scale: 1 deg, output_scale: 10 bar/s, seed: 0}
+  stiffness: {class: backprop, base: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)},
+    gain_ratio: 2, learning_rate: 3 1/s, momentum: 0.5, signal_scale: 15 N*m/rad, error_scale: 1 N*m/rad,
+    output_scale: 1 bar/s, jacobian: sign, seed: 0}
 """,
     "model inversion (decoupling)": """\
-  decoupling:
-    poles: {bandwidth: 80 rad/s}
-    disturbance_observer: {bandwidth: 250 rad/s}
-    pressure_observer: {bandwidth: 200 rad/s}
+  class: decoupling
+  feedback: {bandwidth: 80 rad/s}
+  observer: {bandwidth: 250 rad/s}
+  pressure_observer: {bandwidth: 200 rad/s}
 """,
     "predictive control": """\
-  predictive:
-    bandwidth: 80 rad/s
-    disturbance_observer: {bandwidth: 250 rad/s}
-    pressure_observer: {bandwidth: 200 rad/s}
+  class: predictive
+  bandwidth: 80 rad/s
+  observer: {bandwidth: 250 rad/s}
+  pressure_observer: {bandwidth: 200 rad/s}
 """,
 }
 SIGNALS = {
     "constant": "{at}",
-    "step": "{{step: {{before: {low}, after: {high}, at: 3 s}}}}",
-    "ramp": "{{ramp: {{before: {low}, after: {high}, start: 2 s, duration: 2 s}}}}",
-    "sine": "{{sine: {{amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}}}",
+    "step": "{{class: step, before: {low}, after: {high}, at: 3 s}}",
+    "ramp": "{{class: ramp, before: {low}, after: {high}, start: 2 s, duration: 2 s}}",
+    "sine": "{{class: sine, amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}",
 }
 ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}
 _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", "pressure1", "pressure2")
@@ -173,11 +172,10 @@ def with_joint(text: str, joint: str, folder: Path) -> Scenario:
         return scenario
     before, after = (lowest + part * (highest - lowest) for part in (0.3, 0.6))
     data["reference"]["stiffness"] = {
-        "step": {
-            "before": f"{before:.3g} N*m/rad",
-            "after": f"{after:.3g} N*m/rad",
-            "at": f"{scenario.duration / 2:g} s",
-        }
+        "class": "step",
+        "before": f"{before:.3g} N*m/rad",
+        "after": f"{after:.3g} N*m/rad",
+        "at": f"{scenario.duration / 2:g} s",
     }
     data["start"] = {"angle": "0 deg", "stiffness": f"{before:.3g} N*m/rad"}
     return parse(to_text(data), folder)
