@@ -30,7 +30,9 @@ def quoted(value: object) -> str:
 
 def closest(name: str, known: Sequence[str]) -> str:
     """The known name that an unknown one may stand for; an empty text if there is none."""
-    return next(iter(difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)), "")
+    close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
+    begun = [one for one in known if len(name) > 2 and one.lower().startswith(name.lower())]
+    return next(iter([*close, *begun]), "")
 
 
 def suggest(name: str, known: Sequence[str]) -> str:

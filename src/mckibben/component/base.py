@@ -25,7 +25,19 @@ _NO_UNITS = Units()
 
 
 class Described:
-    """What a class states about its form in files."""
+    """What a class states about its form in files.
+
+    An object that was read knows its origin and the fields that it inherited: in slots, so that they are no part of it
+    as a tree, and gone as soon as it is changed.
+    """
+
+    __slots__ = ("_inherited", "_origin")
+
+    def __setstate__(self, state: Any) -> None:  # of `pickle`, which would set slots by a method that is blocked
+        fields, marks = state if isinstance(state, tuple) else (state, {})
+        self.__dict__.update(fields or {})
+        for name, value in marks.items():
+            object.__setattr__(self, name, value)
 
     short_name: ClassVar[str] = ""
     """Name of the class in files, in addition to its own."""

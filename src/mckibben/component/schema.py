@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, PlainSerializer, TypeAdapter, create_model
 from pydantic_core import PydanticSerializationError, core_schema
 
-from mckibben.component.base import Checked, Component, Inherited, field_hints
+from mckibben.component.base import Checked, Component, Inherited, field_hints, field_quantities
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, write_path
 from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
@@ -107,12 +107,6 @@ class Section(ConfigModel):
     class_: Annotated[Any, Field(alias="class")] = None
     from_: Annotated[Any, Field(alias="from")] = None
 
-    @classmethod
-    def former(cls, key: str) -> str:
-        bases = (one for one in cls.runtime.__mro__ if one is not Component and issubclass(one, Component))
-        known = any(find_class(base, key) for base in bases)
-        return f"class: {key}, with its fields in the same section" if known else super().former(key)
-
     def build(self, **others: Any) -> Any:
         """Return the component; what is not given keeps the default of its class."""
         known = declared_fields(self.runtime)
@@ -159,6 +153,19 @@ def forms(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noqa: B00
         if form is not None:
             found[name] = form
     return found
+
+
+@functools.cache
+def _keys(kind: type) -> frozenset[str]:
+    """Keys of a section of a class."""
+    others = (*getattr(kind, "aliases", {}), *getattr(kind, "renamed", {}))
+    return frozenset((*forms(kind), *symbolic_fields(kind), *others))
+
+
+def symbolic_fields(kind: type) -> list[str]:
+    """Return the fields of a class whose unit depends on where it is."""
+    marks = field_quantities(kind)
+    return [name for name in declared_fields(kind) if name in marks and marks[name].unit in SYMBOLS]
 
 
 def _no_unit(_: str) -> None:
@@ -264,7 +271,8 @@ class Part:
                 return around
         elif "class" in value or not isinstance(around, self.base):
             around = None
-        kind = self.class_for(section) if around is None or "class" in section else type(around)
+        fits = around is not None and "class" not in section and set(section) <= _keys(type(around))
+        kind = type(around) if fits else self.class_for(section)
         if type(around) is not kind:
             around = None
         model = section_of(kind, self.units, partial=around is not None)
@@ -285,7 +293,8 @@ class Part:
         """Component of a catalog entry or a file."""
         catalog = _catalog_of(self.base)
         if not name.endswith(ENDINGS):
-            known = [*(catalog.names() if catalog else ()), *classes_of(self.base)]
+            classes = classes_of(self.base) if inspect.isabstract(self.base) else ()
+            known = [*(catalog.names() if catalog else ()), *classes]
             if catalog is None or name not in catalog.names():
                 fail_validation(f"{quoted(name)} is not the name of {self._noun}", suggest(name, known), value=name)
             found = catalog.entry(name)
@@ -310,10 +319,17 @@ class Part:
         known, named = classes_of(self.base), section.get("class")
         if named is None:
             kind = default_class(self.base)
+            if kind is not None and set(section) <= _keys(kind):
+                return kind
+            if meant := next((key for key in section if find_class(self.base, key) is not None), ""):
+                fail_validation("lacks the key `class`", f"write `class: {meant}`, and its fields in the same section")
+            shared = {name: len(_keys(one) & set(section)) for name, one in known.items()}
+            most = max(shared.values(), default=0)
+            if most > (0 if kind is None else len(_keys(kind) & set(section))):
+                fitting = " or ".join(name for name, count in shared.items() if count == most)
+                fail_validation("lacks the key `class`", f"write `class: {fitting}`")
             if kind is None:
-                alone = [key for key in section if find_class(self.base, key) is not None]
-                remedy = f"write `class: {alone[0]}` and its fields" if alone else f"give one of {', '.join(known)}"
-                fail_validation("lacks the key `class`", remedy)
+                fail_validation("lacks the key `class`", f"give one of {', '.join(known)}")
             return kind
         kind = find_class(self.base, named) if isinstance(named, str) else None
         if kind is None:

@@ -59,7 +59,10 @@ class Muscle(Component):
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
-        """Return the section of a muscle for one of a return spring."""
+        """Return the section of a muscle for one of a return spring; `RangeError` for a fit."""
+        if isinstance(value, dict) and "parameters" in value:
+            remedy = "give the muscle a specimen, and the file as its law"
+            raise RangeError("is a fit, the law of a muscle", remedy=remedy)
         if not isinstance(value, dict) or value.get("class") != "return_spring":
             return value
         specimen = {"name": "return spring", "domain": {"pressure_min": "0 bar", "pressure_max": "0 bar"}}
@@ -78,7 +81,7 @@ class Muscle(Component):
             known, lowest = self.law.domain, self.law.domain.pressure_min
             vented = min(lowest, 0.0) if isinstance(lowest, Real) and lowest > -jnp.inf else 0.0
             domain = self.specimen.domain.filled(dataclasses.replace(known, pressure_min=vented))
-            if domain != self.specimen.domain:
+            if domain is not self.specimen.domain:
                 self.specimen = dataclasses.replace(self.specimen, domain=domain)
 
     def __check_init__(self) -> None:

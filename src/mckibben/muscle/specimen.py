@@ -84,8 +84,8 @@ class Domain(Component):
     def filled(self, other: Domain) -> Domain:
         """Return the domain with infinite bounds replaced by those of another."""
         pairs = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
-        missing = (name for name, bound in pairs if isinstance(bound, Real) and abs(bound) == float("inf"))  # type: ignore
-        return dataclasses.replace(self, **{name: getattr(other, name) for name in missing})
+        missing = [name for name, bound in pairs if isinstance(bound, Real) and abs(bound) == float("inf")]  # type: ignore
+        return dataclasses.replace(self, **{name: getattr(other, name) for name in missing}) if missing else self
 
     def check_contraction(self, contraction: float, owner: str, remedy: str = "") -> None:
         """Raise `RangeError` with value, range and remedy if a contraction lies outside."""

@@ -282,8 +282,8 @@ def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
     for depth in range(len(keys) - 1, 0, -1):
         around, rest = ".".join(keys[:depth]), ".".join(keys[depth:])
         if around in found.parts:
-            own = [known[len(around) + 1 :] for known in found.numbers if known.startswith(f"{around}.")]
-            close = _close(rest, own)
+            own = {known[len(around) + 1 :]: known for known in found.numbers if known.startswith(f"{around}.")}
+            close = [own[one] for one in _close(rest, list(own))]
             remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
             raise ParameterError(f"{around} has no parameter {quoted(rest)}", value=name, remedy=remedy)
     close = _close(spelling, list(found.spellings))
