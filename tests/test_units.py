@@ -88,7 +88,7 @@ def test_a_number_and_a_unit_is_read_to_si(text, unit, expected):
         "5 m)",
         "5 ((m))",
         "5 m^0",
-        "5 m^1.0",
+        "5 m^.5",
         "5 m^n",
         "5 m^99",
         "5 m**9**9",

@@ -49,7 +49,7 @@ EQ3 = -245.8, 109, 3.216, -3.442, 255.6, -13.18  # of the paper, in bar and perc
             lambda: mk.Reference(mk.Samples([0.0, 1.0], [0.1, 20.0]), 15.0),
             "values",
             20,
-            "6.28319 rad",
+            "0.349066 rad",
         ),
         (lambda: mk.ChouLaw(25, 0.01), "braid_angle", 25, "25 deg is 0.436332 rad"),
         (lambda: mk.ExponentialLaw(*EQ3, decay=30), "a2 + c2", 109 - 13.18, "1 N/bar is 1e-05 N/Pa"),

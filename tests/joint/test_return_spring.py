@@ -40,27 +40,28 @@ JOINTS = {
     2: AntagonisticJoint(PairedPaths(PATHS[2], PATHS[1]), MUSCLE, SPRING),
 }
 PID = {
-    "position": {"pid": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"}},
-    "stiffness": {"pid": {"kp": "0 bar/(N*m/rad)", "ki": "0 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"}},
+    "position": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"},
+    "stiffness": {"kp": "0 bar/(N*m/rad)", "ki": "0 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"},
 }
 
 
 def scenario(side=1, **joint):
-    own = {f"return_spring{side}": {"rate": "4 N/mm", "free_length": "130 mm"}}
+    muscle = {"specimen": "MAS-10-180N-AA-MC-O", "law": "lei-mas-10-180n"}
+    spring = {"class": "return_spring", "rate": "4 N/mm", "free_length": "130 mm"}
     path = {"class": "Pulley", "radius": "30 mm", "rest_length": "155 mm"}
     return {
         "name": "return spring",
         "joint": {
             "geometry": {"class": "PairedPaths", "path1": path, "path2": path},
-            "muscle": {"specimen": "MAS-10-180N-AA-MC-O", "law": "lei-mas-10-180n"},
-            **own,
+            f"muscle{side}": spring,
+            f"muscle{3 - side}": muscle,
             **joint,
         },
         "load": "knee-table-2",
         "valve": {"time_constant": "20 ms"},
         "controller": PID,
         "reference": {
-            "angle": {"sine": {"amplitude": "5 deg", "frequency": "0.5 Hz"}},
+            "angle": {"class": "sine", "amplitude": "5 deg", "frequency": "0.5 Hz"},
             "stiffness": "10 N*m/rad",
         },
         "start": {"angle": "0 deg"},
@@ -180,8 +181,7 @@ def test_what_is_no_joint_is_refused():
         AntagonisticJoint(PairedPaths(PATHS[1], PATHS[2]), SPRING, SPRING)
     with pytest.raises(RangeError):
         return_spring(-1.0, 0.1)
-    spring = {"rate": "4 N/mm", "free_length": "130 mm"}
-    muscle = scenario()["joint"]["muscle"]
-    for joint in ({"return_spring2": spring}, {"muscle": None}, {"muscle": None, "muscle1": muscle}):
+    spring, muscle = (scenario()["joint"][name] for name in ("muscle1", "muscle2"))
+    for joint in ({"muscle2": spring}, {"muscle2": None}, {"muscle": muscle}):
         with pytest.raises(ScenarioError):
             read(**joint)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import SimulationError
+from mckibben.plant import PerfectSensors
 from mckibben.scenario import Scenario
 from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
 from mckibben.units import deg, ms
@@ -108,7 +109,10 @@ def test_each_run_has_noise_of_its_own(suite, runs):
     seeds = runs.conditions["sensors.seed"]
     assert len(set(seeds.tolist())) == 64
     assert not set(seeds.tolist()) & set(draw(suite, 64, suite.tuning.seed).conditions["sensors.seed"].tolist())
-    assert "sensors.seed" not in draw(suite.model_copy(update={"sensors": None, "conditions": ()}), 8, 1).conditions
+    assert (
+        "sensors.seed"
+        not in draw(suite.model_copy(update={"sensors": PerfectSensors(), "conditions": ()}), 8, 1).conditions
+    )
     given = suite.model_copy(update={"conditions": ("sensors.seed=7, 8",)})
     assert set(draw(given, 8, 1).conditions["sensors.seed"].tolist()) == {7, 8}
 
@@ -138,7 +142,9 @@ def test_a_tuned_controller_is_put_into_the_run(runs):
 
 def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
     reference = suite.references["both move"].model_copy(update={"over": ()})
-    bare = suite.model_copy(update={"sensors": None, "conditions": (), "references": {"both move": reference}})
+    bare = suite.model_copy(
+        update={"sensors": PerfectSensors(), "conditions": (), "references": {"both move": reference}}
+    )
     drawn = draw(bare, 4, 1)
     assert drawn.scenario("PID 3", 2) == bare.scenario("PID 3", "both move", drawn.joint[2])
 

@@ -130,7 +130,12 @@ def test_what_is_unknown_is_said():
     ("load", "inertia", "moment", "damping"),
     [
         ("{class: pendulum, mass: 0.3 kg, length: 250 mm}", 0.3 * 0.25**2, 0.3 * 0.25 * 9.81, 0.0),
-        ("{class: general, inertia: 0.02 kg*m^2, greatest_gravity_torque: 0.7 N*m, damping: 0.1 N*m*s/rad}", 0.02, 0.7, 0.1),
+        (
+            "{class: general, inertia: 0.02 kg*m^2, greatest_gravity_torque: 0.7 N*m, damping: 0.1 N*m*s/rad}",
+            0.02,
+            0.7,
+            0.1,
+        ),
         ("{class: GeneralLoad, inertia: 0.02 kg*m^2, greatest_gravity_torque: 0 N*m}", 0.02, 0.0, 0.0),
     ],
 )

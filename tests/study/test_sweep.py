@@ -114,7 +114,7 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         assert float(swept.table["angle_rmse"][0]) == pytest.approx(measured, rel=1e-9)
     assert float(fixed.table["angle_rmse"][0]) != float(known.table["angle_rmse"][0])
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0  # what is known is taken from the manifest
-    with pytest.raises(FileError, match=r"known: the sweep was begun with joint\.connector_length"):
+    with pytest.raises(FileError, match=r"known: the sweep was begun with joint\.geometry\.connector_length"):
         sweep(scenario, out=tmp_path, resume=True, known=())
 
 

@@ -82,7 +82,7 @@ def test_what_has_no_margin_is_refused(scenario):
     with pytest.raises(ParameterError) as caught:
         stability_margin(scenario, ["valve.time_constant"], growth=1.0)
     assert caught.value.value == 1.0
-    with pytest.raises(ParameterError, match=r"load\.mass9"):
+    with pytest.raises(ParameterError, match="mass9"):
         stability_margin(scenario, ["load.mass9"])
 
 

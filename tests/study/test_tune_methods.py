@@ -153,7 +153,7 @@ def test_several_scenarios_are_tuned_at_once():
     cost = Cost.of({"angle_rmse": deg, "stiffness_rmse": 1.0}, worst=True)
     tuned = tune([STILL, other], RANGES, cost, method=Method.CMA, **SMALL | {"iterations": 25})
     assert tuned.values["start.angle"] / deg == pytest.approx(3.0, abs=0.1)
-    assert [each.signals.angle.constant / deg for each in tuned.scenarios] == pytest.approx([2.0, 4.0])
+    assert [each.signals.angle.value / deg for each in tuned.scenarios] == pytest.approx([2.0, 4.0])
     assert len({each.start.angle for each in tuned.scenarios}) == 1
 
 
@@ -196,7 +196,7 @@ def test_ranges_around_what_numbers_are():
     [
         (["controller.stiffness.kd"], "controller.stiffness.kd is zero, or not given: there is no range"),
         (["load.mass2", "load.mass2=1..2 kg"], "are about the same parameter"),
-        (["load.mass9"], "no parameter 'load.mass9'"),
+        (["load.mass9"], "no parameter 'mass9'"),
         (["load.mass2=2..1 kg"], "the range is empty"),
         (["load.mass2=1..2 N"], "not a unit of the kind"),
         (["load.mass2=-1..2 kg"], "load.mass2"),

@@ -205,7 +205,7 @@ def test_nothing_to_tune_and_numbers_without_a_range():
 def test_a_number_that_one_scenario_lacks_is_said_with_the_scenario():
     ideal = Scenario.parse(TEXT.replace("valve: {time_constant: 20 ms}", "valve: ideal").replace("name: ", "name: my "))
     ranges = sweep_parameters(LIGHT, {"valve.time_constant": Uniform(0.01, 0.05)})
-    with pytest.raises(ParameterError, match=r"my pre-contracted.*the valve is ideal"):
+    with pytest.raises(ParameterError, match=r"my pre-contracted.*valve, of class ideal"):
         TuningProblem.of((LIGHT, ideal), ranges, Cost(TERMS))
 
 

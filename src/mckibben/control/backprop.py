@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-from numbers import Real
 from typing import Annotated, NamedTuple
 
 import equinox as eqx
@@ -14,7 +13,6 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
-from mckibben.errors import RangeError
 from mckibben.numerics.elementary import floating
 from mckibben.units import ControlledScale, Count, Momentum, Quantity, Rate, Ratio, Seed
 
@@ -106,9 +104,6 @@ class BackpropPID(Loop):
     def __check_init__(self) -> None:
         super().__check_init__()
         check_positive("BackpropPID", signal_scale=self.signal_scale, error_scale=self.error_scale)
-        if self.jacobian is not Jacobian.MODEL and isinstance(self.base.ki, Real) and self.base.ki == 0:
-            remedy = "give ki a sign, or jacobian: model"
-            raise RangeError("BackpropPID learns by the sign of ki, which is zero", field="base", remedy=remedy)
 
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)

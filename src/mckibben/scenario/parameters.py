@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, get_args, get_origin
 
 from mckibben.component.base import Component
-from mckibben.component.schema import declared_fields, forms, inherited_fields, part_of
+from mckibben.component.schema import class_name, declared_fields, forms, inherited_fields, part_of
 from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
@@ -98,9 +98,9 @@ def _walk(
         elif declared_fields(kind)[key].metadata.get("static") and mark is not None:
             found.refused[here] = _COMPILED, _IN_FILE
         elif mark is not None:
-            found.add(here, inner, mark, _UNSET.get(key) if value is None else value, listed=listed)
-            if kind is Constant:
-                found.spellings[name] = here
+            called = name if kind is Constant else here
+            found.add(called, inner, mark, _UNSET.get(key) if value is None else value, listed=listed)
+            found.spellings[here] = called
         elif (inside := part_of(form)) is not None and isinstance(value, Component):
             _walk(value, inside.units, here, inner, found, listed=listed and key not in shared)
         elif inside is not None and isinstance(value, tuple):
@@ -228,7 +228,7 @@ def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
     >>> find_parameter(scenario, "load.mass3")
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: load has no parameter 'mass3'; did you mean 'mass1'? ...
+    mckibben.errors.ParameterError: load, of class knee, has no parameter 'mass3'; did you mean 'mass1'? ...
     """
     return find_parameters(scenario, [name])[0]
 
@@ -285,7 +285,8 @@ def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
             own = {known[len(around) + 1 :]: known for known in found.numbers if known.startswith(f"{around}.")}
             close = [own[one] for one in _close(rest, list(own))]
             remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
-            raise ParameterError(f"{around} has no parameter {quoted(rest)}", value=name, remedy=remedy)
+            what = f"{around}, of class {class_name(type(found.parts[around]))}, has no parameter {quoted(rest)}"
+            raise ParameterError(what, value=name, remedy=remedy)
     close = _close(spelling, list(found.spellings))
     remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
     raise ParameterError(f"the scenario has no parameter {quoted(spelling)}", value=name, remedy=remedy)

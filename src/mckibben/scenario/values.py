@@ -335,8 +335,8 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     written = {}
     for parameter, value in zip(find_parameters(scenario, values), values.values(), strict=True):
         place = _with_indices(tuple(parameter.name.split(".")))
-        if place[-1] == "value" and place[:-1] in spans and not spans[place[:-1]].mapping:  # a quantity alone
-            place = place[:-1]
+        if parameter.places[0][-1] == "value" and place in spans and spans[place].mapping:
+            place = (*place, "value")
         written[place] = parameter.write(value)
     edited = edit_yaml(text, written)
     try:
