@@ -24,7 +24,7 @@ name: >-
 joint:
   geometry:
     from: knee-table-2  # of the catalog
-  connector_length: '208 mm'
+    connector_length: '208 mm'
   muscle:
     specimen: MAS-10-180N-AA-MC-O
     law: "lei-mas-10-180n"
@@ -36,15 +36,28 @@ controller:
   position: {kp: 2 bar/rad,   # proportional
                    ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad,}
   stiffness:
-    pid:
-      kp: 0.08 bar/(N*m/rad)
-      ki: 5 bar/(N*m*s/rad)
-      kd: 0 bar*s/(N*m/rad)   # none
+    kp: 0.08 bar/(N*m/rad)
+    ki: 5 bar/(N*m*s/rad)
+    kd: 0 bar*s/(N*m/rad)   # none
 reference:
   angle: 0 deg
   stiffness: {class: samples, times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}
 duration: 2 s
 control_period: 2 ms   # the last line"""
+
+TWICE = PID.replace(
+    "muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n} ",
+    "muscle1: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}\n"
+    "  muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n} ",
+)
+
+
+def test_two_equal_muscles_are_changed_where_they_stand():
+    changed = edit_scenario(TWICE, {"joint.muscle.strength": 0.9, "joint.muscle.law.a1": -250.0})
+    assert changed.count("law: {from: lei-mas-10-180n, a1: -250 N}, strength: 0.9}") == 2
+    assert "# From the angle's error" in changed
+    changed = edit_scenario(TWICE, {"joint.muscle1.strength": 0.9})
+    assert changed.count("strength: 0.9") == 1
 
 
 @pytest.mark.parametrize(
@@ -56,18 +69,23 @@ control_period: 2 ms   # the last line"""
         (PID, {"controller.position.filter_time": 1e-3}, "0.4 bar*s/rad}", "0.4 bar*s/rad, filter_time: 1 ms}"),
         (PID, {"reference.angle.offset": 0.0}, "frequency: 0.5 Hz}", "frequency: 0.5 Hz, offset: 0 deg}"),
         (PRINTED, {"reference.stiffness": 72.0}, "stiffness: 72.5 N*m/rad ", "stiffness: 72 N*m/rad "),
-        (PRINTED, {"joint.geometry.connector_length": 0.2}, "law: lei-mas-10-180n}\n\n", None),
+        (
+            PRINTED,
+            {"joint.geometry.connector_length": 0.2},
+            "geometry: knee-table-2",
+            "geometry: {from: knee-table-2, connector_length: 200 mm}",
+        ),
         (BLOCK, {"joint.geometry.connector_length": 0.2}, "'208 mm'", "200 mm"),
         (BLOCK, {"load.mass2": 0.8}, "  from: knee-table-2\n  # a", "  from: knee-table-2\n  mass2: 0.8 kg\n  # a"),
         (
             BLOCK,
             {"joint.geometry.joint_radius": 0.04},
-            "# of the catalog\n",
-            "# of the catalog\n    joint_radius: 40 mm\n",
+            "connector_length: '208 mm'\n",
+            "connector_length: '208 mm'\n    joint_radius: 40 mm\n",
         ),
-        (BLOCK, {"controller.position.tracking_time": 0.1}, "rad,}}", "rad, tracking_time: 100 ms,}}"),
+        (BLOCK, {"controller.position.tracking_time": 0.1}, "rad,}", "rad, tracking_time: 100 ms,}"),
         (BLOCK, {"controller.position.kp": 1e5}, "kp: 2 bar/rad,   #", "kp: 1 bar/rad,   #"),
-        (BLOCK, {"controller.stiffness.filter_time": 0.0}, "# none\n", "# none\n      filter_time: 0 ms\n"),
+        (BLOCK, {"controller.stiffness.filter_time": 0.0}, "# none\n", "# none\n    filter_time: 0 ms\n"),
         (BLOCK, {"reference.angle": 0.0}, "angle: 0 deg", "angle: 0 deg"),
         (BLOCK, {"start.stiffness": 13.0}, "# the last line", "# the last line\nstart: {stiffness: 13 N*m/rad}"),
         (
@@ -80,8 +98,6 @@ control_period: 2 ms   # the last line"""
 )
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_only_what_was_asked_for_changes(text, values, old, new, newline):
-    if new is None:
-        new = old.replace("\n\n", "\n  connector_length: 200 mm\n\n")
     assert text.count(old) == 1
     expected = text.replace(old, new).replace("\n", newline)
     assert edit_scenario(text.replace("\n", newline), values) == expected
@@ -101,7 +117,10 @@ def test_an_empty_mapping_is_filled():
         PID.replace("kp: 2 bar/rad", "? kp\n    : 2 bar/rad"),
         PID.replace("load: knee-table-2 ", "load: 'knee-table-2' "),
         PID.replace("valve: {time_constant: 20 ms}", "valve:\n    time_constant: |\n        20 ms\n"),
-        PID.replace("joint:\n  geometry: knee-table-2 ", "joint:\n  geometry:\n    from: |-\n      knee-table-2\n # "),
+        PID.replace(
+            "geometry: {from: knee-table-2, ",
+            "geometry:\n    from: |-\n      knee-table-2\n    connector_length: 208 mm #",
+        ),
         "---\n" + PID + "\n...\n",
         "\ufeff" + PID,
         PID.replace("10 deg", "10 °"),

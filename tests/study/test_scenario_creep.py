@@ -46,8 +46,8 @@ def test_its_numbers_can_be_varied():
 
 
 def test_what_does_not_go_together_is_said():
-    spring = "connector_length: 208 mm\n  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}"
-    found = problem(CREEPING.replace("connector_length: 208 mm", spring))
-    assert found.field == "joint.spring" and "a muscle that creeps" in found.message
+    spring = "connector_length: 208 mm}\n  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}"
+    found = problem(CREEPING.replace("connector_length: 208 mm}", spring))
+    assert found.field == "joint" and "creep" in found.message
     assert "outside" in problem(CREEPING.replace("8 s}", "1 ms}")).message
     assert problem(CREEPING.replace(", time_constant: 8 s", "")).field.endswith("time_constant")

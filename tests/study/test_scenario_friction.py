@@ -21,7 +21,7 @@ RUBBING = (
     "    friction: {half_width: 12 N, presliding_length: 0.5 mm, growth: 1 N/bar, reference_pressure: 3 bar, "
     "viscous: 20 N*s/m}"
 )
-LOOP = "  stiffness: {pid:"
+LOOP = "  stiffness: {kp:"
 
 
 def with_friction(*changes):
@@ -32,7 +32,14 @@ def with_friction(*changes):
     return text
 
 
-COMPENSATED = with_friction((LOOP, f"  friction_compensation: true\n{LOOP}"))
+def compensated(text):
+    plant, rest = text.split("controller:\n")
+    loops, others = rest.split("\nreference:")
+    inner = "".join(f"  {line}\n" for line in loops.splitlines())
+    return f"{plant}controller:\n  class: friction_compensation\n  controller:\n{inner}\nreference:{others}"
+
+
+COMPENSATED = compensated(with_friction())
 
 
 def problem(text):
@@ -81,32 +88,42 @@ def test_its_numbers_can_be_varied():
 
 
 def test_the_model_may_have_another_friction_or_none():
-    own = BASE.replace(LOOP, f"  model: {{geometry: {from: knee-table-2, connector_length: 208 mm}, {MUSCLE}}}\n{LOOP}")
+    own = BASE.replace(
+        LOOP, f"  model: {{geometry: {{from: knee-table-2, connector_length: 208 mm}}, {MUSCLE}}}\n{LOOP}"
+    )
     scenario = Scenario.parse(own.replace(f"\n  {MUSCLE}", f"\n  {RUBBING}", 1))
     assert scenario.plant().joint.muscle1.friction != NoFriction()
     assert scenario.control().model.muscle1.friction == NoFriction()
 
 
 def test_what_does_not_go_together_is_said():
-    found = problem(BASE.replace(LOOP, f"  friction_compensation: true\n{LOOP}"))
-    assert found.field == "controller.friction_compensation" or found.field == "controller"
-    assert "no muscle of its model has friction" in found.message
+    found = problem(compensated(BASE))
+    assert found.field == "controller" and "no muscle of its model has friction" in found.message
+    former = problem(BASE.replace(LOOP, f"  friction_compensation: true\n{LOOP}"))
+    assert former.field == "controller" and "class: friction_compensation" in former.remedy
     spring = with_friction(
         (
-            "connector_length: 208 mm",
-            "connector_length: 208 mm\n  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}",
+            "connector_length: 208 mm}",
+            "connector_length: 208 mm}\n  tendon: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}",
         )
     )
-    assert "viscous friction" in problem(spring).message
+    assert "viscous" in problem(spring).message
     assert "outside" in problem(with_friction(("half_width: 12 N", "half_width: 0 N"))).message
     assert "unit" in problem(with_friction(("growth: 1 N/bar", "growth: 1 N"))).message
 
 
 def test_the_stiffness_of_a_motion_is_controlled_by_any_controller():
-    model_based = BASE[BASE.index("  position: {pid:") : BASE.index("  # model:")]
-    for part in ("", "  class: decoupling, feedback: {bandwidth: 80 rad/s}\n", "  class: predictive, bandwidth: 80 rad/s\n"):
+    loops = BASE[BASE.index("  position: {kp:") : BASE.index("  # model:")]
+    decoupling = "  class: decoupling\n  feedback: {bandwidth: 80 rad/s}\n"
+    for part in ("", decoupling, "  class: predictive\n  bandwidth: 80 rad/s\n"):
         text = with_friction((LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}"))
-        text = text.replace(model_based, f"  stiffness_amplitude: 1 deg\n{part}") if part else text
+        text = (
+            text.replace(
+                loops.replace(LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}"), f"  stiffness_amplitude: 1 deg\n{part}"
+            )
+            if part
+            else text
+        )
         scenario = Scenario.parse(text)
         assert Scenario.parse(scenario.dumps()) == scenario
         assert scenario.control().stiffness_amplitude == pytest.approx(1 * deg)

@@ -14,11 +14,14 @@ from mckibben.units import Quantity, factor
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TEXTS = [path.read_text() for path in sorted(EXAMPLES.glob("*.yaml"))]
-BASES = [Scenario.parse(text).model_dump(by_alias=True) for text in TEXTS]
+BASES = [
+    {info.alias or name: getattr(scenario, name) for name, info in Scenario.model_fields.items()}
+    for scenario in map(Scenario.parse, TEXTS)
+]
 KINDS = {
     name: kind.__metadata__[0]
     for name, kind in vars(units).items()
-    if isinstance(getattr(kind, "__metadata__", [None])[0], Quantity) and name != "SignalValue"
+    if isinstance(getattr(kind, "__metadata__", [None])[0], Quantity) and kind.__metadata__[0].unit not in units.SYMBOLS
 }
 
 quick = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -64,6 +67,9 @@ def test_what_people_write_is_written_back(kind, number):
 def scenarios(draw) -> Scenario:
     data = draw(st.sampled_from(BASES))
 
+    def of(name: str, fields: dict[str, st.SearchStrategy], **optional: st.SearchStrategy) -> st.SearchStrategy:
+        return st.fixed_dictionaries({"class": st.just(name), **fields}, optional=optional)
+
     def signal(kind: Quantity) -> st.SearchStrategy:
         value, time = floats(kind), floats(KINDS["Instant"])
         rate = floats(KINDS["Frequency"])
@@ -72,36 +78,26 @@ def scenarios(draw) -> Scenario:
                 {
                     "amplitudes": st.tuples(*[value] * n),
                     "frequencies": st.tuples(*[rate] * n),
-                    "phases": st.none() | st.tuples(*[floats(KINDS["Phase"])] * n),
-                }
+                },
+                optional={"phases": st.tuples(*[floats(KINDS["Phase"])] * n)},
             )
         )
         samples = st.lists(st.tuples(time, value), min_size=1, max_size=20, unique_by=lambda s: s[0]).map(
             lambda pairs: dict(zip(("times", "values"), zip(*sorted(pairs), strict=True), strict=True))
         )
         return st.one_of(
-            st.fixed_dictionaries({"constant": value}),
-            st.fixed_dictionaries({"step": st.fixed_dictionaries({"before": value, "after": value, "at": time})}),
-            st.fixed_dictionaries(
-                {"sine": st.fixed_dictionaries({"amplitude": value, "frequency": rate}, optional={"offset": value})}
+            value,
+            of("constant", {"value": value}),
+            of("step", {"before": value, "after": value, "at": time}),
+            of("sine", {"amplitude": value, "frequency": rate}, offset=value),
+            many.map(lambda fields: {"class": "multisine", **fields}),
+            of("ramp", {"before": value, "after": value, "start": time, "duration": floats(KINDS["Duration"])}),
+            of(
+                "random_steps",
+                {"low": value, "high": value, "dwell": floats(KINDS["PositiveTime"])},
+                seed=st.integers(0, 2**31 - 1),
             ),
-            st.fixed_dictionaries({"multisine": many}),
-            st.fixed_dictionaries(
-                {
-                    "ramp": st.fixed_dictionaries(
-                        {"before": value, "after": value, "start": time, "duration": floats(KINDS["Duration"])}
-                    )
-                }
-            ),
-            st.fixed_dictionaries(
-                {
-                    "random_steps": st.fixed_dictionaries(
-                        {"low": value, "high": value, "dwell": floats(KINDS["PositiveTime"])},
-                        optional={"seed": st.integers(0, 2**31 - 1)},
-                    )
-                }
-            ),
-            st.fixed_dictionaries({"samples": samples}),
+            samples.map(lambda fields: {"class": "samples", **fields}),
         )
 
     periods, period = draw(st.integers(1, 10_000)), draw(st.floats(1e-5, 10))
@@ -111,7 +107,7 @@ def scenarios(draw) -> Scenario:
             "angle": draw(signal(KINDS["Angle"])),
             "stiffness": draw(signal(KINDS["Stiffness"])),
         },
-        "valve": draw(st.none() | st.fixed_dictionaries({"time_constant": floats(KINDS["ValveTime"])})),
+        "valve": draw(st.just("ideal") | st.fixed_dictionaries({"time_constant": floats(KINDS["ValveTime"])})),
         "load": {"from": "knee-table-2", "mass2": draw(floats(KINDS["Mass"])), "hanging": draw(st.booleans())},
         "start": {"angle": draw(floats(KINDS["Angle"]))},
         "control_period": period,
@@ -152,13 +148,13 @@ def test_any_text_is_a_scenario_or_an_error(text):
     accepts(text)
 
 
-scalars = st.sampled_from(["1", "1 mm", "5 deg", "ideal", "knee-table-2", "x", "", "10 s", "[]", "{}", "nan s"])
+scalars = st.sampled_from(["1", "1 mm", "5 deg", "ideal", "sine", "knee-table-2", "x", "", "10 s", "[]", "{}", "nan s"])
 trees = st.recursive(
     scalars,
     lambda inner: (
         st.lists(inner, max_size=3)
         | st.dictionaries(
-            st.sampled_from(["pid", "sine", "from", "muscle", "times", "values", "z", "kp"]), inner, max_size=3
+            st.sampled_from(["class", "sine", "from", "muscle", "times", "values", "z", "kp"]), inner, max_size=3
         )
     ),
     max_leaves=8,

@@ -19,7 +19,13 @@ MUSCLE = "law: lei-mas-10-180n}"
 LOOPS = BASE[BASE.index("  # From the angle's error") : BASE.index("reference:")]
 SENSORS = "sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 0.5, seed: 7}\n"
 PULSES = "disturbance: {height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 250 ms}\n"
-DECOUPLING = "  class: decoupling, feedback: {{bandwidth: 50 rad/s}}, adaptation: {}, valve_adaptation: {{}}\n\n"
+DECOUPLING = """\
+  class: decoupling
+  feedback: {{bandwidth: 50 rad/s}}
+  adaptation: {}
+  valve_adaptation: {{}}
+
+"""
 FULL = "{strength_spread: 0.08, mass_spread: 0.1 kg, friction_spread: 0.4, torque_error: 0.03 N*m, bandwidth: 25 rad/s}"
 
 
@@ -125,11 +131,11 @@ def test_they_can_be_varied(real):
     plant, control = many.plant(), many.control()
     np.testing.assert_array_equal(plant.sensors.seed, [7, 14])
     np.testing.assert_array_equal(plant.disturbance.height, [0.5, 0.75])
-    np.testing.assert_array_equal(plant.joint.muscle2.law.strength, table["joint.muscle.strength"])
-    np.testing.assert_array_equal(control.model.muscle2.law.strength, table["joint.muscle.strength"])
+    np.testing.assert_array_equal(plant.joint.muscle2.strength, table["joint.muscle.strength"])
+    np.testing.assert_array_equal(control.model.muscle2.strength, table["joint.muscle.strength"])
     np.testing.assert_allclose(control.adaptation.torque_error, [0.03, 0.045])
     bare = with_values(Scenario.parse(BASE), {"joint.muscle.strength": 1.1})
-    assert bare.plant().joint.muscle1.law.strength == 1.1
+    assert bare.plant().joint.muscle1.strength == 1.1
 
 
 def test_the_model_keeps_its_own_strength():
@@ -141,10 +147,10 @@ def test_the_model_keeps_its_own_strength():
     many = batched(
         Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1], "controller.model.muscle.strength": [1, 1]}
     )
-    np.testing.assert_array_equal(many.plant().joint.muscle1.law.strength, [0.9, 1.1])
-    np.testing.assert_array_equal(many.control().model.muscle1.law.strength, [1.0, 1.0])
+    np.testing.assert_array_equal(many.plant().joint.muscle1.strength, [0.9, 1.1])
+    np.testing.assert_array_equal(many.control().model.muscle1.strength, [1.0, 1.0])
     alone = batched(Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1]})
-    assert type(alone.control().model.muscle1.law).__name__ == "ExponentialLaw"
+    assert alone.control().model.muscle1.strength is None
 
 
 def test_what_an_adaptation_takes_for_true_is_no_gain(real):
@@ -153,12 +159,16 @@ def test_what_an_adaptation_takes_for_true_is_no_gain(real):
 
 @pytest.mark.parametrize(
     ("name", "what"),
-    [("sensors.delay", "none"), ("disturbance.height", "none"), ("controller.adaptation", "")],
+    [
+        ("sensors.delay", "sensors, of class perfect"),
+        ("disturbance.height", "disturbance, of class none"),
+        ("controller.adaptation", "controller, of class position_stiffness"),
+        ("joint.muscle.correction.centre", "cannot be varied: the scenario has none"),
+    ],
 )
 def test_what_is_not_there_cannot_be_varied(name, what):
-    with pytest.raises(ParameterError, match=f"cannot be varied: .*{what}") as refused:
+    with pytest.raises(ParameterError, match=what):
         find_parameter(Scenario.parse(BASE), name)
-    assert "write" in refused.value.remedy
 
 
 @pytest.mark.parametrize(
@@ -171,7 +181,7 @@ def test_what_is_not_there_cannot_be_varied(name, what):
         (text(sensors="sensors: {encoder: 1 mm}\n"), "sensors.encoder", "unit"),
         (text(sensors="sensors: {seed: 1.5}\n"), "sensors.seed", "1.5"),
         (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is not a known key"),
-        (text(disturbance="disturbance: {}\n"), "disturbance.pulses", "is missing"),
+        (text(disturbance="disturbance: {}\n"), "disturbance.height", "is missing"),
         (text(disturbance=PULSES.replace("height: 0.5 N*m, ", "")), "disturbance.height", "is missing"),
         (text(disturbance=PULSES.replace("1 s", "0 s")), "disturbance.interval", "outside above 0"),
         (text(adaptation="{strength_spread: 0.5}"), "controller.adaptation.strength_spread", "to 0.3"),

@@ -235,7 +235,8 @@ class Part:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         return core_schema.with_info_plain_validator_function(
-            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self._written, info_arg=True)
+            self.read,
+            serialization=core_schema.plain_serializer_function_ser_schema(self._written, info_arg=True),
         )
 
     def _written(self, value: Any, info: Any) -> Any:
@@ -260,6 +261,8 @@ class Part:
                 value = {"from": value}
         if not isinstance(value, dict):
             fail_validation(*self._expected(value), value=value)
+        if isinstance(value.get("from"), str) and find_class(self.base, value["from"]) is not None:
+            value = {"class": value["from"], **{key: one for key, one in value.items() if key != "from"}}
         section = {key: one for key, one in value.items() if key != "from"}
         if "from" in value:
             if not isinstance(value["from"], str):
@@ -379,7 +382,7 @@ def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
             continue
         if (mark := inherited_from(kind, name)) is not None:
             with contextlib.suppress(KeyError):
-                inherited[name] = mark.find(scope)
+                inherited[name] = _copy(mark.find(scope))
         if field.default is field.default_factory is dataclasses.MISSING and name not in inherited:
             both = [f"`{alias}` for both" for alias, names in getattr(kind, "aliases", {}).items() if name in names]
             fail_validation(f"lacks {name}", f"give {' or '.join([name, *both])}", follows=mark is not None)
@@ -412,6 +415,11 @@ def replaced(component: C, fields: Mapping[str, Any]) -> C:
     return _marked(_made(component, fields), inherited=kept)
 
 
+def _copy(found: Any) -> Any:
+    """A component that is another object: a controller's model is never that of the plant."""
+    return _made(found, {}) if isinstance(found, Component) else found
+
+
 def _made(component: Any, fields: Mapping[str, Any]) -> Any:
     """Component with other fields; of a class with a constructor of its own, from the arguments of that."""
     kind = type(component)
@@ -430,7 +438,7 @@ def inherit(component: Any, scope: Scope) -> Any:
     for name in declared_fields(kind):
         before = getattr(component, name)
         mark = inherited_from(kind, name) if name in names else None
-        after = mark.find(around) if mark else inherit(before, around)
+        after = _copy(mark.find(around)) if mark else inherit(before, around)
         if after is not before:
             fields[name] = after
     return _marked(replaced(component, fields), inherited=names) if fields else component
@@ -459,7 +467,8 @@ def write(component: Any, part: Part | None = None, *, folder: Path = Path()) ->
     explicit_none = []
     for name in forms(kind, part.units):
         field, value = declared_fields(kind)[name], getattr(component, name)
-        if name in inherited_fields(component) or _same(value, field.default):
+        implied = name in inherited_fields(component) if inherited_from(kind, name) else _same(value, field.default)
+        if implied:
             continue
         if value is None:
             explicit_none.append(name)

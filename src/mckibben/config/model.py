@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document
-from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, closest, quoted, suggest
+from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, closest, quoted, suggest
 
 
 class ConfigModel(BaseModel):
@@ -208,6 +208,11 @@ class _Diagnosis:
     def problem(self, found: ErrorDetails, place: Place) -> Problem:
         kind, value, context = found["type"], found["input"], found.get("ctx", {})
         message, remedy, error = found["msg"], "", context.get("error")
+        if isinstance(error, FileError):  # of a file that is named there
+            first, *others = error.problems
+            more = f" (and {len(others)} more)" if others else ""
+            text = f"{Path(error.source).name}: {first}{more}"
+            return Problem(text, self.document.line(place), dotted(place), f"correct {Path(error.source).name}", value)
         if isinstance(error, McKibbenError):
             place = place[:-1] if isinstance(error, _ValidationError) and error.parent else place
             while place not in self.document.lines and place:  # a name alone stands for `from`, a number for `constant`

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -133,6 +133,7 @@ class InverseModelControl(Controller):
     """
 
     short_name = "inverse_model"
+    renamed: ClassVar = {"alone": "load: none"}
 
     loops: PositionStiffnessControl
     load: LoadModel | None = None

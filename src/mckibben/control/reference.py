@@ -159,6 +159,8 @@ class Multisine(Signal):
     offset: SignalValue = 0.0
 
     def __check_init__(self) -> None:
+        if not self.amplitudes:
+            raise RangeError("a multisine of no sines", field="amplitudes", remedy="give at least one of each")
         counts = {len(self.amplitudes), len(self.frequencies), len(self.phases or self.amplitudes)}
         if len(counts) != 1:
             raise RangeError(

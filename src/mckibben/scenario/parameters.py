@@ -90,7 +90,7 @@ def _walk(
         value, here = getattr(part, key), f"{name}.{key}"
         inner = tuple((*place, key) for place in places)
         mark = _mark(form)
-        if key in inherited_fields(part):
+        if key in inherited_fields(part) and mark is None:
             found.refused[here] = (
                 "it is not given and follows the plant",
                 f"write `{key}:` in the file to vary it alone",

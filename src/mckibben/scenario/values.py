@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.schema import inherit, replaced
-from mckibben.config.document import edit_yaml, read_document
+from mckibben.config.document import Span, edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.notebook import Progress, silent
@@ -331,20 +331,25 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     """
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
+    pairs = list(zip(find_parameters(scenario, values), values.values(), strict=True))
     spans = read_document(text).spans
-    written = {}
-    for parameter, value in zip(find_parameters(scenario, values), values.values(), strict=True):
-        place = _with_indices(tuple(parameter.name.split(".")))
-        if parameter.places[0][-1] == "value" and place in spans and spans[place].mapping:
-            place = (*place, "value")
-        written[place] = parameter.write(value)
-    edited = edit_yaml(text, written)
-    try:
-        if Scenario.parse(edited, folder=folder) == wanted:
-            return edited
-    except ScenarioError:
-        pass
+    by_name = {_place_in(spans, parameter): parameter.write(value) for parameter, value in pairs}
+    each = {_with_indices(place): parameter.write(value) for parameter, value in pairs for place in parameter.places}
+    for written in (by_name, each):  # two equal muscles may stand in the text once or twice
+        edited = edit_yaml(text, written)
+        try:
+            if Scenario.parse(edited, folder=folder) == wanted:
+                return edited
+        except ScenarioError:
+            pass
     return wanted.dumps(folder=folder)
+
+
+def _place_in(spans: Mapping[tuple[str | int, ...], Span], parameter: ScenarioParameter) -> tuple[str | int, ...]:
+    """Return the place of a parameter in a text; a constant may be a quantity alone."""
+    place = _with_indices(tuple(parameter.name.split(".")))
+    is_value = parameter.places[0][-1] == "value" and place in spans and spans[place].mapping
+    return (*place, "value") if is_value else place
 
 
 def _with_indices(place: Place) -> tuple[str | int, ...]:
