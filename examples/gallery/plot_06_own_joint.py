@@ -39,7 +39,7 @@ figure_ankle = mk.report.draw_joint(ankle, 15 * deg, (2 * bar, 4 * bar))
 
 
 class Crank(Geometry):
-        """Muscles on a crank, with distant anchors."""
+    """Muscles on a crank, with distant anchors."""
 
     radius: float
 
