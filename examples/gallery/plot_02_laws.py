@@ -2,7 +2,7 @@
 Force laws compared
 ===================
 
-Twelve published laws fitted to one muscle, and ranked by their leave-one-pressure-out errors.
+All force laws fitted to one muscle, and ranked by their cross-validation errors.
 """
 
 import numpy as np
