@@ -92,7 +92,7 @@ sphinx_gallery_conf = {
 def _mathml(node: Any, block: bool) -> str:
     return tex2mathml(
         re.sub(r"\\[bB]igg?(?![a-z])", "", node.astext()), as_block=block
-        )  # size commands, which MathML does not need
+    )  # size commands, which MathML does not need
 
 
 def _inline_math(translator: Any, node: nodes.math) -> None:
@@ -112,6 +112,6 @@ def _explorers(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
-        """Render formulas as MathML, which needs no scripts, and write the page with sliders."""
+    """Render formulas as MathML, which needs no scripts, and write the page with sliders."""
     app.connect("build-finished", _explorers)
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
