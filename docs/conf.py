@@ -1,4 +1,4 @@
-"""Sphinx configuration of the documentation: `make docs`. The site asks nothing of other hosts."""
+"""Sphinx configuration of the documentation: `make docs`. The site loads nothing from other hosts."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ exclude_patterns = [
     "gallery/**/*.zip",
     "gallery/**/*.json",
 ]
-default_role = "py:obj"  # names in docstrings; those that are not public stay plain
+default_role = "py:obj"  # names in docstrings; non-public ones stay plain text
 
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -49,7 +49,7 @@ myst_url_schemes = ("http", "https", "mailto")
 suppress_warnings = ["config.cache"]  # the functions below
 
 autosummary_generate = True
-autodoc_typehints = "none"  # the docstrings have kinds, shapes and units
+autodoc_typehints = "none"  # the docstrings give types, shapes and units
 autodoc_member_order = "bysource"
 autodoc_inherit_docstrings = True
 napoleon_google_docstring = False
@@ -92,7 +92,7 @@ sphinx_gallery_conf = {
 def _mathml(node: Any, block: bool) -> str:
     return tex2mathml(
         re.sub(r"\\[bB]igg?(?![a-z])", "", node.astext()), as_block=block
-    )  # a size that MathML does not need
+    )  # size commands, which MathML does not need
 
 
 def _inline_math(translator: Any, node: nodes.math) -> None:
@@ -112,6 +112,6 @@ def _explorers(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    """Formulas as MathML, which browsers draw themselves, and the page with sliders."""
+    """Render formulas as MathML, which needs no scripts, and write the page with sliders."""
     app.connect("build-finished", _explorers)
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))

@@ -8,20 +8,19 @@ A table of pressures, contractions and forces of a muscle becomes a force law wi
 import mckibben as mk
 
 # %%
-# ``rig.csv`` is an isobaric test with loading and unloading. Points without force are slack, and no part of the fit.
+# ``rig.csv`` is an isobaric test with loading and unloading. Points without force are slack and excluded from the fit.
 
 data = mk.read_dataset("../rig.csv")
 data
 
 # %%
-# Eq. 2 of the paper has seven parameters. The errors at pressures that were left out of the fit tell more than those of
-# the fit.
+# Eq. 2 of the paper has seven parameters. The leave-one-pressure-out errors are more informative than those of the fit.
 
 fit = mk.identify(mk.ExponentialLaw, data)
 print(fit.report())
 
 # %%
-# The points lie on both sides of the curves: loading above, unloading below. That is friction, which has
-# :ref:`a model of its own <sphx_glr_gallery_plot_04_friction.py>`.
+# The points lie on both sides of the curves: loading above, unloading below. The difference is friction, which has
+# :ref:`its own model <sphx_glr_gallery_plot_04_friction.py>`.
 
 figure = mk.report.isobaric(data, fit)

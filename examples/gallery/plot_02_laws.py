@@ -2,7 +2,7 @@
 Force laws compared
 ===================
 
-Twelve published laws fitted to one muscle, and ranked by their errors at pressures that were left out of the fit.
+All force laws fitted to one muscle, and ranked by their cross-validation errors.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ found = mk.rank(data)
 found
 
 # %%
-# Ahead are laws with an exponential of the contraction: Eq. 2 of the paper (``Exponential``), and Sarosi's, which has
-# fewer parameters. Chou's law (Eq. 1) follows from the braid alone, knows nothing of the rubber, and is far off.
+# The best laws contain an exponential of the contraction: Eq. 2 of the paper (``Exponential``), and Sarosi's, which has
+# fewer parameters. Chou's law (Eq. 1) models the braid but not the rubber, and has a large error.
 
 figure = mk.report.ranking(found)
 
 # %%
-# Eq. 2 and Chou's law with the points of four pressures:
+# Eq. 2 and Chou's law, with the points at four pressures:
 
 some = data.select(np.isin(data.levels, np.array([1.9625, 3.35, 4.86562, 6.5]) * bar))
 laws = {

@@ -1,8 +1,8 @@
 """
-How sure is a force law?
-========================
+Uncertainty of a force law
+==========================
 
-Intervals of the parameters, of the force, and of the next measurement.
+Intervals for the parameters, the force, and the next measurement.
 """
 
 import mckibben as mk
@@ -14,8 +14,8 @@ for name, (low, high) in fit.intervals(0.95).items():
     print(f"{name:6} {fit.estimates[name]:12.4g}  95 %: {low:12.4g} .. {high:12.4g}")
 
 # %%
-# The inner band is the confidence interval of the law's force, the outer one the prediction interval of one more
-# plateau. Points of a pressure have errors in common, which makes the intervals wider than independent points would.
+# The inner band is the confidence interval of the law's force, the outer band the prediction interval of another
+# plateau. Points at the same pressure have common errors, which makes the intervals wider than for independent points.
 
 figure = mk.report.force_bands(data, fit)
 

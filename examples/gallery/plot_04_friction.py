@@ -12,12 +12,12 @@ found = mk.identify_hysteresis(mk.ExponentialLaw, data)
 found
 
 # %%
-# The loops of the data, and those of the model of friction:
+# Measured loops, and those of the friction model:
 
 figure = mk.report.loops(data, found)
 
 # %%
-# Without friction the data give the law alone. These data are simulated, and what is left over is their rounding.
+# Without friction the data determine the law alone. These data are simulated; the remaining residual is their rounding.
 
 before = mk.identify(mk.ExponentialLaw, data)
 after = mk.identify(mk.ExponentialLaw, found.corrected(data))

@@ -2,8 +2,8 @@
 Attainable stiffness of a joint
 ===============================
 
-Two muscles can make a joint stiffer without moving it, by co-contraction. How much depends on the geometry more than on
-the controller.
+Two muscles can stiffen a joint without moving it, by co-contraction. The geometry determines by how much, more than the
+controller does.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ import numpy as np
 import mckibben as mk
 from mckibben.units import deg, mm
 
-printed = mk.catalog.joint("knee-table-2")  # the knee of the paper, as its Table 2 has it
+printed = mk.catalog.joint("knee-table-2")  # the knee of the paper, as in its Table 2
 longer = dataclasses.replace(printed.geometry, connector_length=208 * mm)
 knees = {
     "as printed": printed,
@@ -23,8 +23,8 @@ knees = {
 load = mk.catalog.load("knee-table-2")
 
 # %%
-# The lowest and the highest stiffness at which the muscles hold the load, over the angle; where no pressures within
-# limits hold it, there is none.
+# The lowest and the highest stiffness at which the muscles hold the load, as functions of the angle. The band ends
+# where no pressures within limits hold the load.
 
 angles = np.linspace(-40, 40, 161) * deg
 torque = -load.gravity_torque(angles)
@@ -36,7 +36,7 @@ for panel, (name, knee) in zip(axes, knees.items(), strict=True):
 
 # %%
 # As printed, both muscles have their full length at 0 deg, and are stretched as soon as the joint moves. With longer
-# connectors they are contracted by 10 %, the stiffness is lower, and there is a range of it at every angle.
+# connectors they are contracted by 10 %, the stiffness is lower, and it can be varied at every angle.
 
 for name, knee in knees.items():
     lowest, highest = knee.attainable_stiffness(0.0, -load.gravity_torque(0.0))

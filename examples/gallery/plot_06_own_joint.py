@@ -1,8 +1,8 @@
 """
-A joint of your own
-===================
+User-defined joint
+==================
 
-Muscles between two bones, on pulleys or on cams, or with measured moment arms; or any geometry as a formula.
+Muscles between two bones, on pulleys or cams, or with measured moment arms; or any geometry given by a formula.
 """
 
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ elbow = mk.PairedPaths(
 figure = mk.report.draw_joint(mk.AntagonisticJoint(elbow, muscle, muscle), 15 * deg, (2 * bar, 4 * bar))
 
 # %%
-# Measured moment arms become a smooth curve. A path that is no straight line is drawn as the cam that has its arms.
+# Measured moment arms become a smooth curve. A path that is not straight is drawn as the cam with the same moment arms.
 
 table = mk.TabulatedPath(
     [angle * deg for angle in (-40, -20, 0, 20, 40)],
@@ -34,11 +34,12 @@ ankle = mk.AntagonisticJoint(mk.PairedPaths(table, table), muscle, muscle)
 figure_ankle = mk.report.draw_joint(ankle, 15 * deg, (2 * bar, 4 * bar))
 
 # %%
-# A class with the two path lengths is a geometry like ours: moment arms, torque and stiffness are its derivatives.
+# A class that returns the two path lengths is a geometry like the built-in ones: moment arms, torque and stiffness
+# follow by differentiation.
 
 
 class Crank(Geometry):
-    """Muscles on a crank, far away."""
+    """Muscles on a crank, with distant anchors."""
 
     radius: float
 

@@ -2,7 +2,7 @@
 Position and stiffness of a knee
 ================================
 
-Two PID loops: the error of the angle sets the difference of the pressures, the error of the stiffness their mean.
+Two PID loops: the angle error sets the difference of the pressures, the stiffness error their mean.
 """
 
 import dataclasses
@@ -18,12 +18,12 @@ reference = mk.Reference(
 )
 
 # %%
-# Is the reference within reach, statically?
+# Is the reference statically feasible?
 
 mk.check_reference(plant, reference)
 
 # %%
-# The stiffness is not measured: it is that of a model of the joint. Here the model is right.
+# The stiffness is not measured but computed by a model of the joint. Here the model is correct.
 
 controller = mk.PositionStiffnessControl(
     mk.PID(kp=2 * bar, ki=60 * bar, kd=0.4 * bar), mk.PID(kp=0.08 * bar, ki=5 * bar, kd=0.0), model=knee

@@ -2,7 +2,7 @@
 Controllers compared
 ====================
 
-Two PID loops against a controller that solves for both pressures at once, on one reference.
+Two PID loops compared with a controller that solves for both pressures together, on the same reference.
 """
 
 import dataclasses
@@ -34,5 +34,6 @@ for name, run in runs.items():
 figure = mk.report.tracking(runs)
 
 # %%
-# Here the model of the decoupling is the plant itself, and nothing disturbs it. ``mckibben compare`` tunes all
-# controllers with one budget and judges them on runs with other loads, valves, muscles, noise and disturbances.
+# Here the model of the decoupling controller equals the plant, and there are no disturbances. ``mckibben compare``
+# tunes all controllers with the same budget and evaluates them with other loads, valves, muscles, noise and
+# disturbances.

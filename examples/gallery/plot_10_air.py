@@ -2,7 +2,7 @@
 Valves and air
 ==============
 
-A proportional valve fills a muscle whose volume changes as it moves. How much does the size of the valve matter?
+A proportional valve fills a muscle whose volume changes as it moves. How much does the valve size matter?
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ controller = mk.PositionStiffnessControl(
 )
 
 # %%
-# A conductance is the flow of air for a pressure, in L/(s*bar); the supply has 7 bar. A first-order lag of 20 ms is the
+# The conductance is the air flow per pressure, in L/(s*bar); the supply has 7 bar. A first-order lag of 20 ms is the
 # usual simplification.
 
 valves = {

@@ -2,7 +2,7 @@
 A sweep with tolerances
 =======================
 
-How well does a controller do if load and muscles are not quite those it was made for?
+How well does a controller perform if load and muscles differ from those it was designed for?
 """
 
 import mckibben as mk
@@ -10,8 +10,8 @@ import mckibben as mk
 scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").model_copy(update={"duration": 6.0})
 
 # %%
-# 200 runs: another load, slower valves, connectors that are off by up to 2 mm. The model of the controller keeps the
-# values of the file.
+# 200 runs with other loads and valves, and connectors that are up to 2 mm too long or short. The controller's model
+# keeps the values in the file.
 
 ranges = ["load.mass2=0.2 kg..1.0 kg", "valve.time_constant=15 ms..40 ms", "joint.geometry.connector_length=206 mm..210 mm"]
 swept = mk.sweep(scenario, ranges, samples=200, seed=1, metrics=["angle_rmse", "stiffness_rmse"])
@@ -21,7 +21,7 @@ swept
 figure = mk.report.sweep(swept)
 
 # %%
-# The worst run, which ``swept.scenario(worst)`` gives as a scenario of its own:
+# The worst run, which ``swept.scenario(worst)`` returns as a scenario:
 
 table = swept.table
 worst = int(table["stiffness_rmse"].to_numpy().argmax())

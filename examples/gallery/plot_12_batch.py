@@ -2,7 +2,7 @@
 Thousands of runs on all cores
 ==============================
 
-Arrays in place of numbers make a batch. Runs share one program, several to a vector of the processor, on all cores.
+Replace numbers by arrays to simulate a batch. Runs share one program, several per processor vector, on all cores.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ controller = mk.PositionStiffnessControl(
 )
 
 # %%
-# A grid of two gains: 40 by 40 runs of 4 s. Some diverge; a run says so, and the batch goes on.
+# A grid of two gains: 40 by 40 runs of 4 s. Runs that diverge are marked, and the batch continues.
 
 kp, ki = (each.ravel() for each in np.meshgrid(np.geomspace(0.5, 50, 40), np.geomspace(5, 1000, 40)))
 over = {"controller.position.kp": kp * bar, "controller.position.ki": ki * bar}
@@ -39,7 +39,7 @@ figure.colorbar(drawn, label="angle RMSE [deg]")
 axes.set(xscale="log", yscale="log", xlabel="kp [bar/rad]", ylabel="ki [bar/(rad s)]", title="white: diverged")
 
 # %%
-# The derivative of an error by any parameter is exact, from one pass.
+# The derivative of an error with respect to any parameter is exact, from a single pass.
 
 slopes = mk.differentiate(plant, controller, reference, ["controller.position.ki", "plant.load.mass2"], duration=1.0)
 slopes.gradients["angle_rmse"]

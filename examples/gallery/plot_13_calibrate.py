@@ -19,7 +19,7 @@ model = dataclasses.replace(printed, geometry=dataclasses.replace(printed.geomet
 load = mk.catalog.load("knee-table-2")
 
 # %%
-# The muscles of the joint are weaker than those of the model, by 10 % and by 15 %.
+# The muscles of the joint are weaker than those of the model by 10 % and 15 %.
 
 
 def scaled(muscle, factor):
@@ -33,7 +33,7 @@ def scaled(muscle, factor):
 joint = dataclasses.replace(model, muscle1=scaled(model.muscle1, 0.9), muscle2=scaled(model.muscle2, 0.85))
 
 # %%
-# The controller that is there sweeps angle and stiffness; a weight of 0.5 kg is clipped on for the second recording.
+# The existing controller sweeps angle and stiffness; a weight of 0.5 kg is attached for the second recording.
 
 controller = mk.PositionStiffnessControl(
     mk.PID(kp=2 * bar, ki=60 * bar, kd=0.4 * bar), mk.PID(kp=0.08 * bar, ki=5 * bar, kd=0.0), model=model
@@ -50,13 +50,13 @@ for mass in (0.0, 0.5):
     recordings.append(JointRecording(run.times, run["angle"], pressures, added_mass=mass, distance=200 * mm))
 
 # %%
-# Angles and pressures alone give forces up to a factor; the weight gives the factor.
+# Angles and pressures alone determine the forces up to a common factor; the weight determines the factor.
 
 found = calibrate_joint(model, load, recordings)
 figure = mk.report.calibration(found, recordings)
 
 # %%
-# The stiffness by both models, with standard deviations, and that of the joint:
+# The stiffness according to both models, with standard deviations, and the true stiffness of the joint:
 
 pressures = (5 * bar, 5 * bar)
 for name, (value, deviation) in {

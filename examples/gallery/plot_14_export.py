@@ -2,7 +2,7 @@
 A controller as C
 =================
 
-The controller of a scenario as C99 for a microcontroller: no memory allocation, all loops bounded, nothing but
+The controller of a scenario as C99 for a microcontroller: no memory allocation, bounded loops, no library except
 ``math.h``.
 """
 
@@ -24,12 +24,12 @@ with tempfile.TemporaryDirectory() as folder:
 print("\n".join(files))
 
 # %%
-# What a program calls once, and every control period:
+# The functions that a program calls at the start, and in every control period:
 
 print("\n\n".join(re.findall(r"^void controller_(?:defaults|init|step)\([^;]*;", files["controller.h"], re.MULTILINE)))
 
 # %%
-# With the code comes a recorded run. ``make check`` replays it and compares the commands of the C program with these:
+# The code comes with a recorded run. ``make check`` replays it and compares the commands of the C program with these:
 
 run = np.genfromtxt(io.StringIO(files["replay.csv"]), delimiter=",", names=True)
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")

@@ -15,8 +15,8 @@ plant = mk.Scenario.read("../stiffness/knee.yaml").plant()
 held = plant.equilibrium(0.0, stiffness=15.0)
 
 # %%
-# At constant pressures, slowly: small motions meet presliding friction and are much stiffer. The stiffness that a
-# controller sets, 15 N*m/rad, is that of large ones.
+# In slow motion at constant pressures, small amplitudes meet presliding friction and are much stiffer. The stiffness
+# that a controller sets, 15 N*m/rad, is that of large amplitudes.
 
 amplitudes = np.geomspace(0.01, 10, 60) * deg
 secant = plant.joint.secant_stiffness(0.0, held.pressures, amplitudes)
@@ -27,7 +27,7 @@ axes.set(xlabel="amplitude [deg]", ylabel="stiffness [N·m/rad]", ylim=(0, None)
 axes.legend()
 
 # %%
-# With closed valves the air is a spring of its own:
+# With closed valves the air acts as an additional spring:
 
 open_valves = float(plant.joint.stiffness(0.0, held.pressures))
 closed = float(plant.joint.closed_valve_stiffness(0.0, held.pressures, polytropic_index=1.4))

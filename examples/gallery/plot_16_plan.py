@@ -2,7 +2,7 @@
 What to measure next
 ====================
 
-The points that most reduce the uncertainty of what one wants to know; here the stiffness of a joint.
+The points that most reduce the uncertainty of a quantity, here the stiffness of a joint.
 """
 
 import mckibben as mk
@@ -14,7 +14,7 @@ found = mk.plan(data, JointStiffness(knee), mk.ExponentialLaw, points=6)
 print(found.summary())
 
 # %%
-# Standard error of the force before and after. The new points, numbered by their gain, are near the pressure and the
-# contraction that the stiffness depends on, the stretched muscle included.
+# The standard error of the force before and after. The new points, numbered by their gain, are near the pressure and
+# the contraction on which the stiffness depends, including the stretched muscle.
 
 figure = mk.report.planned(found)

@@ -24,13 +24,13 @@ for landing in study.records()["landings"]:
     print(f"{landing['valve']}, {landing['drop_mm']:g} mm: {landing['best_stiffness']:.1f} ({low:.1f} to {high:.1f})")
 
 # %%
-# Below the best stiffness the knee meets its stop. Closed valves compress their air, and add its stiffness to that of
-# the muscles, so that a softer command is best.
+# Below the best stiffness the knee hits its stop. With closed valves the air is compressed and adds stiffness to that
+# of the muscles, so that a softer command is best.
 
 figure = mk.report.landing_forces(study)
 
 # %%
-# The stiffness of the foot that the joints can attain without torque: along the leg it is about 80 times that across.
+# The attainable stiffness of the foot without joint torque: along the leg it is about 80 times that across.
 
 figure = mk.report.foot_ellipses(leg.leg.build(), study.angles)
 softest = attainable_foot_stiffness(leg.leg.build(), study.angles, [0.0, 0.0])[0]

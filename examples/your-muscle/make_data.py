@@ -1,6 +1,6 @@
-"""Writes rig.csv, the measurements of the tutorial: a muscle of 300 mm and 20 mm as a laboratory would log it.
+"""Write rig.csv, the measurements of the tutorial: a muscle 300 mm long and 20 mm in diameter, as a laboratory logs it.
 
-A semicolon file with decimal commas; force noise of 1.2 N, 7 N of friction, an offset of the load cell of 3.4 N, and
+The file has semicolons and decimal commas, force noise of 1.2 N, 7 N of friction, a load cell offset of 3.4 N, and
 pressures that scatter by 0.01 bar. `python examples/your-muscle/make_data.py` writes the same file again.
 """
 
