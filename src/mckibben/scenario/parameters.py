@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, get_args, get_origin
@@ -99,7 +100,7 @@ def _walk(
             found.refused[here] = _COMPILED, _IN_FILE
         elif mark is not None:
             called = name if kind is Constant else here
-            found.add(called, inner, mark, _UNSET.get(key) if value is None else value, listed=listed)
+            found.add(called, inner, mark, _nominal(key, value), listed=listed)
             found.spellings[here] = called
         elif (inside := part_of(form)) is not None and isinstance(value, Component):
             _walk(value, inside.units, here, inner, found, listed=listed and key not in shared)
@@ -114,6 +115,13 @@ def _walk(
             found.refused[here] = "the scenario has none", "write it in the file"
         else:
             found.refused[here] = _what_it_is(form), _NOT_NUMERIC
+
+
+def _nominal(key: str, value: Any) -> Any:
+    """Nominal value of a number; None for one that is unset or unlimited."""
+    if value is None:
+        return _UNSET.get(key)
+    return None if isinstance(value, float) and math.isinf(value) else value
 
 
 def _mark(form: Any) -> Mark | None:
