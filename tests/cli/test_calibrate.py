@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mckibben.numerics.batching import batched_program
+from mckibben.plant import FirstOrderValve, PerfectSensors
 from mckibben.scenario import Scenario
-from mckibben.study.scenario.building import build_joint
 
 pytestmark = pytest.mark.usefixtures("optimized")
 EXAMPLE = Path("examples/calibration/knee.yaml").resolve()
@@ -30,9 +30,7 @@ def calibrated(tmp_path_factory):
 
 def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
     before, after = Scenario.read(EXAMPLE), Scenario.read(calibrated / "scenario.yaml")
-    true, believed, found = (
-        build_joint(spec) for spec in (before.joint, before.controller.model, after.controller.model)
-    )
+    true, believed, found = before.joint, before.controller.model, after.controller.model
     angle, pressures = np.linspace(-0.12, 0.12, 7), (4.8e5, 4.5e5)
     wanted = np.asarray(true.evaluate(angle, pressures)[1])
     errors = [np.abs(np.asarray(one.evaluate(angle, pressures)[1]) - wanted).max() for one in (believed, found)]
@@ -130,11 +128,9 @@ def written(folder, name, columns):
 @pytest.fixture(scope="module")
 def stepped(tmp_path_factory):
     """Two recordings of commanded pressures of the example's joint, whose valve is slower than the scenario says."""
-    from mckibben.study.scenario.building import build_plant
-
     folder, scenario = tmp_path_factory.mktemp("stepped"), Scenario.read(EXAMPLE)
-    valve = scenario.valve.model_copy(update={"time_constant": 0.06})
-    plant, files = build_plant(scenario.joint, scenario.load, valve), []
+    slow = scenario.model_copy(update={"valve": FirstOrderValve(0.06), "sensors": PerfectSensors()})
+    plant, files = slow.plant(), []
     time = np.arange(0, 8, 0.01)
 
     @jax.jit

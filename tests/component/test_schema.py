@@ -6,15 +6,32 @@ import textwrap
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import pytest
 from typer.testing import CliRunner
 
+import mckibben as mk
 from mckibben.cli import app
-from mckibben.component.schema import default_of, load_extension, model_of
-from mckibben.control import Controller, Signal
-from mckibben.errors import RangeError, ScenarioError
-from mckibben.plant import FirstOrderValve, SampledSensors, Valve
+from mckibben.component.extensions import load_extension
+from mckibben.component.schema import (
+    Part,
+    class_name,
+    classes_of,
+    default_class,
+    find_class,
+    inherited_fields,
+    origin_of,
+    parse_component,
+    section_of,
+    write,
+    write_text,
+)
+from mckibben.control import Controller, PositionStiffnessControl, Signal
+from mckibben.errors import RangeError, ScenarioError, UnitError
+from mckibben.joint import Geometry, MusclePath, ScaledArms, Tendon
+from mckibben.muscle import Creep, ForceLaw, Friction, MartensBoblanLaw, NoFriction
+from mckibben.plant import Disturbance, FirstOrderValve, SampledSensors, Sensors, TorquePulses, Valve, ValveModel
 from mckibben.scenario import Scenario, find_parameter, with_values
 from mckibben.units import Bandwidth, PositiveTime, Pressure, Quantity, SignalValue, deg
 
@@ -39,6 +56,10 @@ class Bump(Signal):
         return self.height * jnp.exp(-((jnp.asarray(time) - self.at) ** 2))
 
 
+class OwnDecoupling(mk.DecouplingControl):
+    """A user-defined controller that adds nothing."""
+
+
 class Constantly(Controller):
     """Always the same pressure."""
 
@@ -55,15 +76,91 @@ class Constantly(Controller):
 
 
 def test_keys_ranges_and_defaults_follow_from_the_class():
-    model = model_of(SampledSensors)
-    assert list(model.model_fields) == ["encoder", "pressure_noise", "delay", "seed", "encoder_offset"]
+    model = section_of(SampledSensors)
+    keys = {"class_", "from_", "encoder", "pressure_noise", "delay", "seed", "encoder_offset"}
+    assert set(model.model_fields) == keys
     part = model.model_validate({"encoder": "0.5 deg", "seed": "3"})
     assert part.build() == SampledSensors(encoder=0.5 * deg, seed=3)
-    assert part.effective("delay") == default_of(SampledSensors, "delay") == 0.0
     with pytest.raises(ValueError, match="outside 0 to 90 deg"):
         model.model_validate({"encoder": "91 deg"})
     with pytest.raises(ValueError, match="time_constant"):
-        model_of(FirstOrderValve).model_validate({})
+        section_of(FirstOrderValve).model_validate({})
+
+
+KNEE = mk.catalog.joint("knee-table-2")
+MODEL = {"model": KNEE, "load": mk.catalog.load("knee-table-2"), "valve_time_constant": 0.03}
+LOOPS = PositionStiffnessControl(mk.PID(2e5, 60e5, 4e4), mk.PID(8e3, 5e5, 0.0), model=KNEE)
+COMPONENTS = {
+    "laws": (ForceLaw, mk.ExponentialLaw(-245.8, 1.09e-3, 321.6, -3.442e-3, 255.6, -1.318e-4, decay=30.0)),
+    "a law whose fields have no unit of their own": (ForceLaw, MartensBoblanLaw(50.0, 1e4, 25 * deg, 0.01)),
+    "muscles": (mk.Muscle, mk.Muscle(mk.Specimen("x", 0.3), mk.catalog.law("lei-mas-10-180n"), strength=0.9)),
+    "friction": (Friction, mk.MaxwellSlip(7.5, 5e-4, viscous=20.0)),
+    "no friction": (Friction, NoFriction()),
+    "creep": (Creep, mk.MaxwellCreep(500.0, 8.0)),
+    "tendons": (Tendon, mk.SeriesSpring(20e3, 50.0, 0.018)),
+    "geometries": (Geometry, ScaledArms(mk.KneeGeometry(0.37, 0.03, 0.208), 1.02)),
+    "paths": (Geometry, mk.PairedPaths(mk.TwoBonePath(-0.03, 0.16, -0.035, 0.0), mk.Pulley(0.03, 0.16))),
+    "tables": (MusclePath, mk.TabulatedPath((-0.2, 0.0, 0.2, 0.4), lengths=(0.154, 0.16, 0.166, 0.172))),
+    "loads": (mk.Load, mk.PendulumLoad(0.3, 0.25)),
+    "general loads": (mk.Load, mk.GeneralLoad(0.02, 0.7)),
+    "valves": (ValveModel, mk.FirstOrderValve(0.02, supply=6e5)),
+    "valves with air": (ValveModel, mk.FlowValve(1e-8, 7e5, direct=True)),
+    "sensors": (Sensors, SampledSensors(0.5 * deg, seed=3)),
+    "disturbances": (Disturbance, TorquePulses(0.5)),
+    "loops": (PositionStiffnessControl, LOOPS),
+    "decoupling": (Controller, mk.DecouplingControl(**MODEL, feedback=mk.SlidingMode(30.0, 50.0))),
+    "predictive": (Controller, mk.PredictiveControl(**MODEL, bandwidth=70.0)),
+    "wrappers": (Controller, mk.SupplyLimit(LOOPS, valve_time_constant=0.03)),
+    "references": (mk.Reference, mk.Reference(mk.Sine(0.1, 0.5), mk.Samples([0.0, 1.0], [13.0, 14.0]))),
+}
+
+
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_any_component_is_written_and_read_back(name):
+    base, component = COMPONENTS[name]
+    again = parse_component(base, write_text(component, base=base), source="test")
+    assert type(again) is type(component) and again == component
+    assert write(again, Part(base)) == write(component, Part(base))
+
+
+@pytest.mark.parametrize("base", sorted({base for base, _ in COMPONENTS.values()}, key=lambda one: one.__name__))
+def test_all_classes_of_a_base_have_names_of_their_own(base):
+    ours = [kind for kind in classes_of(base).values() if kind.__module__.startswith("mckibben.")]
+    assert ours and all(find_class(base, kind.__name__) is kind is find_class(base, class_name(kind)) for kind in ours)
+    default = default_class(base)
+    assert default is None or default in ours
+
+
+def test_a_users_controller_gets_the_model_of_the_plant_as_ours_does():
+    start, end = BASE.index("controller:"), BASE.index("reference:")
+    own = "controller: {class: OwnDecoupling, feedback: {bandwidth: 50 rad/s}}\n"
+    text = changed(VALVE, "valve: {time_constant: 80 ms}")
+    scenario = Scenario.parse(text[:start] + own + text[text.index("reference:") :])
+    control = scenario.control()
+    assert type(control) is OwnDecoupling and control.valve_time_constant == 0.08
+    assert control.load == scenario.load and control.model == scenario.joint and control.model is not scenario.joint
+    assert inherited_fields(scenario.controller) == {"model", "load", "valve_time_constant"}
+    slower = with_values(scenario, {"valve.time_constant": 0.1})
+    assert slower.control().valve_time_constant == 0.1
+    assert with_values(scenario, {"valve.time_constant": 0.1}, known=()).control().valve_time_constant == 0.08
+    assert end > start
+
+
+def test_what_is_read_by_name_knows_its_origin_until_it_is_changed():
+    scenario = Scenario.parse(BASE)
+    assert origin_of(scenario.load) == "knee-table-2"
+    heavier = with_values(scenario, {"load.mass2": 0.8})
+    assert origin_of(heavier.load) == "" and "mass2: 0.8 kg" in heavier.dumps()
+    leaves = jax.tree.structure(scenario.load), jax.tree.structure(mk.catalog.load("knee-table-2"))
+    assert leaves[0] == leaves[1], "its origin is no part of the tree"
+
+
+def test_units_are_checked_where_they_are_declared_and_may_have_fractional_powers():
+    with pytest.raises(UnitError):
+        Quantity("Newton/sqrt(s)")
+    with pytest.raises(UnitError):
+        Quantity("m", "kg")
+    assert Quantity("Pa*s^0.5", "bar*s^0.5").read("2 bar*s^0.5") == pytest.approx(2e5)
 
 
 def test_a_quantity_says_its_range():

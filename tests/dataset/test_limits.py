@@ -8,7 +8,7 @@ import pytest
 
 from mckibben.dataset import read_dataset
 from mckibben.errors import DatasetError, McKibbenWarning
-from mckibben.study.scenario.reference import read_samples
+from mckibben.storage.columns import read_samples
 
 HEADER = "pressure_bar,contraction_percent,force_N"
 ROWS = [f"{1 + i % 5},{i / 10:g},{i}.5" for i in range(40)]

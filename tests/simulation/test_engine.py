@@ -15,7 +15,7 @@ from mckibben.scenario import Scenario
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"
 FRICTION = ", friction: {half_width: 7.5 N, presliding_length: 0.5 mm}"
-MODEL = f"{{geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: {MUSCLE % ''}}}"
+MODEL = f"{{geometry: {{from: knee-table-2, connector_length: 208 mm}}, muscle: {MUSCLE % ''}}}"
 BASE = """
 name: engines
 joint: {geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: %s}
@@ -154,7 +154,7 @@ def test_another_process_finds_the_compiled_program(tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(SCENARIOS["as in the paper"])
     program = (
-        "import sys, mckibben as mk; from mckibben.study.scenario import Scenario; from mckibben.codegen import native;"
+        "import sys, mckibben as mk; from mckibben.scenario import Scenario; from mckibben.codegen import native;"
         "native.write_native = None if sys.argv[2] == 'known' else native.write_native;"
         "s = Scenario.read(sys.argv[1]); p = s.plant();"
         "print(mk.simulate(p, s.control(), s.reference(), initial=s.initial(p), duration=s.duration,"

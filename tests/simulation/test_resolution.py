@@ -96,7 +96,7 @@ SINE = Reference(Sine(0.1, 1.0), 72.5)
     ("field", "plant", "control", "reference"),
     [
         ("plant.load.gravity", eqx.tree_at(lambda plant: plant.load.gravity, PLANT, np.nan), None, None),
-        ("controller.position.kp", None, dataclasses.replace(CONTROL, position=PID(np.nan, 1.0, 1.0)), None),
+        ("controller.position.kp", None, eqx.tree_at(lambda control: control.position.kp, CONTROL, np.nan), None),
         (
             "reference.stiffness.value",
             None,

@@ -189,7 +189,9 @@ def test_a_frequency_that_no_control_period_resolves_is_refused():
 
 OTHER_PLANTS = """other_joints:
   other law:
-    joint: {geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: {specimen: MAS-10-180N-AA-MC-O, law: chou}}
+    joint:
+      geometry: {from: knee-table-2, connector_length: 208 mm}
+      muscle: {specimen: MAS-10-180N-AA-MC-O, law: chou}
   flow valves: {valve: {class: FlowValve, conductance: 0.4 L/(s*bar), supply: 5 bar}}
 """
 

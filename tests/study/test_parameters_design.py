@@ -20,7 +20,7 @@ MIXED = sweep_parameters(
     BACKPROP,
     {
         "load.mass2": Uniform(0.2, 1.0, points=5),
-        "controller.position.kp": LogUniform(1e4, 1e6),
+        "controller.position.base.kp": LogUniform(1e4, 1e6),
         "controller.position.seed": IntegerRange(0, 9),
         "valve.time_constant": Normal(0.02, 0.005),
         "load.distance2": Values((0.1, 0.2, 0.4)),
@@ -61,7 +61,7 @@ def test_a_seed_is_a_table_and_another_seed_another(kind):
 
 def test_another_process_makes_the_same_table():
     code = (
-        "from mckibben.study.scenario import Scenario\n"
+        "from mckibben.scenario import Scenario\n"
         "from mckibben.study.parameters import sample, parse_sweeps\n"
         "scenario = Scenario.read('examples/pre-contracted-step-backprop.yaml')\n"
         "over = parse_sweeps(['load.mass2=0.2..1 kg', 'valve.time_constant=normal 10 %'], scenario)\n"
@@ -99,7 +99,7 @@ def test_a_grid_is_every_combination_the_last_number_fastest():
             [
                 "load.mass2=1..3 kg in 3",
                 "controller.position.seed=4..5",
-                "controller.position.kp=1..100 bar/rad log in 3",
+                "controller.position.base.kp=1..100 bar/rad log in 3",
             ],
             BACKPROP,
         ),
@@ -108,7 +108,7 @@ def test_a_grid_is_every_combination_the_last_number_fastest():
     )
     np.testing.assert_array_equal(table["load.mass2"], np.repeat([1.0, 2.0, 3.0], 6))
     np.testing.assert_array_equal(table["controller.position.seed"], np.tile([4, 4, 4, 5, 5, 5], 3))
-    np.testing.assert_allclose(table["controller.position.kp"], np.tile([1e5, 1e6, 1e7], 6), rtol=1e-14)
+    np.testing.assert_allclose(table["controller.position.base.kp"], np.tile([1e5, 1e6, 1e7], 6), rtol=1e-14)
     assert table["controller.position.seed"].dtype == np.int64
 
 

@@ -64,6 +64,8 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
                 assert np.array_equal(single, several)
         # the joint is that of the plant and that of the controller's model; a spring's force begins at its length
         spring = address.name == "joint.muscle1.specimen.initial_length" and scenario.joint.springs[0]
+        if ".domain." in address.name:  # that of a law limits the specimen's
+            continue
         in_model = address.name.startswith("joint.")
         assert varied == (len(address.places) + spring) * (1 + in_model), address.name
 

@@ -248,7 +248,7 @@ def _root(
         echo(f"mckibben {mckibben.__version__}")
         raise typer.Exit
     for path in extension or ():
-        from mckibben.component.schema import load_extension
+        from mckibben.component.extensions import load_extension
 
         load_extension(path)
 

@@ -27,10 +27,11 @@ from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, PlainSerializ
 from pydantic_core import PydanticSerializationError, core_schema
 
 from mckibben.component.base import Checked, Component, Inherited, field_hints, field_quantities
+from mckibben.component.extensions import installed_package, load_installed
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, write_path
 from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
-from mckibben.errors import FileError, McKibbenError, quoted, suggest
+from mckibben.errors import FileError, McKibbenError, RangeError, quoted, suggest
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, Units
 
 C = TypeVar("C")
@@ -77,19 +78,31 @@ def concrete_subclasses(base: type) -> Iterator[type]:
 
 def classes_of(base: type) -> dict[str, type]:
     """Return the classes of a base that a file can name, by their name in files."""
-    kinds = [*concrete_subclasses(base), *([] if inspect.isabstract(base) else [base])]
-    return {class_name(one): one for one in kinds if not one.__name__.startswith("_")}
+    kinds = {(one.__module__, one.__qualname__): one for one in [*concrete_subclasses(base), base]}
+    return {class_name(one): one for one in kinds.values() if not (one.__name__.startswith("_") or _is_abstract(one))}
+
+
+def _is_abstract(kind: type) -> bool:
+    return inspect.isabstract(kind) or not dataclasses.is_dataclass(kind)
 
 
 def class_name(kind: type) -> str:
-    """Return the name of a class in files: its short name, or else its own."""
-    return kind.__dict__.get("short_name") or kind.__name__
+    """Return the name of a class in files: its short name, or else its own, after that of its installed package."""
+    package = installed_package(kind.__module__)
+    own = kind.__dict__.get("short_name") or kind.__name__
+    return f"{package}:{kind.__name__}" if package else own
 
 
 def find_class(base: type, name: str) -> type | None:
-    """Return the class of a base that a file names by its short or own name; None if there is none."""
-    known = classes_of(base)
-    return known.get(name) or next((one for one in known.values() if one.__name__ == name), None)
+    """Return the class of a base that a file names; None if there is none, `RangeError` if there are several."""
+    for known in (classes_of(base), classes_of(base) if load_installed() else {}):
+        found = [known[name]] if name in known else [one for one in known.values() if one.__name__ == name]
+        if len(found) > 1:
+            several = " and ".join(f"{one.__module__}:{one.__name__}" for one in found)
+            raise RangeError(f"{quoted(name)} may be {several}", value=name, remedy="write package:Class")
+        if found:
+            return found[0]
+    return None
 
 
 def default_class(base: type) -> type | None:
@@ -97,7 +110,7 @@ def default_class(base: type) -> type | None:
     named = getattr(base, "default_class", "")
     if named:
         return find_class(base, named)
-    return None if inspect.isabstract(base) else base
+    return None if _is_abstract(base) else base
 
 
 class Section(ConfigModel):
@@ -296,7 +309,7 @@ class Part:
         """Component of a catalog entry or a file."""
         catalog = _catalog_of(self.base)
         if not name.endswith(ENDINGS):
-            classes = classes_of(self.base) if inspect.isabstract(self.base) else ()
+            classes = classes_of(self.base) if _is_abstract(self.base) else ()
             known = [*(catalog.names() if catalog else ()), *classes]
             if catalog is None or name not in catalog.names():
                 fail_validation(f"{quoted(name)} is not the name of {self._noun}", suggest(name, known), value=name)
@@ -339,7 +352,7 @@ class Part:
             remedy = suggest(str(named), list(known)) if known else "there is none yet"
             fail_validation(
                 f"there is no class {quoted(named)} of {self.base.__name__}",
-                f"{remedy}; a class of your own: import its module first (`mckibben --extension FILE.py ...`)",
+                f"{remedy}; for a class of your own import its module first: `mckibben --extension FILE.py ...`",
                 value=named,
             )
         return kind

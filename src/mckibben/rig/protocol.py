@@ -147,7 +147,7 @@ class Keyed(Checked):
     @classmethod
     def from_file(cls, value: Any) -> Any:
         """Return the section with its class of one below a short name."""
-        if not isinstance(value, dict) or len(value) != 1:
+        if cls.short_name or not isinstance(value, dict) or len(value) != 1:
             return value
         ((name, section),) = value.items()
         kind = find_class(cls, name)
@@ -160,7 +160,9 @@ class Keyed(Checked):
     @classmethod
     def to_file(cls, section: dict[str, Any]) -> Any:
         """Return a section below the short name of its class."""
-        name, inner = section.pop("class", cls.short_name), section
+        if cls.short_name:  # a field of one class
+            return section
+        name, inner = section.pop("class"), section
         alone = getattr(find_class(cls, name), "alone", "")
         if not inner:
             return name

@@ -6,14 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mckibben import catalog
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
-from mckibben.study.rig.document import RigTest, build_steps, read_test, rig_calibrations
+from mckibben.study.rig.document import RigTest, read_test, rig_calibrations
 from mckibben.study.rig.running import check
-from mckibben.study.rig.steps import StepSpec
 from mckibben.units import bar, mm, percent
 
+MUSCLE = catalog.joint("knee-table-2").muscle1
 EXAMPLES = Path(__file__).parents[3] / "examples"
 HEAD = """name: a test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
@@ -44,7 +45,7 @@ STEPS = (
 
 
 def test_steps_are_read_as_typed_steps():
-    steps = build_steps(RigTest.parse(STEPS).protocol, None)
+    steps = typed.steps_of(RigTest.parse(STEPS).protocol, MUSCLE)
     assert steps == (
         typed.Vent(),
         typed.Move(to=10 * percent),
@@ -130,16 +131,8 @@ STEP = SIMPLE | repeated(SIMPLE) | repeated(repeated(SIMPLE))  # a file is neste
 @given(steps=st.lists(STEP, min_size=1, max_size=4))
 @settings(max_examples=60)
 def test_any_typed_steps_are_written_and_read_back_to_the_last_bit(steps):
-    text = (
-        RigTest.parse(STEPS)
-        .model_copy(
-            update={
-                "protocol": RigTest.parse(STEPS).protocol.model_copy(update={"steps": tuple(map(StepSpec.of, steps))})
-            }
-        )
-        .dumps()
-    )
-    assert build_steps(RigTest.parse(text).protocol, None) == tuple(steps)
+    text = RigTest.parse(STEPS).model_copy(update={"protocol": typed.Steps(steps=tuple(steps))}).dumps()
+    assert RigTest.parse(text).protocol == typed.Steps(steps=tuple(steps))
 
 
 def test_everything_that_is_wrong_is_told_at_once_with_its_line():
@@ -158,14 +151,14 @@ protocol:
         RigTest.parse(text, source="p.yaml")
     said = str(found.value)
     for part in (
-        "line 2, muscle.specimen: the catalog has no specimen 'MAS-10-180N'; did you mean 'MAS-10-180N-AA-MC-O'?",
+        "line 2, muscle.specimen: 'MAS-10-180N' is not the name of a specimen; did you mean 'MAS-10-180N-AA-MC-O'?",
         "line 3, rig.simulated.seed: -1 is outside 0 to",
         "line 4, limits.pressure: '6.5' has no unit; write it like '6.5 bar'",
         "line 4, limits.shorten: is missing",
-        "line 7, protocol.steps[0].move: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
-        "line 8, protocol.steps[1]: 'dwel' is no step; did you mean 'dwell'?",
-        "line 10, protocol.steps[3].walk.stp: is not a known key here; did you mean 'step'?",
-        "line 9, protocol.steps[2].acquire.samples: 'none' is not a whole number",
+        "line 7, protocol.steps[0].to: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
+        "line 8, protocol.steps[1]: lacks the key `class`",
+        "line 10, protocol.steps[3].stp: is not a known key here; did you mean 'step'?",
+        "line 9, protocol.steps[2].samples: 'none' is not a whole number",
     ):
         assert part in said, said
     assert said.startswith("p.yaml: 8 problems")
@@ -174,8 +167,8 @@ protocol:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("isobaric:", "isobaric:\n  isotonic:"), "protocol: is isobaric and isotonic at once; give one of"),
-        (("  isobaric:", "  {}"), "protocol: is empty; give one of isobaric, isometric, isotonic, steps"),
+        (("isobaric:", "isobaric:\n  isotonic:"), "protocol: lacks the key `class`"),
+        (("  isobaric:", "  {}"), "protocol: lacks the key `class`; give one of isobaric, isometric, isotonic, steps"),
         (("rig: {simulated: {seed: 1}}", "rig: {}"), "rig: is empty; give `simulated: {seed: 1}`, or `nidaqmx`"),
         ((", law: lei-mas-10-180n", ""), "rig: has no law for its simulated muscle; give"),
     ],
@@ -217,10 +210,8 @@ def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
 def test_the_example_is_the_papers_test():
     checked = check(RigTest.read(EXAMPLES / "rig" / "paper-protocol.yaml"))
     assert checked.dry_run.samples == 5_850_000
-    assert checked.test.protocol.isobaric is not None
     paper = IsobaricProtocol(contraction_min=0.0, contraction_max=0.245, slack_steps=44)
-    given_ = {name: value for name, value in checked.test.protocol.isobaric if value is not None}
-    assert IsobaricProtocol(**given_) == paper
+    assert checked.test.protocol == paper
     assert "5850 points, 5850000 samples" in checked.describe()
 
 

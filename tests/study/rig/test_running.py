@@ -16,7 +16,7 @@ from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError,
 from mckibben.rig.record import header_of, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.study.rig import running
-from mckibben.study.rig.document import RigSpec, RigTest
+from mckibben.study.rig.document import RigSettings, RigTest
 from mckibben.study.rig.running import check, gather, run_test
 from mckibben.units import bar
 
@@ -244,7 +244,7 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path):
     assert not killed.certain
     simulated = checked()
     assert running._origin(simulated, tmp_path, killed, None) == 0
-    card = dataclasses.replace(simulated, test=simulated.test.model_copy(update={"rig": RigSpec.model_construct()}))
+    card = dataclasses.replace(simulated, test=simulated.test.model_copy(update={"rig": RigSettings.model_construct()}))
     assert running._origin(card, tmp_path, past, None) == past.position
     assert running._origin(card, tmp_path, killed, 0.05) == -0.05 * 180 * 400
     with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):
