@@ -7,6 +7,7 @@ observers are 10/3 times as fast as the poles, as in the file, where these have 
 """
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ def main():
     found = {}
     for name in NAMES:
         for bits in BITS:
-            sensors = suite.sensors.model_copy(update={"encoder": 360 * deg / 2**bits if bits else 0.0})
+            sensors = dataclasses.replace(suite.sensors, encoder=360 * deg / 2**bits if bits else 0.0)
             runs = draw(suite.model_copy(update={"sensors": sensors}), count, suite.evaluation.seed)
             batch = evaluate(runs, name, table, metrics=("angle_rmse", "air"))
             shape = (POLES.size, count)

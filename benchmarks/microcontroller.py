@@ -16,9 +16,11 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
+from mckibben.control import Reference, Sine, Step
 from mckibben.export import export
-from mckibben.study.benchmark import Suite
 from mckibben.scenario import Scenario
+from mckibben.study.benchmark import Suite
+from mckibben.units import deg
 
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
 CORTEX_M7 = ("-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
@@ -89,10 +91,7 @@ def scenarios(duration: float = 1.0) -> dict[str, Scenario]:
     """A run [s] of each controller of the comparison."""
     suite = Suite.read(ROOT / "examples" / "comparison" / "knee.yaml")
     parts = {name: getattr(suite, name) for name in ("joint", "load", "valve", "sensors", "control_period", "substeps")}
-    reference = {
-        "angle": {"sine": {"amplitude": "5 deg", "frequency": "1 Hz", "phase": "90 deg"}},
-        "stiffness": {"step": {"before": "14 N*m/rad", "after": "15 N*m/rad", "at": duration / 2}},
-    }
+    reference = Reference(Sine(5 * deg, 1.0, phase=90 * deg), Step(14.0, 15.0, at=duration / 2))
     return {
         name: Scenario(name=name, controller=spec, reference=reference, duration=duration, **parts)
         for name, spec in suite.controllers.items()

@@ -8,12 +8,13 @@ otherwise. Median and 95th percentile of the RMS angle error, median air, and di
 """
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 
+from mckibben.control import SupplyLimit
 from mckibben.study.benchmark import Suite, draw, evaluate
-from mckibben.study.scenario.controller import SupplyLimitSpec
 from mckibben.units import bar, deg, ms
 
 SUITE = Suite.read(Path(__file__).parents[1] / "examples" / "comparison" / "knee.yaml")
@@ -30,12 +31,11 @@ PID = {
 
 def decoupling(feedback, observer, pressure):
     """Values of a `DecouplingControl`: bandwidth [rad/s] of poles, or slope [1/s] and reach, and of observers."""
-    poles = {"poles.bandwidth": feedback} if np.ndim(feedback) == 0 else dict(zip(_SLIDING, feedback, strict=True))
-    values = {**poles, "disturbance_observer.bandwidth": observer, "pressure_observer.bandwidth": pressure}
-    return {f"decoupling.{name}": value for name, value in values.items()}
+    law = {"feedback.bandwidth": feedback} if np.ndim(feedback) == 0 else dict(zip(_SLIDING, feedback, strict=True))
+    return {**law, "observer.bandwidth": observer, "pressure_observer.bandwidth": pressure}
 
 
-_SLIDING = ("sliding.slope", "sliding.reach")
+_SLIDING = ("feedback.slope", "feedback.reach")
 FED, LAG = "decoupling, friction fed forward", "decoupling, valve lag adapted"
 ROWS = {
     "PID": ("PID", PID, False),
@@ -65,7 +65,7 @@ def drawn(suite, condition, runs):
     """The runs of a suite under a condition."""
     changed = [text.split("=")[0] for text in CONDITIONS[condition]]
     kept = [text for text in suite.conditions if text.split("=")[0] not in changed]
-    valve = suite.valve.model_copy(update={"supply": 8 * bar})
+    valve = dataclasses.replace(suite.valve, supply=8 * bar)
     return draw(suite.model_copy(update={"valve": valve, "conditions": (*kept, *CONDITIONS[condition])}), runs, 5)
 
 
@@ -75,12 +75,14 @@ def main():
     runs = parser.parse_args().runs
     print(f"| angle RMSE, median (95 %), and air | {' | '.join(CONDITIONS)} |\n|---{'|---' * len(CONDITIONS)}|")
     for name, (controller, values, estimated) in ROWS.items():
-        spec = SUITE.controllers[controller]
-        spec = spec.model_copy(update={"supply_limit": SupplyLimitSpec() if estimated else None})
-        suite = SUITE.model_copy(update={"controllers": {controller: spec}, "true_model": ()})
+        control = SUITE.controllers[controller]
+        if estimated:
+            control = SupplyLimit(control)
+        suite = SUITE.model_copy(update={"controllers": {controller: control}, "true_model": ()})
         cells = []
         for condition in CONDITIONS:
-            values_by_name = {f"controller.{key}": float(value) for key, value in values.items()}
+            prefix = "controller.controller" if estimated else "controller"
+            values_by_name = {f"{prefix}.{key}": float(value) for key, value in values.items()}
             batch = evaluate(drawn(suite, condition, runs), controller, values_by_name)
             error = np.where(batch.failed, np.inf, batch["angle_rmse"]) / deg
             middle, tail = np.percentile(error, (50, 95))

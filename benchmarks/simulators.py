@@ -15,8 +15,7 @@ import numpy as np
 from mckibben.export import export
 from mckibben.export.gym import JointEnv, JointVectorEnv
 from mckibben.export.mujoco import load_mujoco
-from mckibben.scenario import Scenario
-from mckibben.scenario import run_scenario
+from mckibben.scenario import Scenario, run_scenario
 
 SCENARIO = "examples/pre-contracted-step-pid.yaml"
 RANDOM = ["load.mass2=+-50 %"]

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from mckibben import sweep
 from mckibben.numerics.batching import cores
-from mckibben.scenario import Scenario
-from mckibben.scenario import run_many
+from mckibben.scenario import Scenario, run_many
 
 SCENARIO = Path(__file__).parents[1] / "examples" / "pre-contracted-step-pid.yaml"
 OVER = ["load.mass2=0.2 kg..1.0 kg", "controller.position.kp=0.5..10 bar/rad log"]

@@ -13,7 +13,11 @@ scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").model_copy(update
 # 200 runs with other loads and valves, and connectors that are up to 2 mm too long or short. The controller's model
 # keeps the values in the file.
 
-ranges = ["load.mass2=0.2 kg..1.0 kg", "valve.time_constant=15 ms..40 ms", "joint.geometry.connector_length=206 mm..210 mm"]
+ranges = [
+    "load.mass2=0.2 kg..1.0 kg",
+    "valve.time_constant=15 ms..40 ms",
+    "joint.geometry.connector_length=206 mm..210 mm",
+]
 swept = mk.sweep(scenario, ranges, samples=200, seed=1, metrics=["angle_rmse", "stiffness_rmse"])
 swept
 

@@ -32,6 +32,6 @@ figure = mk.report.landing_forces(study)
 # %%
 # The attainable stiffness of the foot without joint torque: along the leg it is about 80 times that across.
 
-figure = mk.report.foot_ellipses(leg.leg.build(), study.angles)
-softest = attainable_foot_stiffness(leg.leg.build(), study.angles, [0.0, 0.0])[0]
+figure = mk.report.foot_ellipses(leg.leg, study.angles)
+softest = attainable_foot_stiffness(leg.leg, study.angles, [0.0, 0.0])[0]
 print([round(value) for value in softest.principal], "N/m")

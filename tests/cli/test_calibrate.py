@@ -83,7 +83,7 @@ def test_mistakes_are_refused_before_anything_moves(cli, tmp_path, arguments):
 
 def test_a_muscle_against_a_return_spring_is_calibrated_on_sweeps_of_the_angle(cli, tmp_path):
     text = EXAMPLE.parents[1] / "pre-contracted-step-pid.yaml"
-    spring = "return_spring1: {rate: 4 N/mm, free_length: 130 mm}\n  muscle: "
+    spring = "muscle1: {class: return_spring, rate: 4 N/mm, free_length: 130 mm}\n  muscle2: "
     (tmp_path / "s.yaml").write_text(text.read_text(encoding="utf-8").replace("muscle: ", spring, 1), encoding="utf-8")
     found = cli("calibrate", "s.yaml", "--duration", "20 s", "--out", "x")
     assert found.code == 0, found.err

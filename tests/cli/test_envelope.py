@@ -46,7 +46,7 @@ def test_an_infeasible_reference_and_the_nearest(cli, printed):
     for near in numbers["nearest"]:
         assert f"nearest, {near['preserved']} preserved: {near['described']}" in found.out
         scenario = Scenario.read(kept / f"nearest-{near['preserved']}.yaml")
-        sine = scenario.signals.angle.sine
+        sine = scenario.signals.angle
         assert sine.frequency == 5 and sine.amplitude == pytest.approx(near["amplitude"] * 20 * 0.0174532925)
         plant = scenario.plant()
         reach = check_reference(plant, scenario.reference(), duration=0.2)

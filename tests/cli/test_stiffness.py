@@ -11,7 +11,7 @@ FRICTION = "law: lei-mas-10-180n, friction: {half_width: 7.5 N, presliding_lengt
 def test_closed_forms_simulation_and_the_controller(cli, shortened, tmp_path):
     text = shortened("pre-contracted-step-pid").replace("law: lei-mas-10-180n}", FRICTION)
     text = text.replace("before: 13 N*m/rad", "before: 38 N*m/rad").replace(
-        "  stiffness: {pid:", "  stiffness_amplitude: 1 deg\n  stiffness: {pid:"
+        "  stiffness: {kp:", "  stiffness_amplitude: 1 deg\n  stiffness: {kp:"
     )
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     found = cli("stiffness", "s.yaml", "--amplitude", "0.01..1 deg", "--rate", "10 Hz", "--out", "kept")

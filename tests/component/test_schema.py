@@ -13,20 +13,9 @@ from typer.testing import CliRunner
 
 import mckibben as mk
 from mckibben.cli import app
+from mckibben.component.classes import class_name, classes_of, default_class, find_class
 from mckibben.component.extensions import load_extension
-from mckibben.component.schema import (
-    Part,
-    class_name,
-    classes_of,
-    default_class,
-    find_class,
-    inherited_fields,
-    origin_of,
-    parse_component,
-    section_of,
-    write,
-    write_text,
-)
+from mckibben.component.schema import Part, inherited_fields, origin_of, parse_component, section_of, write, write_text
 from mckibben.control import Controller, PositionStiffnessControl, Signal
 from mckibben.errors import RangeError, ScenarioError, UnitError
 from mckibben.joint import Geometry, MusclePath, ScaledArms, Tendon

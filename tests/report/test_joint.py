@@ -1,5 +1,6 @@
 """Figures of envelopes and designs show the numbers that they are of."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 @pytest.fixture(scope="module")
 def scenario():
     read = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
-    sine = read.signals.angle.sine.model_copy(update={"amplitude": 20 * deg, "frequency": 5.0})
-    angle = read.signals.angle.model_copy(update={"sine": sine})
+    angle = dataclasses.replace(read.signals.angle, amplitude=20 * deg, frequency=5.0)
     signals = read.signals.model_copy(update={"angle": angle})
     return read.model_copy(update={"signals": signals, "duration": 0.2})
 

@@ -178,7 +178,7 @@ def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
     (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
     expected = mk.identify(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
     text = workbench.START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
-    found = Scenario.parse(text, folder=tmp_path).joint.muscle.build()
+    found = Scenario.parse(text, folder=tmp_path).joint.muscle1
     assert found.law == muscle.law == expected.law
 
 
@@ -313,7 +313,7 @@ def test_a_designed_joint_gets_a_reference_that_it_can_hold(tmp_path):
     designed = design.JointDesign(dimensions={"height": 400.0, "radius": 40.0})
     found = workbench.with_joint(workbench.START, design.scenario_lines(designed, MUSCLE), tmp_path)
     assert found.plant().joint.geometry == design.joint_of(designed, MUSCLE).geometry
-    low, high = found.plant().joint.attainable_stiffness(0.0, -found.load.build().gravity_torque(0.0))
+    low, high = found.plant().joint.attainable_stiffness(0.0, -found.load.gravity_torque(0.0))
     assert low < found.start.stiffness < high
 
 
@@ -326,7 +326,7 @@ def test_a_scenario_names_no_files_of_other_folders(tmp_path):
     (tmp_path / "mine").mkdir()
     with pytest.raises(ScenarioError) as found:
         workbench.parse(text, tmp_path / "mine")
-    assert found.value.problems[0].field == "reference.angle.samples.file"
+    assert found.value.problems[0].field == "reference.angle.file"
     (tmp_path / "mine" / "angle.csv").write_text("time_s,angle_deg\n0,0\n1,1\n", encoding="utf-8")
     workbench.parse(text.replace("../other/", ""), tmp_path / "mine")
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mckibben.catalog import FOLDER, find, names
 from mckibben.component.base import field_quantities
-from mckibben.component.schema import Catalog, find_class, register, section_of
+from mckibben.component.classes import Catalog, find_class, register
+from mckibben.component.schema import section_of
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance

@@ -133,12 +133,12 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
         except RangeError as error:
             yield error
         for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, Component) and (inner := _units(field_hints(kind).get(name)) or units):
+            if isinstance(part, Component) and (inner := units_of_part(field_hints(kind).get(name)) or units):
                 yield from _errors(part, inner)
 
 
-def _units(hint: Any) -> Units:
-    """Units of the symbolic fields of a part."""
+def units_of_part(hint: Any) -> Units:
+    """Return the units of the symbolic fields of a part, from the type of the field that holds it."""
     return next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Units)), _NO_UNITS)
 
 

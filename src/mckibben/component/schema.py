@@ -12,11 +12,10 @@ import contextlib
 import dataclasses
 import enum
 import functools
-import importlib
 import inspect
 import warnings
 from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
@@ -27,11 +26,18 @@ from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, PlainSerializ
 from pydantic_core import PydanticSerializationError, core_schema
 
 from mckibben.component.base import Checked, Component, Inherited, field_hints, field_quantities
-from mckibben.component.extensions import installed_package, load_installed
+from mckibben.component.classes import (
+    catalog_of,
+    class_name,
+    classes_of,
+    default_class,
+    find_class,
+    is_abstract,
+)
 from mckibben.config.document import read_document, to_text
-from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, write_path
+from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, relative_path, write_path
 from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
-from mckibben.errors import FileError, McKibbenError, RangeError, quoted, suggest
+from mckibben.errors import FileError, McKibbenError, quoted, suggest
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, Units
 
 C = TypeVar("C")
@@ -41,76 +47,6 @@ Scope = Mapping[str, Any]
 
 ENDINGS = (".yaml", ".yml")
 """Endings of files that hold a component."""
-
-
-@dataclass(frozen=True)
-class Catalog:
-    """Named components of a base, and the reader of its files where these are no sections; see `register`."""
-
-    noun: str
-    names: Callable[[], Sequence[str]]
-    entry: Callable[[str], Any]
-    read: Callable[[Path], Any] | None = None
-
-
-_CATALOGS: dict[type, Catalog] = {}
-_BUILT_IN = "mckibben.catalog.entries"
-"""Module that registers the published entries: above this one, and loaded when a file names one."""
-
-
-def _catalog_of(base: type) -> Catalog | None:
-    importlib.import_module(_BUILT_IN)
-    return next((_CATALOGS[one] for one in base.__mro__ if one in _CATALOGS), None)
-
-
-def register(base: type, catalog: Catalog) -> None:
-    """Let files name entries of a catalog in place of components of a base."""
-    _CATALOGS[base] = catalog
-
-
-def concrete_subclasses(base: type) -> Iterator[type]:
-    """Yield the subclasses of a class that are not abstract, of modules that are imported."""
-    for one in base.__subclasses__():
-        yield from concrete_subclasses(one)
-        if not inspect.isabstract(one):
-            yield one
-
-
-def classes_of(base: type) -> dict[str, type]:
-    """Return the classes of a base that a file can name, by their name in files."""
-    kinds = {(one.__module__, one.__qualname__): one for one in [*concrete_subclasses(base), base]}
-    return {class_name(one): one for one in kinds.values() if not (one.__name__.startswith("_") or _is_abstract(one))}
-
-
-def _is_abstract(kind: type) -> bool:
-    return inspect.isabstract(kind) or not dataclasses.is_dataclass(kind)
-
-
-def class_name(kind: type) -> str:
-    """Return the name of a class in files: its short name, or else its own, after that of its installed package."""
-    package = installed_package(kind.__module__)
-    own = kind.__dict__.get("short_name") or kind.__name__
-    return f"{package}:{kind.__name__}" if package else own
-
-
-def find_class(base: type, name: str) -> type | None:
-    """Return the class of a base that a file names; None if there is none, `RangeError` if there are several."""
-    for known in (classes_of(base), classes_of(base) if load_installed() else {}):
-        found = [known[name]] if name in known else [one for one in known.values() if one.__name__ == name]
-        if len(found) > 1:
-            several = " and ".join(f"{one.__module__}:{one.__name__}" for one in found)
-            raise RangeError(f"{quoted(name)} may be {several}", value=name, remedy="write package:Class")
-        if found:
-            return found[0]
-    return None
-
-
-def default_class(base: type) -> type | None:
-    """Return the class of a section without the key `class`; None if it needs one."""
-    named = getattr(base, "default_class", "")
-    if named:
-        return find_class(base, named)
-    return None if _is_abstract(base) else base
 
 
 class Section(ConfigModel):
@@ -307,9 +243,9 @@ class Part:
 
     def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
         """Component of a catalog entry or a file."""
-        catalog = _catalog_of(self.base)
+        catalog = catalog_of(self.base)
         if not name.endswith(ENDINGS):
-            classes = classes_of(self.base) if _is_abstract(self.base) else ()
+            classes = classes_of(self.base) if is_abstract(self.base) else ()
             known = [*(catalog.names() if catalog else ()), *classes]
             if catalog is None or name not in catalog.names():
                 fail_validation(f"{quoted(name)} is not the name of {self._noun}", suggest(name, known), value=name)
@@ -367,7 +303,7 @@ class Part:
 
     @property
     def _noun(self) -> str:
-        catalog = _catalog_of(self.base)
+        catalog = catalog_of(self.base)
         return f"a {catalog.noun}" if catalog else f"a {self.base.__name__}"
 
     def _expected(self, value: Any) -> tuple[str, str]:
@@ -447,7 +383,8 @@ def inherit(component: Any, scope: Scope) -> Any:
         return component
     fields, kind = {}, type(component)
     names = inherited_fields(component)
-    around = ChainMap({name: getattr(component, name) for name in declared_fields(kind) if name not in names}, scope)
+    own = {name: getattr(component, name) for name in declared_fields(kind) if name not in names}
+    around = ChainMap(own, dict(scope))
     for name in declared_fields(kind):
         before = getattr(component, name)
         mark = inherited_from(kind, name) if name in names else None
@@ -473,7 +410,7 @@ def independent(component: Any) -> Any:
 def write(component: Any, part: Part | None = None, *, folder: Path = Path()) -> Any:
     """Return the section of a component, as plain data with units: what differs from the defaults of its class."""
     if origin := origin_of(component):
-        return write_path(Path(origin), _Folder(folder)) if origin.endswith(ENDINGS) else origin
+        return relative_path(Path(origin), folder) if origin.endswith(ENDINGS) else origin
     kind = type(component)
     part = Part(kind) if part is None else part
     given: dict[str, Any] = {}
@@ -511,15 +448,6 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "ndim"):
         return tuple(np.asarray(value, float).tolist()) if value.ndim else value.item()
     return value
-
-
-@dataclass(frozen=True)
-class _Folder:
-    folder: Path
-
-    @property
-    def context(self) -> dict[str, Path]:
-        return {"folder": self.folder}
 
 
 def _same(value: Any, default: Any) -> bool:

@@ -85,8 +85,12 @@ def read_path(value: Any, info: ValidationInfo, ending: str) -> Path:
 
 
 def write_path(path: Path, info: SerializationInfo) -> str:
-    """A path relative to the folder of the configuration file; absolute only on another drive."""
-    folder = (info.context or {}).get("folder") or Path()
+    """Write a path relative to the folder of the configuration file."""
+    return relative_path(path, (info.context or {}).get("folder") or Path())
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder; absolute only on another drive."""
     try:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:

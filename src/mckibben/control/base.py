@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
@@ -30,8 +29,8 @@ class Reference(Component):
     Each is a signal, another function of time by `jax.numpy`, or a plain number, which is a constant.
     """
 
-    angle: Annotated[Signal | Callable, Units(signal=Angle)] = eqx.field(converter=as_signal)
-    stiffness: Annotated[Signal | Callable, Units(signal=Stiffness)] = eqx.field(converter=as_signal)
+    angle: Annotated[Signal | Any, Units(signal=Angle)] = eqx.field(converter=as_signal)
+    stiffness: Annotated[Signal | Any, Units(signal=Stiffness)] = eqx.field(converter=as_signal)
 
     def __call__(self, time: ArrayLike) -> Setpoint:
         """Setpoint at each time [s]."""

@@ -92,9 +92,12 @@ class DecouplingControl(ModelBasedControl):
     """
 
     short_name = "decoupling"
-    renamed: ClassVar = dict.fromkeys(("poles", "sliding"), "feedback") | dict.fromkeys(
-        ("velocity_observer", "disturbance_observer"), "observer"
-    )
+    renamed: ClassVar = {
+        "poles": "feedback",
+        "sliding": "feedback",
+        "velocity_observer": "observer",
+        "disturbance_observer": "observer",
+    }
 
     feedback: Feedback
     observer: Observer = ExtendedStateObserver()

@@ -235,7 +235,7 @@ class InverseModelControl(Controller):
         return (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
 
     @computed_once
-    def _limited_inverse(self, load: Load, x: InverseInput, pressures: Pair) -> Pair:
+    def _limited_inverse(self, load: LoadModel, x: InverseInput, pressures: Pair) -> Pair:
         """Pressures [Pa] of the model within limits."""
         tension = _TAUT if self.minimum_tension is None else self.minimum_tension
         lowest, highest = pressure_range(self.loops.model, x.angle, tension)
@@ -244,7 +244,7 @@ class InverseModelControl(Controller):
         return prioritise_torque(affine, torque, x.stiffness, lowest, highest, self.loops.model.springs).pressures
 
     @computed_once
-    def _unlimited_inverse(self, load: Load, x: InverseInput, pressures: Pair) -> Pair:
+    def _unlimited_inverse(self, load: LoadModel, x: InverseInput, pressures: Pair) -> Pair:
         """Pressures [Pa] of the model without limits."""
         torque, model = load.required_torque(x.angle, x.velocity, x.acceleration), self.loops.model
         affine = linearise(model, x.angle, pressures)

@@ -182,18 +182,18 @@ class Samples(Signal):
 
     short_name = "samples"
 
-    times: tuple[Instant, ...] | Array = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
-    values: tuple[SignalValue, ...] | Array = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
+    times: tuple[Instant, ...] | Any = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
+    values: tuple[SignalValue, ...] | Any = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
 
     def __check_init__(self) -> None:
-        times, values = (shape[-1] if shape else 0 for shape in (self.times.shape, self.values.shape))
+        times, values = (shape[-1] if shape else 0 for shape in (np.shape(self.times), np.shape(self.values)))
         if times != values or times == 0:
             raise RangeError(f"{times} times do not go with {values} values; give one value a time")
-        if not bool(jnp.all(jnp.diff(self.times) > 0)):
+        if not bool(jnp.all(jnp.diff(jnp.asarray(self.times)) > 0)):
             raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
-        return jnp.interp(floating(time), self.times, self.values)
+        return jnp.interp(floating(time), jnp.asarray(self.times), jnp.asarray(self.values))
 
 
 class SamplesFile(Samples):
@@ -217,7 +217,8 @@ class SamplesFile(Samples):
         if unit is None:
             raise RangeError(f"SamplesFile: the column is {column!r}", field="column", remedy="give angle or stiffness")
         self.file, self.column = Path(file), column
-        self.times, self.values = map(floating, read_samples(self.file, column, unit))
+        times, values = read_samples(self.file, column, unit)
+        self.times, self.values = floating(np.asarray(times)), floating(np.asarray(values))
 
 
 class Sum(Signal):

@@ -14,7 +14,7 @@ from jax import lax
 from numpy.typing import NDArray
 
 from mckibben.codegen.source_module import SourceModule
-from mckibben.component.base import field_quantities
+from mckibben.component.base import field_hints, field_quantities, units_of_part
 from mckibben.control import Controller, Setpoint
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import ForceLaw, PressureAffineLaw
@@ -23,6 +23,7 @@ from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
+from mckibben.units import SYMBOLS, Units
 
 UNITS = {
     "parameters.control_period": "s",
@@ -182,17 +183,20 @@ def units_of(tree: Any, prefix: str) -> dict[str, str]:
     return {f"{prefix}.{path}": unit for path, unit in _units(tree, "") if unit}
 
 
-def _units(tree: Any, path: str) -> Iterator[tuple[str, str]]:
-    """Path and unit of each field below."""
+def _units(tree: Any, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008
+    """Path and unit of each field below; `symbols` are the units of symbolic ones."""
     parts: dict[str, Any]
     units: dict[str, str] = {}
+    hints: dict[str, Any] = {}
     if isinstance(tree, dict):
         parts = tree
     elif isinstance(tree, tuple | list):
         parts = {str(number): one for number, one in enumerate(tree)}
     elif dataclasses.is_dataclass(tree):
         parts = {field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)}
-        units = {name: mark.unit for name, mark in field_quantities(type(tree)).items()}
+        hints = field_hints(type(tree))
+        units = {name: symbols.get(mark.unit, mark).unit for name, mark in field_quantities(type(tree)).items()}
+        units = {name: unit for name, unit in units.items() if unit not in SYMBOLS}
         if isinstance(tree, ForceLaw):
             units |= {one.name: one.unit for one in tree.parameters()}
     else:
@@ -200,4 +204,4 @@ def _units(tree: Any, path: str) -> Iterator[tuple[str, str]]:
     for name, part in parts.items():
         here = f"{path}.{name}" if path else name
         yield here, units.get(name, "")
-        yield from _units(part, here)
+        yield from _units(part, here, units_of_part(hints.get(name)) or symbols)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
-from mckibben.component.schema import concrete_subclasses
+from mckibben.component.classes import concrete_subclasses
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text

@@ -40,8 +40,8 @@ Angles = dict[str, Angle]
 """Angles [rad] by the name of the joint."""
 
 
-class Uncertainty(ConfigModel):
-    """Uncertainty: relative standard deviations of the strength of each muscle and of the mass of each body.
+class DrawSettings(ConfigModel):
+    """Relative standard deviations of the strength of each muscle and of the mass of each body.
 
     All are independent; the inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors
     of the fit as well, those with the same file alike. Fewer than 20 draws have no percentiles 5 and 95.
@@ -130,7 +130,7 @@ class LegScenario(RunSettings):
     ground: Annotated[Ground, Part(Ground)] = Ground()
     landing: LandingSettings | None = None
     jump: JumpSettings | None = None
-    uncertainty: Uncertainty = Uncertainty()
+    uncertainty: DrawSettings = DrawSettings()
     step: PositiveTime = 0.25e-3
 
     @field_validator("ground", mode="after")

@@ -19,8 +19,8 @@ from mckibben.rig.steps import (
     HoldForce,
     Move,
     Pressurise,
+    ProtocolStep,
     Repeat,
-    Step,
     Walk,
     count_steps,
 )
@@ -50,7 +50,7 @@ class DryRun(StepInterpreter):
         """Disk space, with a tenth to spare."""
         return math.ceil(1.1 * self.rows * row_size) + (1 << 20)
 
-    def run(self, steps: Sequence[Step], inputs: Sequence[AnalogChannel], patience: float) -> None:
+    def run(self, steps: Sequence[ProtocolStep], inputs: Sequence[AnalogChannel], patience: float) -> None:
         """Go through the steps, and check the bench; arguments as for `dry_run`."""
         bench, limits = self.bench, self.bench.limits
         self._do_within_limits(steps)
@@ -67,7 +67,7 @@ class DryRun(StepInterpreter):
         self._check_law()
         self._check_sensors(inputs)
 
-    def _do_within_limits(self, steps: Sequence[Step]) -> None:
+    def _do_within_limits(self, steps: Sequence[ProtocolStep]) -> None:
         counts = [count_steps([step]) for step in steps]
         if sum(counts) > MOST_STEPS:
             longest = counts.index(max(counts))
@@ -94,7 +94,7 @@ class DryRun(StepInterpreter):
             setattr(self, name, now + (repeat.times - number - 1) * (now - count))
         return True
 
-    def _begin(self, step: Step, place: str) -> None:
+    def _begin(self, step: ProtocolStep, place: str) -> None:
         """Check the numbers of a step."""
         bench = self.bench
         self._place = place = f"{place}.{_KEYS.get(type(step), '')}"
@@ -276,7 +276,7 @@ _KEYS = {Move: "move", Pressurise: "pressurise", HoldForce: "hold_force", Acquir
 
 
 def dry_run(
-    steps: Sequence[Step], bench: Bench, inputs: Sequence[AnalogChannel] = (), *, patience: float = math.inf
+    steps: Sequence[ProtocolStep], bench: Bench, inputs: Sequence[AnalogChannel] = (), *, patience: float = math.inf
 ) -> DryRun:
     """Dry run of steps: bench and inputs are checked, and two cycles against the watchdog's `patience` [s]."""
     found = DryRun(bench)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.base import Checked, field_problems
-from mckibben.component.schema import find_class
+from mckibben.component.classes import find_class
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces

@@ -14,7 +14,7 @@ from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Column, Point
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.session import ProgressCallback, RigSession
-from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Step, Vent, Walk
+from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
 from mckibben.units import bar, mm, percent
 
 DONE, RESUMED = "done", "resumed"
@@ -38,7 +38,7 @@ class StepInterpreter(abc.ABC):
         self._repeat = 0
         self._walked_from = 0
 
-    def _do(self, steps: Sequence[Step], place: str = "") -> None:
+    def _do(self, steps: Sequence[ProtocolStep], place: str = "") -> None:
         for index, step in enumerate(steps):
             here = f"{place}[{index}]"
             self._begin(step, here)
@@ -92,7 +92,7 @@ class StepInterpreter(abc.ABC):
         return self._walked_from if walk.to is None else self.bench.pulses_at(walk.to)
 
     @abc.abstractmethod
-    def _begin(self, step: Step, place: str) -> None: ...
+    def _begin(self, step: ProtocolStep, place: str) -> None: ...
 
     @abc.abstractmethod
     def _move_to(self, pulses: int, speed: float) -> None: ...
@@ -156,7 +156,7 @@ class Runner(StepInterpreter):
         """Stop after the running cycle; may be called from a signal handler."""
         self._rig.interrupt(signal, name)
 
-    def run(self, steps: Sequence[Step]) -> None:
+    def run(self, steps: Sequence[ProtocolStep]) -> None:
         """Open the backend, do the steps, vent, close; `StoppedError` (of a signal `SignalledError`) after a stop."""
         backend = self.backend
         try:
@@ -181,7 +181,7 @@ class Runner(StepInterpreter):
             finally:  # even where another signal comes in between
                 backend.close()
 
-    def _begin(self, step: Step, place: str) -> None:
+    def _begin(self, step: ProtocolStep, place: str) -> None:
         return
 
     def _acquire(self, acquire: Acquire) -> float:

@@ -46,7 +46,7 @@ SPEED = 0.2 * mm / s
 """Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
 
 
-class Step(Keyed):
+class ProtocolStep(Keyed):
     """A step of a test."""
 
     def describe(self) -> str:
@@ -55,7 +55,7 @@ class Step(Keyed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Move(Step):
+class Move(ProtocolStep):
     """Move of the motor to a contraction."""
 
     short_name = "move"
@@ -70,7 +70,7 @@ class Move(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dwell(Step):
+class Dwell(ProtocolStep):
     """Wait for a duration [s]."""
 
     short_name = "dwell"
@@ -84,7 +84,7 @@ class Dwell(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pressurise(Step):
+class Pressurise(ProtocolStep):
     """Change of the set pressure, until the muscle has it."""
 
     short_name = "pressurise"
@@ -102,7 +102,7 @@ class Pressurise(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class HoldForce(Step):
+class HoldForce(ProtocolStep):
     """Move until the muscle has a force, by feedback of the force."""
 
     short_name = "hold_force"
@@ -119,7 +119,7 @@ class HoldForce(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Acquire(Step):
+class Acquire(ProtocolStep):
     """Acquisition of a point: the samples of a plateau."""
 
     short_name = "acquire"
@@ -136,7 +136,7 @@ class Acquire(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Walk(Step):
+class Walk(ProtocolStep):
     """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire."""
 
     short_name = "walk"
@@ -164,7 +164,7 @@ class Walk(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vent(Step):
+class Vent(ProtocolStep):
     """Vent, and wait until the muscle is empty."""
 
     short_name = "vent"
@@ -175,13 +175,13 @@ class Vent(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Repeat(Step):
+class Repeat(ProtocolStep):
     """Repeated steps. The points inside have the number of the innermost repeat, from 0."""
 
     short_name = "repeat"
 
     times: Repeats
-    steps: tuple[Step, ...]
+    steps: tuple[ProtocolStep, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", tuple(self.steps))
@@ -201,7 +201,7 @@ class Steps(Protocol):
     short_name = "steps"
     alone = "steps"
 
-    steps: tuple[Step, ...]
+    steps: tuple[ProtocolStep, ...]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -209,7 +209,7 @@ class Steps(Protocol):
             raise RangeError("a protocol of no steps", field="steps", remedy="give at least one")
 
 
-def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
+def describe_steps(steps: Sequence[ProtocolStep], indent: int = 0) -> list[str]:
     """Lines of text of steps, those of a repeat indented."""
     lines: list[str] = []
     for step in steps:
@@ -219,7 +219,7 @@ def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
     return lines
 
 
-def count_steps(steps: Sequence[Step]) -> int:
+def count_steps(steps: Sequence[ProtocolStep]) -> int:
     """Number of steps with all repeats.
 
     >>> count_steps([Vent(), Repeat(times=3, steps=(Vent(), Repeat(times=10, steps=(Vent(),))))])
@@ -231,7 +231,7 @@ def count_steps(steps: Sequence[Step]) -> int:
 _ADJUSTED = 5 * mm  # stretch before the first plateau: after 2 mm 2 % of a loop would be left, some 0.5 N
 
 
-def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[Step, ...]:
+def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
     """Steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent."""
     protocol.check(of)
     unloading, loading = (
@@ -243,7 +243,7 @@ def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[S
         each = {"step": protocol.step, "speed": protocol.speed, "dwell": protocol.dwell}
         return Walk(to=to, acquire=acquire, force=force, slack=slack, **each)
 
-    steps: list[Step] = []
+    steps: list[ProtocolStep] = []
     if isinstance(of, Muscle):
         for pressure, low, high in zip(*boundaries(of, protocol), strict=True):
             passes = (walk(float(high), unloading), walk(float(low), loading))
@@ -303,9 +303,9 @@ class IsometricProtocol(Protocol):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         _check_lists("isometric protocol", self, "contractions")
 
-    def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
+    def steps(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
         """Steps of the test, without pressures whose force by the law exceeds the rated one; `dry_run` checks them."""
-        steps: list[Step] = []
+        steps: list[ProtocolStep] = []
         for contraction in self.contractions:
             pressures = _within_rating(of, contraction, self.pressures)
             steps += [
@@ -318,7 +318,7 @@ class IsometricProtocol(Protocol):
             ]
         return (*steps, Vent())
 
-    def _pass(self, pressures: Sequence[float], phase: Phase) -> list[Step]:
+    def _pass(self, pressures: Sequence[float], phase: Phase) -> list[ProtocolStep]:
         acquire = Acquire(samples=self.samples, duration=self.acquisition, phase=phase)
         return [
             step
@@ -348,12 +348,12 @@ class IsotonicProtocol(Protocol):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         _check_lists("isotonic protocol", self, "forces")
 
-    def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
+    def steps(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
         """Steps of the test, from the vented muscle at its initial length; `dry_run` checks them."""
-        steps: list[Step] = []
+        steps: list[ProtocolStep] = []
         for force in self.forces:
             steps += [Vent(), Move(to=0.0, speed=self.speed)]
-            inside: list[Step] = []
+            inside: list[ProtocolStep] = []
             up: list[tuple[float, Phase]] = [(pressure, "filling") for pressure in self.pressures]
             down: list[tuple[float, Phase]] = [(pressure, "venting") for pressure in self.pressures[::-1]]
             for pressure, phase in up + down:
@@ -368,7 +368,7 @@ class IsotonicProtocol(Protocol):
         return (*steps, Vent())
 
 
-def steps_of(protocol: Protocol, of: Muscle | Specimen) -> tuple[Step, ...]:
+def steps_of(protocol: Protocol, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
     """Steps of a test, for a muscle or for a specimen without a law."""
     if isinstance(protocol, Steps):
         return protocol.steps

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any, get_args, get_origin
 
 from mckibben.component.base import Component
-from mckibben.component.schema import class_name, declared_fields, forms, inherited_fields, part_of
+from mckibben.component.classes import class_name
+from mckibben.component.schema import declared_fields, forms, inherited_fields, part_of
 from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted

@@ -13,6 +13,7 @@ import numpy as np
 from nicegui import events, ui
 
 from mckibben import catalog
+from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import DatasetError, McKibbenError, ParameterError, printable
 from mckibben.identification import Fit, Ranking, identify, rank

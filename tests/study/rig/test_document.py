@@ -155,7 +155,7 @@ protocol:
         "line 3, rig.simulated.seed: -1 is outside 0 to",
         "line 4, limits.pressure: '6.5' has no unit; write it like '6.5 bar'",
         "line 4, limits.shorten: is missing",
-        "line 7, protocol.steps[0].to: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
+        "line 7, protocol.steps[0]: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
         "line 8, protocol.steps[1]: lacks the key `class`",
         "line 10, protocol.steps[3].stp: is not a known key here; did you mean 'step'?",
         "line 9, protocol.steps[2].samples: 'none' is not a whole number",
@@ -168,7 +168,7 @@ protocol:
     ("change", "message"),
     [
         (("isobaric:", "isobaric:\n  isotonic:"), "protocol: lacks the key `class`"),
-        (("  isobaric:", "  {}"), "protocol: lacks the key `class`; give one of isobaric, isometric, isotonic, steps"),
+        (("  isobaric:", "  {}"), "protocol: lacks the key `class`; give one of isobaric, steps, isometric, isotonic"),
         (("rig: {simulated: {seed: 1}}", "rig: {}"), "rig: is empty; give `simulated: {seed: 1}`, or `nidaqmx`"),
         ((", law: lei-mas-10-180n", ""), "rig: has no law for its simulated muscle; give"),
     ],

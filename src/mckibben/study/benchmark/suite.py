@@ -309,7 +309,7 @@ class Suite(RunSettings):
         if controller not in self.true_model:
             control = independent(inherit(control, {"joint": self.joint, "load": self.load, "valve": self.valve}))
         signals, plant = self.references[reference].reference, self.plants[joint]
-        assert plant.joint is not None
+        assert plant.joint is not None and plant.valve is not None
         return Scenario(
             name=f"{self.name}: {controller}, {reference}"[:200],
             joint=plant.joint,

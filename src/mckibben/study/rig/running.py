@@ -27,7 +27,7 @@ from mckibben.rig.record import Event, Point, assemble, header_of, passages, poi
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, ProgressCallback
-from mckibben.rig.steps import Step, describe_steps, steps_of
+from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
 from mckibben.storage.files import check_free, file_lock, handle_signals, make_folder
 from mckibben.study.rig.document import (
     RigTest,
@@ -96,7 +96,7 @@ class CheckedTest:
 
     test: RigTest
     setup: Setup
-    steps: tuple[Step, ...]
+    steps: tuple[ProtocolStep, ...]
     dry_run: DryRun
     disk_space: int
 
