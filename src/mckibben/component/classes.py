@@ -55,6 +55,7 @@ def classes_of(base: type) -> dict[str, type]:
 
 
 def is_abstract(kind: type) -> bool:
+    """Whether a class is abstract or has no fields, so that a file cannot name it."""
     return inspect.isabstract(kind) or not dataclasses.is_dataclass(kind)
 
 
