@@ -87,14 +87,10 @@ def reproduce(
     if json:
         echo(to_json(done.results()))
         return
-    table(
-        "The paper's claims",
-        ("verdict", "claim", "source"),
-        [
-            ("holds" if claim.holds else "does not hold", claim.claim, claim.source if claim.of_paper else "(ours)")
-            for claim in done.claims
-        ],
-    )
+    for title, claims in (("The paper's claims", done.paper_claims), ("Our own questions", done.questions)):
+        verdicts = [("holds" if claim.holds else "does not hold", claim.claim, claim.source) for claim in claims]
+        table(title, ("verdict", "statement", "source"), verdicts)
+    echo(done.verdict)
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 

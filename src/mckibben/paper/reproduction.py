@@ -33,6 +33,22 @@ class Reproduction:
     quick: bool
     seconds: float
 
+    @property
+    def paper_claims(self) -> list[Claim]:
+        """The claims that the paper makes."""
+        return [claim for claim in self.claims if claim.of_paper]
+
+    @property
+    def questions(self) -> list[Claim]:
+        """Our own questions, which the paper does not claim to answer."""
+        return [claim for claim in self.claims if not claim.of_paper]
+
+    @property
+    def verdict(self) -> str:
+        """How many of the paper's own claims hold."""
+        papers = self.paper_claims
+        return f"Of the paper's own claims, {sum(claim.holds for claim in papers)} of {len(papers)} hold."
+
     def results(self) -> dict[str, Any]:
         """All numbers as plain data for JSON; NaN as None."""
         return json_ready(
@@ -58,7 +74,7 @@ class Reproduction:
                     }
                     for key, found in self.tracking.coupling.items()
                 },
-                "claims": [asdict(claim) for claim in self.claims],
+                "claims": [asdict(claim) | {"of_paper": claim.of_paper} for claim in self.claims],
             }
         )
 
