@@ -147,7 +147,7 @@ def test_a_regulator_that_follows_slowly_is_told_from_creep():
     assert (
         found.is_significant
         and "the pressure drifts too" in found.warnings[0]
-        and "the regulator's, not creep" in found.warnings[0]
+        and "due to the regulator, not creep" in found.warnings[0]
     )
     blind = identify_creep(IsobaricDataset(slow.drop_vars("pressure_samples")), **TIMES)
     assert "without samples of the pressure" in blind.warnings[0]
@@ -177,7 +177,7 @@ def test_data_that_cannot_tell_are_refused(crept):
             identify_creep(changed, **{**TIMES, **times})
 
     refused("no raw samples of the force", data.plateau_means())
-    refused("has not both directions", data.select(direction == "loading"))
+    refused("lacks one direction", data.select(direction == "loading"))
     turn = int(np.flatnonzero((data.levels == 6 * bar) & (direction == "loading"))[0])
     refused("taut plateaus follow a move by", data.select(np.abs(np.arange(len(data)) - turn) < 6))
     refused("take .* s longer than there is between", data, interval=0.5)
