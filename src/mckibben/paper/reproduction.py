@@ -40,7 +40,7 @@ class Reproduction:
 
     @property
     def questions(self) -> list[Claim]:
-        """Our own questions, which the paper does not claim to answer."""
+        """Our own questions, which the paper does not address."""
         return [claim for claim in self.claims if not claim.of_paper]
 
     @property
@@ -106,7 +106,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     quick
         Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
     progress
-        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
+        Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
     """
     progress = progress or notebook_progress()
     start = time.perf_counter()
@@ -115,7 +115,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         if progress:
             progress(what, part)
 
-    with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
+    with ThreadPoolExecutor(max_workers=1) as beside:  # both spend most time compiling, on one core each
         muscle = beside.submit(run_identification, repeats=2 if quick else 5)
         knee = beside.submit(run_joint)
         what = "isobaric test and identification; control of position and stiffness"
