@@ -88,10 +88,10 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
     before = (kept / "sweep.nc").read_bytes()
     refused = cli("sweep", "s.yaml", *asked, "--out", "kept")
     assert (refused.code, refused.out) == (2, "")
-    assert "there is a sweep already; continue it with --resume" in refused.err
+    assert "a sweep already exists; continue it with --resume" in refused.err
     refused = cli("sweep", "s.yaml", "--resume", "--seed", "2", "--out", "kept")
     assert refused.code == 2
-    assert "seed: the sweep was begun with 1, not 2" in refused.err
+    assert "seed: the sweep was started with 1, not 2" in refused.err
     assert (kept / "sweep.nc").read_bytes() == before
 
 
@@ -217,5 +217,5 @@ def test_files_that_others_put_there_stay(cli, scenario, tmp_path, name):
     (tmp_path / "kept" / name).write_text("mine", encoding="utf-8")
     found = cli("sweep", "s.yaml", *MASS, "--out", "kept")
     assert (found.code, found.out) == (2, "")
-    assert f"{name}: it is there already; choose another folder, or move what is there out of the way" in found.err
+    assert f"{name}: it already exists; choose another folder, or move the existing file" in found.err
     assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]

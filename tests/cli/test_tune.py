@@ -240,7 +240,7 @@ def test_files_that_others_put_there_stay(cli, scenario, tmp_path, name):
     (tmp_path / "kept" / name).write_text("mine", encoding="utf-8")
     found = cli("tune", "s.yaml", "s.yaml", *SMALL)
     assert (found.code, found.out) == (2, "")
-    assert f"{name}: it is there already; choose another folder, or move what is there out of the way" in found.err
+    assert f"{name}: it already exists; choose another folder, or move the existing file" in found.err
     assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]
 
 
@@ -255,8 +255,8 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
         (("--seed", "1"), "begun with 0, not 1"),
         (("--worst",), "worst: .* begun with False, not True"),
         (("--margin", "2"), "gain_margin: .* begun with 1.0, not 2.0"),
-        (("--cost", "angle_rmse"), "cost: the search was begun"),
-        (("--parameters", "load.damping"), "parameters: the search was begun"),
+        (("--cost", "angle_rmse"), "cost: the search was started"),
+        (("--parameters", "load.damping"), "parameters: the search was started"),
     ):
         found = cli(*asked, *change, "--resume")
         assert (found.code, found.out) == (2, "")
