@@ -136,7 +136,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
             ["s.yaml", "--out", "x", *MASS, "--over", "load.mass2=1..2 kg"],
             "'load.mass2=0.2 kg..1.0 kg' and 'load.mass2=1..2 kg' are about the same parameter; keep one of them",
         ),
-        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2 N"], "give it in a unit like kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2 N"], "use a unit such as kg"),
         (["s.yaml", "--out", "x", "--over", "load.mass2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
         (

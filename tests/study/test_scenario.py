@@ -362,7 +362,7 @@ def test_samples_from_a_table(tmp_path):
     [
         ("", "has no column time_"),
         ("time_s,torque_N\n0,1\n", "has no column angle_"),
-        ("time_s,angle_mm\n0,1\n", "'mm' is not a unit of the kind 'rad'"),
+        ("time_s,angle_mm\n0,1\n", "'mm' does not have the dimensions of 'rad'"),
         ("time_s,angle_deg\n", "holds no samples"),
         ("time_s,angle_deg\n0,x\n", "line 2: '0,x' does not hold 2 finite numbers"),
         ("time_s,angle_deg\n0,1\n0,2\n1\n", "line 3: the time 0 s does not rise; sort the rows (and 1 more)"),

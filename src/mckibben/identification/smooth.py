@@ -100,7 +100,7 @@ def _roughness_root() -> NDArray[Any]:
 
 
 def _scales(fixed: Floats, deviations: NDArray[Any], residuals: Floats, orders: int) -> Floats | None:
-    """Scales of the deviations relative to the noise; None if the highest order, or none, is supported."""
+    """Scales of the deviations relative to the noise; None if the highest order is, or all are, unsupported."""
     from scipy.optimize import minimize
 
     count, free = deviations.shape[1], len(residuals) - fixed.shape[1]

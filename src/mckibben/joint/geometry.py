@@ -89,7 +89,7 @@ class KneeGeometry(Geometry):
         if not plain:
             try:
                 length = self.joint_length - self.joint_radius - self.connector_length
-            except ValueError:  # arrays of different lengths, which are refused where runs are told apart
+            except ValueError:  # arrays of different lengths, which are refused where runs are distinguished
                 return
             check_positive("KneeGeometry", "m", zero=True, muscle_length=length)
 

@@ -140,7 +140,7 @@ class KneeLoad(Load):
         super().__check_init__()
         try:
             total = self.total_inertia
-        except ValueError:  # arrays of different lengths, which are refused where runs are told apart
+        except ValueError:  # arrays of different lengths, which are refused where runs are distinguished
             return
         check_positive("KneeLoad", "kg*m^2", total_inertia=total)
 

@@ -71,7 +71,7 @@ def xla_programs_folder() -> Path | None:
 
 @functools.cache
 def processor() -> str | None:
-    """Digest of the processor model, for which programs are compiled; None where it is not known."""
+    """Digest of the processor model, for which programs are compiled; None if unknown."""
     about = _cpuinfo()
     if not _instructions(about):
         return None

@@ -115,9 +115,9 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         if progress:
             progress(what, part)
 
-    with ThreadPoolExecutor(max_workers=1) as beside:  # both spend most time compiling, on one core each
-        muscle = beside.submit(run_identification, repeats=2 if quick else 5)
-        knee = beside.submit(run_joint)
+    with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
+        muscle = pool.submit(run_identification, repeats=2 if quick else 5)
+        knee = pool.submit(run_joint)
         what = "isobaric test and identification; control of position and stiffness"
         report(what, 0.0)
 

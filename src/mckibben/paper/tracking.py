@@ -95,8 +95,8 @@ def run_tracking(
     """Tune, run and compare all controllers; `progress` is called with the fraction done, 0 to 1."""
     report = progress or (lambda part: None)
     count = len(SETTINGS)
-    with ThreadPoolExecutor(max_workers=1) as beside:  # both spend most time compiling, on one core each
-        moderate = beside.submit(_moderate_runs, seeds)
+    with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
+        moderate = pool.submit(_moderate_runs, seeds)
         tuned = {
             setting.key: _tune(setting, generations, population, lambda part, i=i: report(0.7 * (i + part) / count))
             for i, setting in enumerate(SETTINGS)

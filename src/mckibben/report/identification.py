@@ -235,7 +235,7 @@ _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 def loops(dataset: IsobaricDataset, found: HysteresisFit) -> Figure:
     """Hysteresis loops, measured and modelled: force (top), and friction force by pressure (bottom).
 
-    Raises `RangeError` if the dataset is not that of the identification.
+    Raises `RangeError` if the dataset is not the identified one.
     """
     means = dataset.plateau_means()
     if len(means) != len(found.residuals):
