@@ -206,7 +206,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--method", "newton"), "choose one of gradient, evolution, cma"),
         ((*SMALL, "--parameters", "load.mass9=1..2 kg"), "no parameter 'load.mass9'"),
         ((*SMALL, "--parameters", "load.mass2=2..1 kg"), "the range is empty"),
-        ((*SMALL, "--parameters", "load.mass2=1..2 N"), "not a unit of the kind"),
+        ((*SMALL, "--parameters", "load.mass2=1..2 N"), "does not have the dimensions of"),
         ((*SMALL, "--parameters", "start.angle"), "zero, or not given: there is no range around it"),
         (
             (*SMALL, "--parameters", "start.angle=0..1 deg"),
@@ -219,7 +219,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--parameters", "load.mass2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
         ((*SMALL, "--cost", "stiffness_settling"), "has no gradient; use cma or evolution"),
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
-        ((*SMALL, "--cost", "angle_rmse/1 N"), "not a unit of the kind"),
+        ((*SMALL, "--cost", "angle_rmse/1 N"), "does not have the dimensions of"),
         ((*SMALL, "--margin", "0.5"), "the gain margin is 0.5"),
         ((*START[:2], *COST, "--out", "kept", "--method", "cma"), "at least two parameters"),
         ((*SMALL, "--method", "cma", "--population", "3"), "at least 4"),

@@ -313,7 +313,7 @@ def test_a_journal_that_is_none_of_a_sweep(scenario, tmp_path):
         ({"over": []}, "nothing is varied"),
         ({"over": ["load.mas2=1..2 kg"]}, "did you mean 'load.mass2'"),
         ({"over": ["load.mass2=2..1 kg"]}, "the range is empty"),
-        ({"over": ["load.mass2=1..2 N"]}, "not a unit of the kind 'kg'"),
+        ({"over": ["load.mass2=1..2 N"]}, "does not have the dimensions of 'kg'"),
         ({"over": ["load.mass2=1..2 kg", "load.mass2=1..2 kg"]}, "are about the same parameter"),
         ({"over": ["joint.connector_length=200..390 mm"]}, r"row \d+: with joint.connector_length"),
         ({"samples": 0}, "samples is 0"),

@@ -198,7 +198,7 @@ def test_ranges_around_what_numbers_are():
         (["load.mass2", "load.mass2=1..2 kg"], "are about the same parameter"),
         (["load.mass9"], "no parameter 'load.mass9'"),
         (["load.mass2=2..1 kg"], "the range is empty"),
-        (["load.mass2=1..2 N"], "not a unit of the kind"),
+        (["load.mass2=1..2 N"], "does not have the dimensions of"),
         (["load.mass2=-1..2 kg"], "load.mass2"),
     ],
 )
