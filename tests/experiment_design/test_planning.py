@@ -254,7 +254,7 @@ def test_without_a_fit_it_begins_with_a_guess_and_says_so(law):
     with pytest.raises(ParameterError, match="the guess is a ExponentialLaw"):
         plan(few, Force(), SarosiLaw, guess=law)
     too_few = plan(few, Force(), ExponentialLaw, points=2, guess=law)
-    assert any("stays undetermined" in note for note in too_few.notes)
+    assert any("remains undetermined" in note for note in too_few.notes)
 
 
 def test_what_the_points_at_hand_cannot_see(martens, law):
