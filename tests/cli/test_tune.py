@@ -252,9 +252,9 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     assert (found.code, found.out) == (2, "")
     assert "history of a search already; continue it (--resume), or choose another folder" in found.err
     for change, named in (
-        (("--seed", "1"), "begun with 0, not 1"),
-        (("--worst",), "worst: .* begun with False, not True"),
-        (("--margin", "2"), "gain_margin: .* begun with 1.0, not 2.0"),
+        (("--seed", "1"), "started with 0, not 1"),
+        (("--worst",), "worst: .* started with False, not True"),
+        (("--margin", "2"), "gain_margin: .* started with 1.0, not 2.0"),
         (("--cost", "angle_rmse"), "cost: the search was started"),
         (("--parameters", "load.damping"), "parameters: the search was started"),
     ):

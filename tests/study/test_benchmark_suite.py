@@ -154,7 +154,7 @@ MISTAKES = {
     ),
     "cost of steps": (
         ("tuning: {runs: 8", "tuning: {cost: coupling, runs: 8"),
-        ("tuning.cost", "untuned:", "coupling is of steps"),
+        ("tuning.cost", "untuned:", "coupling is defined for stiffness steps"),
     ),
     "misspelt gain": (
         (KP, KP.replace("kp:", "kpp:")),

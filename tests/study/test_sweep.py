@@ -173,15 +173,15 @@ def test_a_changed_table_is_made_again_from_the_blocks(kept, scenario, tmp_path,
 @pytest.mark.parametrize(
     ("changed", "field", "said"),
     [
-        ({"seed": 2}, "seed", "begun with 1, not 2"),
-        ({"samples": 73}, "samples", "begun with 72, not 73"),
-        ({"design": "random"}, "design", "begun with sobol, not random"),
-        ({"metrics": ["angle_rmse"]}, "metrics", "begun with angle_max too"),
-        ({"precision": 32}, "precision", "begun with 64, not 32"),
-        ({"block": 32}, "block", "begun with 16, not 32"),
+        ({"seed": 2}, "seed", "started with 1, not 2"),
+        ({"samples": 73}, "samples", "started with 72, not 73"),
+        ({"design": "random"}, "design", "started with sobol, not random"),
+        ({"metrics": ["angle_rmse"]}, "metrics", "started with angle_max too"),
+        ({"precision": 32}, "precision", "started with 64, not 32"),
+        ({"block": 32}, "block", "started with 16, not 32"),
         ({"over": [OVER[0], "reference.stiffness.after=15..21 N*m/rad", OVER[2]]}, "over", "15 N*m/rad..21 N*m/rad"),
-        ({"over": OVER[:2]}, "over", "begun with controller.position.kp=1 bar/rad..3 bar/rad too"),
-        ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "begun without load.mass1=1 kg..2 kg"),
+        ({"over": OVER[:2]}, "over", "started with controller.position.kp=1 bar/rad..3 bar/rad too"),
+        ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "started without load.mass1=1 kg..2 kg"),
     ],
 )
 def test_another_sweep_is_not_mixed_in(kept, scenario, changed, field, said):
@@ -195,7 +195,7 @@ def test_another_sweep_is_not_mixed_in(kept, scenario, changed, field, said):
 
 def test_another_scenario_is_not_mixed_in(kept, scenario):
     heavier = scenario.model_copy(update={"control_period": 0.002})
-    with pytest.raises(FileError, match="begun with 'control_period: 1 ms', not 'control_period: 2 ms'"):
+    with pytest.raises(FileError, match="started with 'control_period: 1 ms', not 'control_period: 2 ms'"):
         sweep(heavier, out=kept[1], resume=True)
 
 
@@ -213,7 +213,7 @@ def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
         store.begin()
     assert read_manifest(out) == plan.manifest
     (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,6\n", encoding="utf-8")
-    with pytest.raises(FileError, match="scenario: a file that it names has changed since"):
+    with pytest.raises(FileError, match="scenario: a file that it names, or the catalog, has changed"):
         sweep(Scenario.read(tmp_path / "s.yaml"), resume=True, out=out)
 
 
@@ -296,7 +296,7 @@ def test_a_complete_sweep_is_looked_up_though_someone_is_at_it(kept, scenario):
 def test_there_must_be_something_to_go_on_with(scenario, tmp_path):
     with pytest.raises(FileError, match=r"no sweep to continue \(sweep.journal\); leave --resume"):
         sweep(scenario, OVER, out=tmp_path, resume=True)
-    with pytest.raises(ParameterError, match="say in which folder"):
+    with pytest.raises(ParameterError, match="give its folder"):
         sweep(scenario, OVER, resume=True)
 
 
@@ -309,7 +309,7 @@ def test_a_journal_that_is_none_of_a_sweep(scenario, tmp_path):
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"over": None}, "nothing is varied; say what"),
+        ({"over": None}, "nothing is varied; give a parameter"),
         ({"over": []}, "nothing is varied"),
         ({"over": ["load.mas2=1..2 kg"]}, "did you mean 'load.mass2'"),
         ({"over": ["load.mass2=2..1 kg"]}, "the range is empty"),

@@ -59,7 +59,7 @@ def test_the_sum_is_elementwise():
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("", "no term"),
+        ("", "not a term"),
         ("angle_rms/1 deg", "did you mean 'angle_rmse'"),
         ("angle_rmse/1 N", "does not have the dimensions of 'rad'"),
         ("force_max/1 deg", "does not have the dimensions of 'N'"),
@@ -67,13 +67,13 @@ def test_the_sum_is_elementwise():
         ("angle_rmse/1 deg + angle_rmse/2 deg", "angle_rmse appears twice"),
         ("angle_rmse + stiffness_rmse/1 N*m/rad", "angle_rmse has no scale.*write it like angle_rmse/0.1 deg"),
         ("angle_rmse/1 deg + stiffness_rmse", "write it like stiffness_rmse/0.1 N.m/rad"),
-        ("angle_rmse/1 deg +", "'' is no term"),
+        ("angle_rmse/1 deg +", "'' is not a term"),
         ("angle_rmse/-1 deg", "give a number above 0"),
         ("angle_rmse/0 deg", "give a number above 0"),
         ("0*angle_rmse", "the weight of angle_rmse is 0"),
         ("1e999*angle_rmse", "the weight of angle_rmse is inf"),
         ("2-*angle_rmse", "'2-' is not a number"),
-        ("angle_rmse - coupling", "no term"),
+        ("angle_rmse - coupling", "not a term"),
     ],
 )
 def test_what_is_wrong_is_named(text, named):

@@ -96,14 +96,14 @@ def for_free(monkeypatch):
 @pytest.mark.parametrize(
     ("changed", "field", "said"),
     [
-        ({"seed": 4}, "seed", "begun with 3, not 4"),
-        ({"method": Method.EVOLUTION}, "method", "begun with cma, not evolution"),
-        ({"population": 9}, "population", "begun with 8, not 9"),
+        ({"seed": 4}, "seed", "started with 3, not 4"),
+        ({"method": Method.EVOLUTION}, "method", "started with cma, not evolution"),
+        ({"population": 9}, "population", "started with 8, not 9"),
         ({"cost": Cost.of({"angle_rmse": deg})}, "cost", "not angle_rmse"),
-        ({"cost": Cost(COST.terms, gain_margin=1.5)}, "gain_margin", "begun with 1.0, not 1.5"),
-        ({"cost": Cost(COST.terms, worst=True)}, "worst", "begun with False, not True"),
+        ({"cost": Cost(COST.terms, gain_margin=1.5)}, "gain_margin", "started with 1.0, not 1.5"),
+        ({"cost": Cost(COST.terms, worst=True)}, "worst", "started with False, not True"),
         ({"ranges": RANGES | {"start.stiffness": LogUniform(11.0, 20.000000001)}}, "parameters", "20.000000001"),
-        ({"scenarios": [STILL, STILL]}, "scenarios", "begun without"),
+        ({"scenarios": [STILL, STILL]}, "scenarios", "started without"),
         ({"scenarios": Scenario.parse(TEXT.replace("2 deg", "3 deg"))}, "scenarios", ""),
     ],
 )
@@ -153,7 +153,7 @@ def test_an_existing_history_is_not_overwritten_and_a_missing_one_not_gone_on_wi
         pytest.fail("there is none")
     assert not path.exists()
     path.write_text("my own notes", encoding="utf-8")
-    with pytest.raises(FileError, match="history of a search already"), TuningHistory.open(path, ABOUT):
+    with pytest.raises(FileError, match="search history already exists"), TuningHistory.open(path, ABOUT):
         pytest.fail("there is one")
     assert path.read_text(encoding="utf-8") == "my own notes"
 
