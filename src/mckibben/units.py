@@ -161,7 +161,7 @@ def factor(unit: str, to: str = "") -> float:
     target = _parse(to)
     if _dimensions(source) != _dimensions(target):
         raise UnitError(
-            f"{unit!r} does not have the dimensions of {to!r}", value=unit, unit=to, remedy=f"use a unit such as {to}"
+            f"unit {unit!r} does not have the dimensions of {to!r}", value=unit, unit=to, remedy=f"use a unit such as {to}"
         )
     return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
 

@@ -146,7 +146,7 @@ def test_three_mistakes_are_three_problems_with_lines():
     wrong_unit, misspelt, no_whole = problems(text, source="three.yaml")
     assert (wrong_unit.line, wrong_unit.field) == (8, "valve.time_constant")
     assert "'mm'" in wrong_unit.message
-    assert "like ms" in wrong_unit.remedy
+    assert "such as ms" in wrong_unit.remedy
     assert (misspelt.line, misspelt.field) == (17, "reference.angle.multisine.amplitude")
     assert "'amplitudes'" in misspelt.remedy
     assert (no_whole.line, no_whole.field) == (20, "control_period")
@@ -166,7 +166,7 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("208 mm", "1e400 m", "joint.connector_length", "not a finite number"),
         ("208 mm", "9**9**9 m", "joint.connector_length", "is not a"),
         ("208 mm", "1 " + "m*" * 2000 + "m", "joint.connector_length", "not a quantity"),
-        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.connector_length", "kind"),
+        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.connector_length", "dimensions"),
         ("208 mm", "", "joint.connector_length", "has no value"),
         ("208 mm", "[208 mm]", "joint.connector_length", "not a quantity"),
         ("geometry: knee-table-2 ", "geometry: knee-tabel-2 ", "joint.geometry", "did you mean 'knee-table-2'"),
@@ -187,7 +187,7 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("position: {pid:", "position: {pud:", "controller.position.pud", "did you mean 'pid'"),
         ("{sine:", "{constant: 1 deg, sine:", "reference.angle", "constant and sine at once"),
         ("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{}", "reference.angle", "has no signal"),
-        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.sine.amplitude", "unit like deg"),
+        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.sine.amplitude", "unit such as deg"),
         ("0.5 Hz", "-0.5 Hz", "reference.angle.sine.frequency", "outside 0 to 1e+06 Hz"),
         ("start: {angle: 0 deg,", "start: {angel: 0 deg,", "start.angel", "did you mean 'angle'"),
         ("duration: 10 s", "duration: 10000 min", "control_period", "more than 10000000 periods"),
