@@ -106,7 +106,7 @@ def _parse(unit: str) -> dict[str, int]:
             remedy="write units joined by * and /, such as bar, N*m/rad or kg*m^2",
         )
     powers: dict[str, int] = {}
-    outside, inside = 1, 1
+    outside, inside = 1, 1  # sign of the exponents after * or /, outside and inside parentheses
     in_parentheses = False
     for token in _TOKEN.findall(text):
         if token in "()":
@@ -161,7 +161,10 @@ def factor(unit: str, to: str = "") -> float:
     target = _parse(to)
     if _dimensions(source) != _dimensions(target):
         raise UnitError(
-            f"unit {unit!r} does not have the dimensions of {to!r}", value=unit, unit=to, remedy=f"use a unit such as {to}"
+            f"unit {unit!r} does not have the dimensions of {to!r}",
+            value=unit,
+            unit=to,
+            remedy=f"use a unit such as {to}",
         )
     return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
 

@@ -54,9 +54,7 @@ _DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
 _DELAY = 20 * ms  # prior median
 _DAMPING_TIME = 1.0  # s, ratio of inertia to damping of a load without damping in the model
 _FIRST_VARIANCE = 0.1**2  # rad^2
-_RATE_START = (
-    -1.5
-)  # prior standard deviations: start with a limit that acts on large steps, else its derivative is zero
+_RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
 _STRENGTHS, _FIRST, _STAGES, _ITERATIONS = 3, 8, 3, 25
 _FRICTION = 2 * COEFFICIENTS  # index of the half width among a muscle's parameters
 _SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
@@ -217,9 +215,7 @@ def calibrate_from_commands(
     problem = _Problem(base, valve, friction, tuple(map(float, medians)))
     z, covariance, residual = _solve(problem, motions)
     full, slope = map(np.asarray, _full_and_slope(base, z))
-    wide = slope @ covariance @ slope.T + np.diag(
-        1.0 * ~slope.any(axis=1)
-    )  # quantities that are not estimated keep their values
+    wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # keeps what is not estimated
     found = jax.tree.map(number, _model(problem, jnp.asarray(z)))
     plant, total = found.plant, {}
     if friction is not None:

@@ -26,9 +26,7 @@ def export(
     to: Annotated[str, Option(metavar="FORMAT", help=_FORMATS)],
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
     name: Annotated[str, Option(metavar="NAME", help="Name of the program or model.")] = "",
-    single: Annotated[
-        bool, Option("--single", help="32-bit numbers, for c: for processors without 64-bit floats.")
-    ] = False,
+    single: Annotated[bool, Option("--single", help="32-bit numbers, of c: for processors without 64.")] = False,
     fmi: Annotated[
         float | None, Option(metavar="VERSION", help="FMI version of FMUs, 2 or 3. Default: 2.", show_default=False)
     ] = None,

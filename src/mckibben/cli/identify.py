@@ -75,9 +75,7 @@ def points(
     dwell: Annotated[str, Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
     settle: Annotated[str, Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
     gap: Annotated[str, Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals).")] = "",
-    sample_rate: Annotated[
-        str, Option(metavar="RATE", help="Sample rate of a file without times, such as '1000 Hz'.")
-    ] = "",
+    sample_rate: Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,

@@ -72,9 +72,7 @@ def plan(
     stroke_error: Annotated[str, Option(metavar="FORCE", help="Error of a stroke (default: from the residuals).")] = "",
     guess: Annotated[
         str,
-        Option(
-            metavar="LAW", help="Fit file or law from the catalog to linearise about if the data do not determine one."
-        ),
+        Option(metavar="LAW", help="Fit file or catalog law to linearise about if the data do not determine one."),
     ] = "",
     specimen: Annotated[
         str, Option(metavar="NAME", help="Specimen, or its file (default: the one named in the data).")

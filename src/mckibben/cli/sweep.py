@@ -41,9 +41,7 @@ def sweep(
     known: Known = None,
     list_: Annotated[bool, Option("--list", help="List the parameters that can be varied, and exit.")] = False,
     design: Annotated[str | None, Option(metavar="KIND", help="Design: sobol (default), random or grid.")] = None,
-    samples: Annotated[
-        int | None, Option(metavar="N", help="Number of runs (default 1024), except for a grid.")
-    ] = None,
+    samples: Annotated[int | None, Option(metavar="N", help="Number of runs (default 1024), not for a grid.")] = None,
     seed: Annotated[int | None, Option(metavar="N", help="Seed of the design (default 0).")] = None,
     metrics: Annotated[
         list[str] | None,

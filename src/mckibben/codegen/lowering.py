@@ -33,10 +33,7 @@ _BINARY = {
 _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
-_RULES = {
-    "_exp_rule": ("exp",),
-    "_sincos_rule": ("sin", "cos"),
-}  # of `numerics.elementary`: library functions are called instead
+_RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`, for library functions
 _CALLS = {"jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call"}
 _TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
 _LARGEST = 50_000  # elements of an array that is not in memory

@@ -47,12 +47,7 @@ def problems(path: str, *, netcdf: bool) -> list[tuple[str, str]]:
             prefix, group, depth = groups.pop()
             address = h5py.h5o.get_info(group.id).addr  # pyright: ignore[reportAttributeAccessIssue]
             if depth > _DEEPEST or address in visited:
-                found.append(
-                    (
-                        prefix,
-                        "is a group that contains itself" if address in visited else "has groups nested too deeply",
-                    )
-                )
+                found.append((prefix, "is a group in itself" if address in visited else "has groups nested too deep"))
                 continue
             visited.add(address)
             dict(group.attrs)

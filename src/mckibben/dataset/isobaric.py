@@ -173,9 +173,7 @@ class IsobaricDataset:
             "pressure_samples": pressure_samples,
         }
         table, problems = assemble(variables, VARIABLES)
-        if not problems and (
-            set_pressure is None or (table["set_pressure"] > 0).any()
-        ):  # unless the whole test is at 0 bar
+        if not problems and (set_pressure is None or (table["set_pressure"] > 0).any()):  # not a test at 0 bar only
             highest = float(table["pressure"].to_numpy().max(initial=0.0))
             if highest < 1 * bar:  # `read_dataset` performs further checks
                 problems += [problem for problem, impossible in check_pressures(highest) if impossible]

@@ -75,10 +75,7 @@ def _sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
     negative, positive = int((force < -limit).sum()), int((force > limit).sum())
     if negative > positive:
         text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
-        yield (
-            Problem(text, field="force", remedy="reverse the sign: force_sign=-1 (command line: --force-sign -1)"),
-            True,
-        )
+        yield Problem(text, field="force", remedy="flip the sign: force_sign=-1 (command line: --force-sign -1)"), True
     elif negative:
         text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N: they count as slack"
         yield Problem(text, field="force", remedy="check these points, and the zero of the load cell"), False

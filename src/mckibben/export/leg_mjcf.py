@@ -257,7 +257,7 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
                 tendon = f"<fixed name={_name(name)}>{coupled(moved, joint)[0]}</fixed>"
             else:
                 tendon = ""
-                left_out.append(f"tendon of {name}: MuJoCo does not support its path; its torque acts on the joint")
+                left_out.append(f"tendon of {name}: path not supported by MuJoCo; its torque acts on the joint")
             target = f"tendon={_name(name)}" if tendon else f"joint={_name(joint.name)}"
             own = (joint.muscles.muscle1, joint.muscles.muscle2)[number]
             found.append(

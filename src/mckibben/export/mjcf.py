@@ -115,9 +115,7 @@ def joint_model(
     left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo has its own model"]
     for number, one in enumerate(moved, 1):
         if not one.tendon:
-            left_out.append(
-                f"tendon of muscle {number}: MuJoCo does not support its path; its torque acts on the joint"
-            )
+            left_out.append(f"tendon of muscle {number}: path not supported by MuJoCo; its torque acts on the joint")
     plant = dataclasses.replace(plant, command_delay=None)
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
     module, muscles, acts = muscle_module(plant, moved, start, name)

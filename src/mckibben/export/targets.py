@@ -32,12 +32,7 @@ TARGETS = {
     "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures", ()),
 }
 """Function of each format, ``(scenario, name, folder, **options) -> Exported``, its description and options."""
-_NAMES = {
-    "fmu": "plant",
-    "fmu-muscle": "muscle",
-    "mjcf": "joint",
-    "osim": "joint",
-}  # defaults for formats other than controllers
+_NAMES = {"fmu": "plant", "fmu-muscle": "muscle", "mjcf": "joint", "osim": "joint"}  # except for controllers
 
 
 def export(

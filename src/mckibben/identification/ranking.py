@@ -280,9 +280,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
             residuals = without_direction_means(found.residuals, regression.points)
             cross_validation[name] = CrossValidation(residuals, found.by_block)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
-    misspecified = (
-        bounds and regression.problem.prior is None
-    )  # with deviations, a bound does not reflect on the law's form
+    misspecified = bounds and regression.problem.prior is None  # deviations make a bound harmless
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []
     if reason := unphysical(fit.law):
         flags.append(reason)

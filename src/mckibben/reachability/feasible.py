@@ -18,13 +18,7 @@ from mckibben.reachability.trackability import StiffnessBands, Trackability, Tra
 from mckibben.reachability.trajectory import Values, breakpoints, centre_of, scaled, slowed, smoothed, smoothed_values
 from mckibben.units import deg
 
-_STIFFNESS_SMOOTHING = (
-    0.02,
-    0.05,
-    0.1,
-    0.2,
-    0.4,
-)  # s, smoothing of a clipped stiffness; the narrowest trackable one is used
+_STIFFNESS_SMOOTHING = (0.02, 0.05, 0.1, 0.2, 0.4)  # s, of a clipped stiffness; the narrowest trackable one is used
 _MARGINS = (0.1, 0.2, 0.35)  # of the band, tried if a smaller one exceeds the rate limit of the valves
 _MIN_SPEED = 0.02
 _ANGLE_TOLERANCE = 1e-9  # rad
