@@ -128,7 +128,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
     ("arguments", "said"),
     [
         (["s.yaml", *MASS], "--out DIR"),
-        (["s.yaml", "--out", "x"], "nothing is varied; say what, like --over"),
+        (["s.yaml", "--out", "x"], "nothing is varied; give a parameter"),
         (["s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"], "did you mean 'load.mass2'?"),
         (["s.yaml", "--out", "x", "--over", "load.mass2=2..1 kg"], "the range is empty: 2 kg is not below 1 kg"),
         (["s.yaml", "--out", "x", "--over", "load.mass2=1..2..3 kg"], "give a range (0.2 kg..1.0 kg), values (1 kg"),

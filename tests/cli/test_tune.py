@@ -250,7 +250,7 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     before = {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()}
     found = cli(*asked)
     assert (found.code, found.out) == (2, "")
-    assert "history of a search already; continue it (--resume), or choose another folder" in found.err
+    assert "search history already exists; continue it (--resume), or choose another folder" in found.err
     for change, named in (
         (("--seed", "1"), "started with 0, not 1"),
         (("--worst",), "worst: .* started with False, not True"),

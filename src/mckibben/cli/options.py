@@ -209,7 +209,7 @@ def results_folder(out: Path | None, names: Iterable[str], force: bool) -> None:
 
 
 @contextmanager
-def keeping(out: Path, remedy: str = "free some space, and run it again with --force") -> Iterator[None]:
+def keeping(out: Path, remedy: str = "make room, and run it again with --force") -> Iterator[None]:
     """Report which results are kept if writing fails: the disk is full, or the folder has disappeared."""
     begun = time.time()
 
