@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 LONGEST_VALUE = 80
-"""Characters of a value in a message."""
+"""Maximum number of characters of a value in a message."""
 
 _LONGEST_MESSAGE = 1000
 
 
 def printable(text: str, longest: int | None = None) -> str:
-    """The text with control, format and other unprintable characters but line ends escaped, and at most so long."""
+    """Text with unprintable characters except line ends escaped, truncated to a length."""
     if longest is not None and len(text) > longest:
         text = f"{text[: longest - 3]}..."
     if text.isascii() and text.isprintable():
@@ -29,14 +29,14 @@ def quoted(value: object) -> str:
 
 
 def closest(name: str, known: Sequence[str]) -> str:
-    """The known name that an unknown one may stand for; an empty text if there is none."""
+    """Closest known name to an unknown one; empty if none is close."""
     close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
     begun = [one for one in known if len(name) > 2 and one.lower().startswith(name.lower())]
     return next(iter([*close, *begun]), "")
 
 
 def suggest(name: str, known: Sequence[str]) -> str:
-    """A remedy for an unknown name: the closest known one, or all."""
+    """Remedy for an unknown name: the closest known one, or all."""
     close = closest(name, known)
     return f"did you mean {close!r}?" if close else f"known are {', '.join(known)}"
 
@@ -57,10 +57,10 @@ class DomainWarning(McKibbenWarning):
 
 
 class McKibbenError(Exception):
-    """Base class of all errors of mckibben: a message, and the offending `value` of a `field` in its unit.
+    """Base class of all mckibben errors: a message and the offending `value` of a `field`, with its unit.
 
-    ``str(error)`` is ``"message; remedy"``, each of limited length; `remedy` may be replaced before the error is shown,
-    for example by the option of a command.
+    ``str(error)`` is ``"message; remedy"``, each of limited length; `remedy` may be replaced, for example by a
+    command-line option, before the error is shown.
     """
 
     longest = _LONGEST_MESSAGE
@@ -91,7 +91,7 @@ class McKibbenError(Exception):
 
 
 class UnitError(McKibbenError, ValueError):
-    """A text is not a quantity, or has a unit of another kind."""
+    """Text is not a quantity, or its unit has the wrong dimensions."""
 
 
 class RangeError(McKibbenError, ValueError):
@@ -121,7 +121,7 @@ class UnreachableError(McKibbenError, ValueError):
 
 
 class ExportError(McKibbenError, ValueError):
-    """A model or function that another language or format cannot hold."""
+    """A model or function cannot be expressed in another language or format."""
 
 
 class RigError(McKibbenError, RuntimeError):
@@ -137,7 +137,7 @@ class StoppedError(RigError):
 
 
 class SignalledError(StoppedError):
-    """A test was stopped by a signal, such as Ctrl-C, of this number."""
+    """A test was stopped by a signal, such as Ctrl-C; holds its number."""
 
     def __init__(self, message: str, *, signal: int) -> None:
         super().__init__(message)
@@ -146,7 +146,7 @@ class SignalledError(StoppedError):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One mistake in a file: where it is, and what to do about it."""
+    """One mistake in a file, with its location and remedy."""
 
     message: str
     line: int | None = None
@@ -159,7 +159,7 @@ class Problem:
 
     @classmethod
     def of(cls, error: McKibbenError, line: int | None = None, field: str = "") -> Problem:
-        """A caught error at a place in a file."""
+        """Problem from a caught error at a location in a file."""
         return cls(error.message, line, field, error.remedy, error.value, error.lower, error.upper, error.unit)
 
     def __str__(self) -> str:
@@ -171,7 +171,7 @@ class Problem:
 
 
 class FileError(McKibbenError, ValueError):
-    """A file cannot be used; all its problems are listed at once, in the order of the file.
+    """A file cannot be used; lists all its problems in file order.
 
     >>> print(FileError("rig.csv", [Problem("'abc' is not a number", line=7, field="force_N")]))
     rig.csv: 1 problem
@@ -204,7 +204,7 @@ class ScenarioError(FileError):
 
 
 def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
-    """Raise a `RangeError` with all problems, if there are any; its field and value are those of the first."""
+    """Raise a `RangeError` that lists all problems, if any; field and value are from the first."""
     if problems:
         heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
         text, first = "\n  ".join([heading, *map(str, problems)]), problems[0]

@@ -1,4 +1,4 @@
-"""Display in notebooks: HTML tables of results and components, and a progress bar; progress and end of long jobs."""
+"""Notebook display: HTML tables of results and components, progress bar, and interruption of long jobs."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any, TypeAlias
 from mckibben.errors import printable
 
 Progress: TypeAlias = Callable[[str, float], None]
-"""Called with the present step of a long computation and its finished fraction, 0 to 1."""
+"""Called with the current step of a long computation and the completed fraction, 0 to 1."""
 
 stop_check: ContextVar[Callable[[], None]] = ContextVar("stop_check", default=lambda: None)
-"""Called by each evaluation of a fit in this thread; raises to end it from outside."""
+"""Called at each evaluation of a fit in this thread; raises to interrupt it from outside."""
 
 _PERIOD = 0.2  # s between updates of the bar
 _LONGEST = 120  # characters of a value

@@ -1,4 +1,4 @@
-"""Units, at the edge of the code only: inside there are SI floats. Unit and range as metadata of fields.
+"""Units at the edge of the code (SI floats inside), and unit and range as metadata of fields.
 
 In Python, multiply by a unit to get SI and divide by it to leave SI:
 
@@ -46,9 +46,9 @@ mrad = 1e-3
 deg = math.pi / 180
 percent = 1e-2
 
-# The whole vocabulary: a text with any other unit is refused. Each has its size in SI and its dimensions as powers of
+# All known units: text with any other unit is refused. Each has its size in SI and its dimensions as powers of
 # metre, kilogram, second and radian. An angle is a dimension of its own here, so that N*m/rad (a stiffness) and N*m (a
-# torque) do not pass for each other.
+# torque) are not interchangeable.
 _LENGTH, _MASS, _TIME, _ANGLE, _NOTHING = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (0, 0, 0, 0)
 _FORCE, _PRESSURE = (1, 1, -2, 0), (-1, 1, -2, 0)
 _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
@@ -92,7 +92,7 @@ _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
 
 @functools.cache
 def _parse(unit: str) -> dict[str, float]:
-    """The power of each name in a unit of our grammar."""
+    """Exponent of each name in a unit expression."""
     if len(unit) > _LONGEST:
         raise UnitError(f"{unit[:20]!r}... is not a unit", value=unit, remedy="a unit is a few names joined by * and /")
     text = unit.strip().replace("%", "percent").replace("°", "deg").replace("·", "*").replace("**", "^")
@@ -106,7 +106,7 @@ def _parse(unit: str) -> dict[str, float]:
             remedy="write units joined by * and /, such as bar, N*m/rad or kg*m^2",
         )
     powers: dict[str, float] = {}
-    outside, inside = 1, 1  # the sign that * or / gave the powers, before and in parentheses
+    outside, inside = 1, 1  # sign of the exponents after * or /, outside and inside parentheses
     in_parentheses = False
     for token in _TOKEN.findall(text):
         if token in "()":
@@ -127,7 +127,7 @@ def _parse(unit: str) -> dict[str, float]:
 
 
 def _size(powers: dict[str, float]) -> float:
-    """The size of a unit in SI."""
+    """Size of a unit in SI."""
     size = 1.0
     for name, power in powers.items():
         size *= _VOCABULARY[name][0] ** power
@@ -140,7 +140,7 @@ def _dimensions(powers: dict[str, float]) -> list[float]:
 
 
 def dimensions(unit: str) -> tuple[float, float, float, float]:
-    """The powers of metre, kilogram, second and radian in a unit.
+    """Exponents of metre, kilogram, second and radian in a unit.
 
     >>> dimensions("N*m/rad")
     (2, 1, -2, -1)
@@ -152,7 +152,7 @@ def dimensions(unit: str) -> tuple[float, float, float, float]:
 
 
 def factor(unit: str, to: str = "") -> float:
-    """The factor from a number in `unit` to one in `to` (by default SI).
+    """Conversion factor from `unit` to `to` (default: SI).
 
     >>> factor("N/bar")
     1e-05
@@ -165,7 +165,10 @@ def factor(unit: str, to: str = "") -> float:
     target = _parse(to)
     if _dimensions(source) != _dimensions(target):
         raise UnitError(
-            f"{unit!r} is not a unit of the kind {to!r}", value=unit, unit=to, remedy=f"give it in a unit like {to}"
+            f"unit {unit!r} does not have the dimensions of {to!r}",
+            value=unit,
+            unit=to,
+            remedy=f"use a unit such as {to}",
         )
     return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
 
@@ -173,15 +176,15 @@ def factor(unit: str, to: str = "") -> float:
 def quantity(text: str, unit: str) -> float:
     """Read a quantity such as ``6 bar`` or ``-3 %`` in SI: one number with a decimal point and one unit.
 
-    A bare number is read only where `unit`, which says what kind is expected, is "1". Raises `UnitError` for any other
-    text, and for numbers that are not finite.
+    `unit` gives the expected dimensions; a bare number is accepted only if it is "1". Raises `UnitError` for any other
+    text and for numbers that are not finite.
 
-    >>> quantity("25 %", "1")
-    0.25
-    >>> quantity("4,5 bar", "Pa")
-    Traceback (most recent call last):
-        ...
-    mckibben.errors.UnitError: '4,5 bar' is not a number and a unit; write it like '4.5 bar'
+        >>> quantity("25 %", "1")
+        0.25
+        >>> quantity("4,5 bar", "Pa")
+        Traceback (most recent call last):
+            ...
+        mckibben.errors.UnitError: '4,5 bar' is not a number and a unit; write it like '4.5 bar'
     """
     if not isinstance(text, str):  # type: ignore[unnecessary-isinstance]  # YAML hands over numbers too
         raise UnitError(f"{quoted(text)} has no unit", value=text, unit=unit, remedy=f"write it like '{text} {unit}'")
@@ -206,7 +209,7 @@ def quantity(text: str, unit: str) -> float:
 
 
 def split_range(text: str) -> tuple[str, str]:
-    """Split ``LOW..HIGH`` into the texts of its ends; the unit of HIGH does for both."""
+    """Split ``LOW..HIGH`` into its ends as text; LOW may omit the unit."""
     low, _, high = (part.strip() for part in text.partition(".."))
     number = NUMBER.match(high)
     if number and NUMBER.fullmatch(low):
@@ -215,7 +218,7 @@ def split_range(text: str) -> tuple[str, str]:
 
 
 def parse_range(text: str, unit: str) -> tuple[float, float]:
-    """Read a range ``LOW..HIGH`` of quantities, or one quantity, which is both its ends, as `quantity` does.
+    """Read a range ``LOW..HIGH`` of quantities, or a single quantity as both ends.
 
     >>> parse_range("3..6 bar", "Pa")
     (300000.0, 600000.0)
@@ -245,14 +248,14 @@ SYMBOLS = ("signal", "gain", "integral_gain", "derivative_gain", "scale")
 
 @dataclass(frozen=True)
 class Quantity:
-    """Unit and range of a float in SI: metadata of a field, as in ``mass: Annotated[float, Quantity("kg", lower=0)]``.
+    """Unit and range of an SI float, as metadata of a field: ``mass: Annotated[float, Quantity("kg", lower=0)]``.
 
-    `lower` and `upper` are in the unit `shown`, which is `unit` unless given; open ends are excluded. Configuration
-    files, parameters of a study and error messages take unit and range from it.
+    `lower` and `upper` are in the unit `shown` (default: `unit`); open ends are excluded. Configuration files, study
+    parameters and error messages derive unit and range from it.
 
-    >>> time = Quantity("s", "ms", 0, 1e6, open_lower=True)
-    >>> time.read("20 ms"), time.write(0.02), time.range
-    (0.02, '20 ms', 'above 0 to 1e+06 ms')
+        >>> time = Quantity("s", "ms", 0, 1e6, open_lower=True)
+        >>> time.read("20 ms"), time.write(0.02), time.range
+        (0.02, '20 ms', 'above 0 to 1e+06 ms')
     """
 
     unit: str
@@ -278,7 +281,7 @@ class Quantity:
         )
 
     def read(self, value: Any) -> float:
-        """The value in SI from text with a unit or a number in SI; UnitError or RangeError if it is none."""
+        """Read text with a unit, or a number in SI, as a value in SI; raises UnitError or RangeError."""
         if isinstance(value, str):
             number = self._from_text(value)
         elif isinstance(value, int | float) and not isinstance(value, bool):
@@ -298,9 +301,10 @@ class Quantity:
         return number
 
     def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in the unit shown.
+        """Text in the shown unit that `read` converts back to the same float.
 
-        Some floats are no float times a factor. They have 20 digits, and `quantity` rounds their product once.
+        Some floats are not the product of a float and the factor. They get 20 digits, and `quantity` rounds the product
+        once.
         """
         if self.shown == "1":
             return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
@@ -313,7 +317,7 @@ class Quantity:
 
     @functools.cached_property
     def limits(self) -> tuple[float, float]:
-        """Both ends of the range in SI, whether they belong to it or not."""
+        """Both ends of the range in SI, included or not."""
         scale = factor(self.shown, self.unit)
         return self.lower * scale, self.upper * scale
 
@@ -357,7 +361,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class BoundedInt:
-    """Range of an integer: metadata of a field, as `Quantity` is."""
+    """Range of an integer, as metadata of a field."""
 
     lower: int
     upper: int
@@ -369,7 +373,7 @@ class BoundedInt:
         return core_schema.no_info_before_validator_function(self.read, core_schema.int_schema())
 
     def read(self, value: Any) -> int:
-        """The number; RangeError if it is no whole number, or outside the range."""
+        """Check the number; RangeError unless it is an integer within the range."""
         given = value
         if isinstance(value, str):
             value = int(value) if _WHOLE.fullmatch(value.strip()) else None
@@ -401,10 +405,10 @@ class BoundedInt:
 
 
 class Percent(Quantity):
-    """Range of a ratio that is written in percent."""
+    """Range of a ratio written in percent."""
 
     def read(self, value: Any) -> float:
-        """The ratio, checked; a number without a unit is a ratio."""
+        """Check the ratio; a number without a unit is a ratio."""
         if isinstance(value, str) and NUMBER.fullmatch(value.strip()) and not self.holds(float(value)):
             message = f"{quoted(value)} has no unit, and as a ratio is outside {self.range}"
             self._fail(message, value, f"write '{value.strip()} %'")
@@ -447,14 +451,14 @@ ValveTime = Annotated[float, Quantity("s", "ms", 0, 1e4, open_lower=True)]
 ValveLag = Annotated[float, Quantity("s", "ms", 0, 1e4)]
 CommandDelay = Annotated[float, Quantity("s", "ms", 0, 1e3)]
 Frequency = Annotated[float, Quantity("1/s", "Hz", 0, 1e6)]
-Length = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]  # more is one in millimetres
+Length = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]  # a larger number is in millimetres
 Diameter = Annotated[float, Quantity("m", "mm", 0, 500, open_lower=True)]
 MomentArm = Annotated[float, Quantity("m", "mm", 0, 2e3, open_lower=True)]  # a linear axis has a pulley of 1 m
 Distance = Annotated[float, Quantity("m", "mm", 0, 1e4)]
 Coordinate = Annotated[float, Quantity("m", "mm", -1e4, 1e4)]
 ArmSlope = Annotated[float, Quantity("m/rad", "mm/rad", -1e4, 1e4)]
 ArmCurvature = Annotated[float, Quantity("m/rad^2", "mm/rad^2", -1e4, 1e4)]
-BraidAngle = Annotated[float, Quantity("rad", "deg", 0.6, 54.7)]  # above, a muscle extends
+BraidAngle = Annotated[float, Quantity("rad", "deg", 0.6, 54.7)]  # above this, a muscle extends
 Mass = Annotated[float, Quantity("kg", "kg", 0, 1e4)]
 PositiveMass = Annotated[float, Quantity("kg", "kg", 0, 1e4, open_lower=True)]
 Inertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4)]
@@ -468,8 +472,8 @@ Gravity = Annotated[float, Quantity("m/s^2", "m/s^2", 0, 1e3)]
 SpringRate = Annotated[float, Quantity("N/m", "N/mm", 0, 1e6, open_lower=True)]
 Force = Annotated[float, Quantity("N", "N", 0, 1e6)]
 SignedForce = Annotated[float, Quantity("N", "N", -1e6, 1e6)]
-ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e5, 1e5)]  # an area: more is one in N/bar
-ForceTerm = Annotated[float, Quantity("N", "N", -1e40, 1e40)]  # of a law, whose terms may cancel: `check_gain`
+ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e5, 1e5)]  # an area: a larger number is in N/bar
+ForceTerm = Annotated[float, Quantity("N", "N", -1e40, 1e40)]  # terms of a law may cancel: `check_gain`
 GainTerm = Annotated[float, Quantity("N/Pa", "N/bar", -1e40, 1e40)]
 PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
 Tension = Annotated[float, Quantity("N", "N", 0, 1e6, open_lower=True)]

@@ -142,7 +142,7 @@ def test_a_full_disk_while_printing_is_one_line_and_exit_1():
             [sys.executable, "-m", "mckibben", "--version"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
         )
     assert found.returncode == 1
-    assert found.stderr == f"failed: not all could be printed: {os.strerror(errno.ENOSPC)}\n"
+    assert found.stderr == f"failed: the output is incomplete: {os.strerror(errno.ENOSPC)}\n"
 
 
 def test_a_closed_pipe_is_one_line_and_exit_1():
@@ -153,7 +153,7 @@ def test_a_closed_pipe_is_one_line_and_exit_1():
     )
     os.close(writing)
     assert found.returncode == 1
-    assert found.stderr == f"failed: not all could be printed: {os.strerror(errno.EPIPE)}\n"
+    assert found.stderr == f"failed: the output is incomplete: {os.strerror(errno.EPIPE)}\n"
 
 
 def test_names_that_the_terminal_cannot_show_are_escaped(tmp_path, shortened):

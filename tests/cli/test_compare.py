@@ -78,7 +78,7 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
     assert f"{numbers['no_start']} runs were infeasible" in found.out
     assert "medians against PID 3" in found.out
     at_air = numbers["at_air_of_first"]
-    assert f"no more air than PID 3 as tuned ({metric('air_L', at_air['air_L'])} L" in found.out
+    assert f"no more air than the tuned PID 3 ({metric('air_L', at_air['air_L'])} L" in found.out
     assert list(at_air["controllers"]) == ["PID 3"], "the other is not tuned"
 
     with xr.open_dataset(kept / "runs.nc") as runs:
@@ -112,7 +112,7 @@ def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
     (tmp_path / "taken" / "runs.nc").touch()
     found = cli("compare", "suite.yaml", "--out", "taken")
     assert found.code == 2
-    assert "runs.nc: it is there already" in found.err
+    assert "runs.nc: it already exists" in found.err
     (tmp_path / "file").touch()
     assert cli("compare", "suite.yaml", "--out", "file/kept").code == 2
 
@@ -154,7 +154,7 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     [
         ((), "--out DIR"),
         (("--out", "kept", "--runs", "1"), "give 2 to 1000000"),
-        (("--out", "kept", "--repeat", "PID 3 1"), "kept holds no comparison"),
+        (("--out", "kept", "--repeat", "PID 3 1"), "kept does not contain a comparison"),
     ],
 )
 def test_a_mistake_leaves_nothing_behind(cli, written, tmp_path, arguments, said):

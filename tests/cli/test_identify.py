@@ -238,7 +238,7 @@ def test_how_sure_a_fit_is(cli, tmp_path):
     assert low < 0.3398 < high
     assert uncertainty["bootstrap"]["intervals"]["decay"] != uncertainty["intervals"]["decay"]
     for wrong, said in (
-        (("--level", "90"), r"a level of 90 is no probability; write 0\.95 for 95 %"),
+        (("--level", "90"), r"a level of 90 is not a probability; write 0\.95 for 95 %"),
         (("--law", "all", "--profile"), "apply to a single law"),
     ):
         refused = cli("identify", FESTO, *wrong)

@@ -47,7 +47,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     assert [event.kind for event in record.events] == ["opened", "completed", "vented"]
 
     again = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
-    assert again.code == 2 and "record-0001.chunks: it is there already" in again.err
+    assert again.code == 2 and "record-0001.chunks: it already exists" in again.err
 
 
 def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path):

@@ -179,7 +179,7 @@ def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kep
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
     found = cli("simulate", "short.yaml", "--out", "kept")
     assert found.code == 2
-    assert "result.nc: it is there already" in found.err and "--force" in found.err
+    assert "result.nc: it already exists" in found.err and "--force" in found.err
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
     precious = tmp_path / "precious"
     for name in before:
@@ -219,7 +219,7 @@ def test_a_full_disk_says_what_is_kept_and_a_vanished_folder_that_nothing_is(cli
     monkeypatch.setattr(report, "save", vanished)
     found = cli("simulate", "short.yaml", "--out", "kept", "--force")
     assert found.code == 2
-    assert "the folder has vanished" in found.err
+    assert "the folder has disappeared" in found.err
 
 
 def test_a_flipped_bit_of_a_result_is_found(kept):

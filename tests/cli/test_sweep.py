@@ -87,10 +87,10 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
     before = (kept / "sweep.nc").read_bytes()
     refused = cli("sweep", "s.yaml", *asked, "--out", "kept")
     assert (refused.code, refused.out) == (2, "")
-    assert "there is a sweep already; continue it with --resume" in refused.err
+    assert "a sweep already exists; continue it with --resume" in refused.err
     refused = cli("sweep", "s.yaml", "--resume", "--seed", "2", "--out", "kept")
     assert refused.code == 2
-    assert "seed: the sweep was begun with 1, not 2" in refused.err
+    assert "seed: the sweep was started with 1, not 2" in refused.err
     assert (kept / "sweep.nc").read_bytes() == before
 
 
@@ -127,7 +127,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
     ("arguments", "said"),
     [
         (["s.yaml", *MASS], "--out DIR"),
-        (["s.yaml", "--out", "x"], "nothing is varied; say what, like --over"),
+        (["s.yaml", "--out", "x"], "nothing is varied; give a parameter"),
         (["s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"], "did you mean 'load.mass2'?"),
         (["s.yaml", "--out", "x", "--over", "load.mass2=2..1 kg"], "the range is empty: 2 kg is not below 1 kg"),
         (["s.yaml", "--out", "x", "--over", "load.mass2=1..2..3 kg"], "give a range (0.2 kg..1.0 kg), values (1 kg"),
@@ -135,7 +135,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
             ["s.yaml", "--out", "x", *MASS, "--over", "load.mass2=1..2 kg"],
             "'load.mass2=0.2 kg..1.0 kg' and 'load.mass2=1..2 kg' are about the same parameter; keep one of them",
         ),
-        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2 N"], "give it in a unit like kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2 N"], "use a unit such as kg"),
         (["s.yaml", "--out", "x", "--over", "load.mass2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
         (
@@ -216,5 +216,5 @@ def test_files_that_others_put_there_stay(cli, scenario, tmp_path, name):
     (tmp_path / "kept" / name).write_text("mine", encoding="utf-8")
     found = cli("sweep", "s.yaml", *MASS, "--out", "kept")
     assert (found.code, found.out) == (2, "")
-    assert f"{name}: it is there already; choose another folder, or move what is there out of the way" in found.err
+    assert f"{name}: it already exists; choose another folder, or move the existing file" in found.err
     assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]

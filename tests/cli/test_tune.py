@@ -206,7 +206,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--method", "newton"), "choose one of gradient, evolution, cma"),
         ((*SMALL, "--parameters", "load.mass9=1..2 kg"), "no parameter 'mass9'"),
         ((*SMALL, "--parameters", "load.mass2=2..1 kg"), "the range is empty"),
-        ((*SMALL, "--parameters", "load.mass2=1..2 N"), "not a unit of the kind"),
+        ((*SMALL, "--parameters", "load.mass2=1..2 N"), "does not have the dimensions of"),
         ((*SMALL, "--parameters", "start.angle"), "zero, or not given: there is no range around it"),
         (
             (*SMALL, "--parameters", "start.angle=0..1 deg"),
@@ -219,7 +219,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--parameters", "load.mass2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
         ((*SMALL, "--cost", "stiffness_settling"), "has no gradient; use cma or evolution"),
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
-        ((*SMALL, "--cost", "angle_rmse/1 N"), "not a unit of the kind"),
+        ((*SMALL, "--cost", "angle_rmse/1 N"), "does not have the dimensions of"),
         ((*SMALL, "--margin", "0.5"), "the gain margin is 0.5"),
         ((*START[:2], *COST, "--out", "kept", "--method", "cma"), "at least two parameters"),
         ((*SMALL, "--method", "cma", "--population", "3"), "at least 4"),
@@ -240,7 +240,7 @@ def test_files_that_others_put_there_stay(cli, scenario, tmp_path, name):
     (tmp_path / "kept" / name).write_text("mine", encoding="utf-8")
     found = cli("tune", "s.yaml", "s.yaml", *SMALL)
     assert (found.code, found.out) == (2, "")
-    assert f"{name}: it is there already; choose another folder, or move what is there out of the way" in found.err
+    assert f"{name}: it already exists; choose another folder, or move the existing file" in found.err
     assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]
 
 
@@ -250,13 +250,13 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     before = {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()}
     found = cli(*asked)
     assert (found.code, found.out) == (2, "")
-    assert "history of a search already; continue it (--resume), or choose another folder" in found.err
+    assert "search history already exists; continue it (--resume), or choose another folder" in found.err
     for change, named in (
-        (("--seed", "1"), "begun with 0, not 1"),
-        (("--worst",), "worst: .* begun with False, not True"),
-        (("--margin", "2"), "gain_margin: .* begun with 1.0, not 2.0"),
-        (("--cost", "angle_rmse"), "cost: the search was begun"),
-        (("--parameters", "load.damping"), "parameters: the search was begun"),
+        (("--seed", "1"), "started with 0, not 1"),
+        (("--worst",), "worst: .* started with False, not True"),
+        (("--margin", "2"), "gain_margin: .* started with 1.0, not 2.0"),
+        (("--cost", "angle_rmse"), "cost: the search was started"),
+        (("--parameters", "load.damping"), "parameters: the search was started"),
     ):
         found = cli(*asked, *change, "--resume")
         assert (found.code, found.out) == (2, "")

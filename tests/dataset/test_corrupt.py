@@ -48,7 +48,7 @@ def test_what_is_a_number_and_cannot_be_meant_stays_an_error(put):
 def test_more_than_half_of_the_rows_are_never_left_out(put):
     rows = ["a,b,c\n"] * 7 + ROWS[:6]
     found = said_of(put(HEADER + "".join(rows)), on_corrupt="report")
-    assert "7 of 13 rows hold no number: more than half cannot be left out" in found
+    assert "7 of 13 rows are not numeric: more than half cannot be left out" in found
     with pytest.warns(McKibbenWarning, match="6 of 12 rows"):
         assert len(read_dataset(put(HEADER + "".join(rows[1:])), on_corrupt="report")) == 6
 
@@ -57,8 +57,8 @@ def test_more_than_half_of_the_rows_are_never_left_out(put):
 def test_a_last_line_that_was_cut_off_is_recognised(end, put):
     path = put(HEADER + "".join(ROWS[:11]) + end)
     cells = "2 cells" if "," in end else "1 cell"
-    assert said_of(path) == [f"line 13: has {cells}, the header 3, and no line end: the file was cut off here"]
-    with pytest.warns(McKibbenWarning, match="1 of 12 rows are left out: line 13: .* cut off here"):
+    assert said_of(path) == [f"line 13: has {cells}, the header 3, and no line end: the file was truncated here"]
+    with pytest.warns(McKibbenWarning, match="1 of 12 rows are left out: line 13: .* truncated here"):
         assert len(read_dataset(path, on_corrupt="report")) == 11
 
 
@@ -76,7 +76,7 @@ def test_a_last_number_that_may_have_lost_decimals_is_warned_of(put):
 def test_zero_bytes_at_the_end_are_a_cut_and_not_a_binary_file(put):
     path = put((HEADER + "".join(ROWS[:11]) + "12,11,").encode() + bytes(300))
     found = said_of(path)
-    assert "the file ends in 300 zero bytes: it was cut off while it was written" in found[-1]
+    assert "the file ends in 300 zero bytes: it was truncated while being written" in found[-1]
     with pytest.warns(McKibbenWarning, match="zero bytes"):
         assert len(read_dataset(path, on_corrupt="report")) == 11
 

@@ -187,8 +187,8 @@ def test_two_sheets_or_groups_are_never_mixed(put):
     stream = io.BytesIO()
     book.save(stream)
     path = put(stream.getvalue(), "a.xlsx")
-    assert "'run 2/force_N': gives" not in said_of(path)[0]
-    assert any("run 2/force_N: gives force again, after 'run 1/force_N'" in text for text in said_of(path))
+    assert "'run 2/force_N': duplicates" not in said_of(path)[0]
+    assert any("run 2/force_N: duplicates force, after 'run 1/force_N'" in text for text in said_of(path))
     names = ("pressure_bar", "contraction_percent", "force_N")
     assert read_dataset(path, columns={f"run 2/{name}": name for name in names}).force.tolist() == [7]
 
@@ -200,7 +200,7 @@ def test_matrices_and_lengths_that_differ(put):
     columns = {f"m(:,{i + 1})": name for i, name in enumerate(COLUMNS)}
     is_the_six_points(read_dataset(path, columns=columns))
     assert said_of(path, columns=columns | {"t": "time_s"}) == [
-        "t: has 5 values, 'm(:,1)' 6; read columns of one length"
+        "t: has 5 values, 'm(:,1)' 6; read columns of equal length"
     ]
 
 
@@ -211,7 +211,7 @@ def test_objects_of_matlab_are_named_and_how_to_save_them(put):
         table.attrs["MATLAB_class"] = np.bytes_("table")
     content = b"MATLAB 7.3 MAT-file".ljust(512) + stream.getvalue()[512:]
     found = said_of(put(content, "a.mat"))
-    assert found[-1].startswith("T: is an object of MATLAB") or "T: is an object of MATLAB" in "".join(found)
+    assert found[-1].startswith("T: is a MATLAB object") or "T: is a MATLAB object" in "".join(found)
     assert "table2struct" in "".join(found)
 
 
@@ -284,4 +284,4 @@ def test_a_struct_of_a_billion_elements_without_fields_is_refused(put):
     head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
     flags, dims = element(6, struct.pack("<2I", 2, 0)), element(5, struct.pack("<2i", 1, 10**9))
     array = flags + dims + element(1, b"s") + element(5, struct.pack("<i", 8)) + element(1, b"")
-    assert "1000000000 elements are claimed" in said_of(put(head + element(14, array), "a.mat"))[0]
+    assert "1000000000 elements are declared" in said_of(put(head + element(14, array), "a.mat"))[0]

@@ -105,10 +105,10 @@ def test_split_holds_out_any_of_the_given_things():
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ({}, "no point to hold out"),
-        ({"repeats": [1, 2]}, "no point to train on"),
+        ({}, "no points to hold out"),
+        ({"repeats": [1, 2]}, "no points to train on"),
         ({"repeats": []}, "no repeat is given"),
-        ({"pressures": []}, "no point to hold out"),
+        ({"pressures": []}, "no points to hold out"),
         ({"repeats": [1, 7]}, "no point of repeat 7; the repeats are 1, 2"),
         ({"directions": ["up"]}, "no point of direction up; the directions are loading, unloading"),
         ({"pressures": 3e5}, "no point at 3 bar"),
@@ -137,12 +137,12 @@ def test_a_mask_is_one_boolean_per_point(mask):
     [
         ({"force": [1, 2]}, "force: has 2 values for 12 points"),
         ({"force": 1.0}, "force: has 0 dimensions"),
-        ({"force": 12 * ["a"]}, "force: holds something else than numbers"),
+        ({"force": 12 * ["a"]}, "force: contains values other than numbers"),
         ({"force": [*range(11), np.inf]}, "force: inf at point 11 is not finite"),
         ({"contraction": [*range(12)]}, r"contraction: 1 at point 1 .* \(and 10 more\); .* percent"),
         ({"pressure": [-2e5] + 11 * [0]}, "pressure: -200000 at point 0 is below"),
         ({"direction": [*(11 * ["loading"]), "sideways"]}, "direction: 'sideways' at point 11"),
-        ({"direction": 12 * [1]}, "direction: holds something else than loading and unloading"),
+        ({"direction": 12 * [1]}, "direction: contains values other than loading and unloading"),
         ({"repeat": [*range(11), 0.5]}, "repeat: 0.5 at point 11"),
         ({"repeat": [*range(11), -1]}, "repeat: -1 at point 11"),
         ({"force_samples": np.zeros((12, 0))}, "force_samples: has no samples"),

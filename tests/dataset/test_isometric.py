@@ -90,7 +90,7 @@ def test_a_gap_parts_a_filling_and_the_ends_of_the_sensor_are_left_out():
 
 def test_the_length_must_be_known_and_fixed():
     bare = Recording(record().table.drop_vars("contraction"))
-    with pytest.raises(RangeError, match="the contraction is not known; give contraction"):
+    with pytest.raises(RangeError, match="the contraction is unknown; give contraction"):
         bare.isometric()
     assert bare.isometric(contraction=10 * percent).dataset.contraction[0] == 0.1
     with pytest.raises(RangeError, match=r"made at contraction 0\.05, not 0\.1"):

@@ -116,7 +116,7 @@ def test_corrupt_rows_are_refused_or_left_out_and_named(run):
     assert "line 1502, Force (N): 'x' is not a number" in run("rig.csv", *COLUMN, error=DatasetError)
     repairs = json.loads(run("rig.csv", *COLUMN, "--skip-corrupt", "--json"))["repairs"]
     assert repairs[0] == "line 1502, Force (N): 'x' is not a number"
-    assert "the file was cut off here" in repairs[1]
+    assert "the file was truncated here" in repairs[1]
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def test_columns_name_the_headers_of_the_file(file):
     assert (data.pressure[0], data.contraction[0], data.force[0]) == pytest.approx((1.5e5, 0.1, 200))
     found = problems(path, columns=columns | {"Weg": "length_mm"})
     assert found == ["line 1: columns has 'Weg', the file 'Druck [bar]', 'Kürzung', 'Kraft, N'"]
-    assert "the unknown name 'pressure'; accepted are" in problems(path, columns={"Kürzung": "pressure"})[0]
+    assert "unknown name 'pressure' to 'Kürzung'; accepted are" in problems(path, columns={"Kürzung": "pressure"})[0]
 
 
 def test_lengths_alone_need_the_initial_length(file):
@@ -134,7 +134,7 @@ def test_lengths_alone_need_the_initial_length(file):
 def test_lengths_and_contractions_must_agree(file):
     bent = MARTENS.replace("441375,0.219", "441375,0.223")
     assert problems(file(bent)) == [
-        "line 6, length_m: 0.223 m does not go with contraction 0.124 of 0.25 m: 0.219 m would"
+        "line 6, length_m: 0.223 m contradicts contraction 0.124 of 0.25 m, which implies 0.219 m"
     ]
     rounded = MARTENS.replace("441375,0.219", "441375,0.2194")
     assert read_dataset(file(rounded)).table.attrs["initial_length"] == pytest.approx(0.25)
@@ -199,8 +199,9 @@ def test_one_decimal_sign_through_the_whole_file(file):
     text = "pressure_bar;contraction_percent;force_N\n1;2;3\n1,5;2;3\n2.5;2;3\n1;2;1.000\n"
     assert problems(file(text)) == [
         "line 4, pressure_bar: '2.5' has a decimal point, but line 3 a decimal comma; "
-        "use one of them in the whole file",
-        "line 5, force_N: '1.000' has a decimal point, but line 3 a decimal comma; use one of them in the whole file",
+        "use one decimal sign in the whole file",
+        "line 5, force_N: '1.000' has a decimal point, but line 3 a decimal comma; "
+        "use one decimal sign in the whole file",
     ]
 
 
@@ -228,10 +229,10 @@ def test_decimal_commas_between_commas_are_recognised(file):
         ),
         (
             "pressure_bar,pressure_kPa,contraction_ratio,force_N",
-            "line 1, pressure_kPa: gives pressure again, after 'pressure_bar'; keep one of them",
+            "line 1, pressure_kPa: duplicates pressure, after 'pressure_bar'; keep one of them",
         ),
-        ("pressure_bar,contraction_ratio,force_N,force_N", "line 1, force_N: stands twice in the header"),
-        ("pressure_bar,contraction_ratio,force_N,x,x", "line 1, x: stands twice in the header"),
+        ("pressure_bar,contraction_ratio,force_N,force_N", "line 1, force_N: appears twice in the header"),
+        ("pressure_bar,contraction_ratio,force_N,x,x", "line 1, x: appears twice in the header"),
     ],
 )
 def test_headers_that_cannot_be_used(file, header, expected):
@@ -258,9 +259,9 @@ def test_missing_columns_say_what_is_accepted(file):
         (b"pressure_bar\n\x81", "line 2: byte 0x81 at 13 is neither UTF-8 nor Windows-1252 text; save the file as"),
         (b"PK\x03\x04abc", "cannot be read as a workbook: File is not a zip file; save it again, or as CSV"),
         (b"\x89HDF\r\n\x1a\n", "cannot be read as an HDF5 file: "),
-        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is a workbook of before 2007; save it as .xlsx or CSV"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is a workbook in the format before 2007; save it as .xlsx or CSV"),
         (b"TDSm" + bytes(40), "cannot be read as TDMS"),
-        (b"MATLAB 5.0 MAT-file", "cannot be read as a MATLAB file: its head is not that of a MATLAB file"),
+        (b"MATLAB 5.0 MAT-file", "cannot be read as a MATLAB file: its header is not that of a MATLAB file"),
         (
             FESTO + "1," + 200_000 * "9" + ",1\n",
             "line 7, contraction_ratio: '9999999999999999999999999999999999999...' is not a finite number",

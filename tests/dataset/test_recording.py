@@ -281,7 +281,7 @@ def test_files_of_samples(put):
     np.testing.assert_allclose(record.plateaus().dataset.force, RUN.record().plateaus().dataset.force, atol=1e-4)
     assert "is needed for lengths" in said_of(path, read_recording)[0]
     assert (
-        "sample_rate is given, and the file has times"
+        "sample_rate is given, but the file has times"
         in said_of(path, read_recording, initial_length=0.18, sample_rate=5.0)[0]
     )
     bare = put("pressure_bar,force_N\n1,2\n1,2\n")

@@ -203,7 +203,7 @@ def test_one_direction_alone_does_not_tell_friction_from_force(law, as_printed):
         assert np.isfinite(
             plan(data, quantity).error_now
         )  # an offset changes no shape, and no stiffness of a straight joint
-    with pytest.raises(IdentificationError, match="measure in the other direction than loading too") as caught:
+    with pytest.raises(IdentificationError, match="measure in the direction opposite to loading too") as caught:
         plan(data, Force(), directions=["loading"])
     assert "friction" in str(caught.value)
     without = plan(data, Force(), directions=["loading"], friction=False)
@@ -248,13 +248,13 @@ def test_without_a_fit_it_begins_with_a_guess_and_says_so(law):
     assert np.isinf(found.error_now) and np.isfinite(found.error_after)
     assert any("a guess, ExponentialLaw fitted to the chart" in note for note in found.notes)
     given = plan(few, Force(), ExponentialLaw, points=12, noise=1.0, guess=law)
-    assert any("the guess given" in note for note in given.notes)
+    assert any("the given guess" in note for note in given.notes)
     assert given.law.decay == law.decay and given.law.a2 != law.a2
     assert np.isfinite(given.error_after)
     with pytest.raises(ParameterError, match="the guess is a ExponentialLaw"):
         plan(few, Force(), SarosiLaw, guess=law)
     too_few = plan(few, Force(), ExponentialLaw, points=2, guess=law)
-    assert any("stays undetermined" in note for note in too_few.notes)
+    assert any("remains undetermined" in note for note in too_few.notes)
 
 
 def test_what_the_points_at_hand_cannot_see(martens, law):

@@ -122,7 +122,7 @@ def test_data_that_cannot_tell_are_refused(drifting):
     refused("the dataset has no directions", IsobaricDataset(data.table.drop_vars("direction")))
     nameless = data.table.copy()
     del nameless.attrs["initial_length"]
-    refused("the initial length is not known", IsobaricDataset(nameless))
+    refused("the initial length is unknown", IsobaricDataset(nameless))
     shuffled = np.random.default_rng(0).permutation(len(data))
     timeless = data.table.drop_vars("time")
     refused("paths at constant pressure|against the direction", IsobaricDataset(timeless.isel(point=shuffled)))

@@ -136,7 +136,7 @@ def test_with_every_parameter_at_a_bound_there_are_no_errors(fit):
     assert model.decisive == ()
     assert model.variance(np.empty((2, 0)))[0].tolist() == [0.0, 0.0]
     regression = dataclasses.replace(fit.regression, at_bound=np.ones(7, bool))
-    assert regression.default_grouping == (Grouping.POINT, "all parameters are at a bound, so that none has an error")
+    assert regression.default_grouping == (Grouping.POINT, "all parameters are at a bound, so none has an error")
     assert regression.warnings == ()
     assert np.all(np.isnan(list(regression.robust_errors(Grouping.PRESSURE).standard_errors.values())))
 
@@ -209,7 +209,7 @@ def test_intervals_are_t_intervals_of_the_errors_that_they_are_asked_for(fit):
         fit.regression.solution.jacobian, fit.residuals, group_labels(fit.regression.points, Grouping.PRESSURE)
     )
     assert error == pytest.approx(np.sqrt(model.variance(np.eye(7)[6:])[0][0]))
-    with pytest.raises(RangeError, match=r"a level of 95 is no probability; write 0\.95 for 95 %"):
+    with pytest.raises(RangeError, match=r"a level of 95 is not a probability; write 0\.95 for 95 %"):
         fit.intervals(95)
     with pytest.raises(IdentificationError, match="record a column 'repeat'"):
         fit.intervals(by=Grouping.REPEAT)
@@ -364,7 +364,7 @@ def test_profiles_of_a_law_that_is_linear_in_nothing():
 
 
 def test_a_linear_parameter_has_no_profile(fit):
-    with pytest.raises(ParameterError, match="'a1' is no shape parameter of ExponentialLaw; profile one of decay"):
+    with pytest.raises(ParameterError, match="'a1' is not a shape parameter of ExponentialLaw; profile one of decay"):
         profile(fit, "a1")
 
 

@@ -30,7 +30,7 @@ REAL_CLAIM = "Eq. 2 is closer than Chou's law on a measured map"
 SIMILAR_CLAIM = "Loading and unloading are similar"
 SAFE_CLAIM = "BP can be added to any PID"
 COUPLED_CLAIM = "Position and stiffness are coupled"
-RANGE_CLAIM = "The knee's rotating range is 55 deg"
+RANGE_CLAIM = "The knee reaches 55 deg"
 MODERATE, OPTIMISED = "the same moderate gains in both", "gains tuned by an optimiser"
 
 

@@ -43,7 +43,7 @@ REAL_CLAIM = "Eq. 2 is closer than Chou's law on a measured map"
 SIMILAR_CLAIM = "Loading and unloading are similar"
 SAFE_CLAIM = "BP can be added to any PID"
 COUPLED_CLAIM = "Position and stiffness are coupled"
-RANGE_CLAIM = "The knee's rotating range is 55 deg"
+RANGE_CLAIM = "The knee reaches 55 deg"
 MODERATE, OPTIMISED = "the same moderate gains in both", "gains tuned by an optimiser"
 
 
@@ -291,7 +291,7 @@ def test_the_results_have_every_number_of_the_report(results):
                     assert run[name] > 0
                 assert run["stiffness_settling_s"] is None or run["stiffness_settling_s"] >= 0
     for claim in results["claims"]:
-        assert set(claim) == {"claim", "source", "holds", "evidence", "of_paper"}
+        assert set(claim) == {"claim", "source", "words", "holds", "evidence", "of_paper"}
 
 
 def test_the_numbers_of_a_run_are_those_of_its_trajectory(results, reproduction):
@@ -410,6 +410,17 @@ def test_every_claim_has_a_source_and_evidence(reproduction):
         assert claim.source
         assert any(c.isdigit() for c in claim.evidence)
         assert isinstance(claim.holds, bool)
+
+
+def test_only_what_the_paper_says_counts_as_its_claim(reproduction):
+    own = {CHOU_CLAIM, SIMILAR_CLAIM, COUPLED_CLAIM, settling_claim(MODERATE)}
+    own |= {angle_claim(reference, MODERATE) for reference in StiffnessReference}
+    papers = reproduction.paper_claims
+    assert len(papers) == len(own) == 6
+    assert all(any(claim.claim.startswith(start) for start in own) for claim in papers)
+    assert all(claim.words for claim in papers)
+    assert len(reproduction.questions) == 6
+    assert not any(claim.words or claim.of_paper for claim in reproduction.questions)
 
 
 def test_the_verdicts_follow_from_the_numbers_of_the_report(reproduction):

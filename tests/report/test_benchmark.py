@@ -133,7 +133,7 @@ def test_the_same_contest_makes_the_same_bytes(result, numbers, kept, tmp_path):
 def test_its_words_and_numbers(text, numbers, result):
     words = plain(text)
     assert "3 controllers on 16 unseen runs" in words
-    assert "Each but as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
+    assert "Each except as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
     for name, found in numbers["controllers"].items():
         assert f"{name} {found['diverged']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
         ripple, estimate = (number(found["metrics"][key]["median"]) for key in ("stiffness_ripple", "estimate_rmse"))

@@ -96,8 +96,8 @@ def test_every_claim_dataset_source_and_decision_is_there(text, reproduction):
     for claim in reproduction.claims:
         assert plain(str(typeset(claim.claim))) in words
         assert plain(str(typeset(claim.evidence))) in words
-    papers = [claim for claim in reproduction.claims if claim.of_paper]
-    assert f"{sum(claim.holds for claim in papers)} of its {len(papers)} claims hold" in words
+    assert plain(reproduction.verdict) in words
+    assert f"{sum(claim.holds for claim in reproduction.paper_claims)} of 6" in reproduction.verdict
     assert words.count("✗ does not hold") == sum(not claim.holds for claim in reproduction.claims)
     for name in reproduction.identification.fits:
         assert NAMES[name] in words

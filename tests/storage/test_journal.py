@@ -147,7 +147,7 @@ def test_another_file_has_no_header_of_ours(tmp_path, content):
     (tmp_path / "a").write_bytes(content)
     with pytest.raises(FileError) as refused:
         read_header(tmp_path / "a", "test journal", 1)
-    assert "it is no test journal" in refused.value.problems[0].message
+    assert "it is not a test journal" in refused.value.problems[0].message
     (tmp_path / "a").write_bytes(pack_json(HEADER, 0, {**ABOUT, "version": 2}))
     with pytest.raises(FileError) as refused:
         read_header(tmp_path / "a", "test journal", 1)
@@ -159,10 +159,10 @@ def test_differences_name_the_item_that_differs():
     wanted = {"seed": 2, "over": ["a"], "software": {"jax": "1", "numpy": "3"}, "text": "a: 1\nb: 3\n", "same": 0}
     found = header_differences(kept, wanted, "the job", remedy="start anew")
     assert [(problem.field, problem.message) for problem in found] == [
-        ("seed", "the job was begun with 1, not 2"),
-        ("over", "the job was begun with b too"),
-        ("software numpy", "the job was begun with 2, not 3"),
-        ("text", "the job was begun with 'b: 2', not 'b: 3'"),
+        ("seed", "the job was started with 1, not 2"),
+        ("over", "the job was started with b too"),
+        ("software numpy", "the job was started with 2, not 3"),
+        ("text", "the job was started with 'b: 2', not 'b: 3'"),
     ]
     assert not header_differences(kept, kept, "the job", remedy="")
 
@@ -171,7 +171,7 @@ def test_draws_are_not_listed():
     kept, wanted = {"conditions": {"mass": [0.25, 0.5, 0.75], "lag": [1.5]}}, {"conditions": {"mass": [0.3, 0.5, 0.7]}}
     found = header_differences(kept, wanted, "the job", remedy="start anew")
     assert [problem.field for problem in found] == ["conditions mass", "conditions lag"]
-    assert found[0].message == "the job was begun with 3 values from 0.25 to 0.75, not 3 values from 0.3 to 0.7"
+    assert found[0].message == "the job was started with 3 values from 0.25 to 0.75, not 3 values from 0.3 to 0.7"
     (none,) = header_differences(kept, {}, "the job", remedy="start anew")
     assert (none.field, "0.5" in none.message) == ("conditions", False)
 

@@ -46,7 +46,7 @@ def test_a_disk_that_takes_no_more_says_what_is_kept(tmp_path, number):
 def test_a_folder_that_has_vanished_keeps_nothing(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
-    with pytest.raises(FileError, match="has vanished"), explain_write_errors(folder, lambda: "all is kept", "none"):
+    with pytest.raises(FileError, match="has disappeared"), explain_write_errors(folder, lambda: "all is kept", "none"):
         shutil.rmtree(folder)
         sync_folder(folder)
     with pytest.raises(FileNotFoundError), explain_write_errors(tmp_path, lambda: "", ""):

@@ -17,7 +17,7 @@ def test_only_one_at_a_time(tmp_path):
     path = tmp_path / ".lock"
     with file_lock(path, "at it"):
         with (
-            pytest.raises(FileError, match=rf"another process \(pid {os.getpid()} on .*\) is at it; wait for its end"),
+            pytest.raises(FileError, match=rf"another process \(pid {os.getpid()} on .*\) is at it; wait"),
             file_lock(path, "at it"),
         ):
             pytest.fail("two at once")
@@ -61,7 +61,7 @@ def test_where_there_are_no_locks_it_says_so(tmp_path, monkeypatch):
         raise OSError(errno.ENOLCK, "no locks")
 
     monkeypatch.setattr(fcntl, "flock", unknown)
-    said = "has no locks: take care that one process alone is at it"
+    said = "has no locks: make sure that only one process is at it"
     with pytest.warns(McKibbenWarning, match=said), file_lock(tmp_path / ".lock", "at it"):
         pass
 
@@ -81,7 +81,7 @@ def test_files_that_are_there_are_all_named(tmp_path):
     with pytest.raises(FileError) as refused:
         check_free(tmp_path, ["a", "[b]*.yaml", "gone"])
     assert [problem.field for problem in refused.value.problems] == ["[b]*.yaml", "gone"]
-    assert "move what is there out of the way" in str(refused.value)
+    assert "move the existing file" in str(refused.value)
 
 
 def test_a_file_is_written_completely_or_not_at_all(tmp_path):

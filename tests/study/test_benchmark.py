@@ -242,7 +242,7 @@ class TestTuning:
 
     def test_nothing_is_overwritten_or_taken_for_another(self, tmp_path):
         compare(changed(*ALONE), folder=tmp_path)
-        with pytest.raises(FileError, match="history of a search already"):
+        with pytest.raises(FileError, match="search history already exists"):
             compare(changed(*ALONE), folder=tmp_path)
         for other in (
             changed(*ALONE, ("load.mass2=+-50 %", "load.mass2=+-40 %")),

@@ -41,7 +41,7 @@ FORMS = "give a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal
         *((said, FORMS) for said in ("[1 kg, 2 kg]", "1 kg..", "..1 kg", "+-", "normal", "1 kg,", "foo", "1 kg in 5")),
         ("1e400 kg", "give a finite one"),
         ("1..1e400 kg", "give a finite one"),
-        ("1..2 N", "give it in a unit like kg"),
+        ("1..2 N", "use a unit such as kg"),
         ("1..2 k g", "write units joined by"),
     ],
 )

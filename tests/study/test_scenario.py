@@ -156,7 +156,7 @@ def test_three_mistakes_are_three_problems_with_lines():
     wrong_unit, misspelt, no_whole = problems(text, source="three.yaml")
     assert (wrong_unit.line, wrong_unit.field) == (8, "valve.time_constant")
     assert "'mm'" in wrong_unit.message
-    assert "like ms" in wrong_unit.remedy
+    assert "such as ms" in wrong_unit.remedy
     assert (misspelt.line, misspelt.field) == (23, "reference.angle.amplitude")
     assert "'amplitudes'" in misspelt.remedy
     assert (no_whole.line, no_whole.field) == (26, "control_period")
@@ -176,7 +176,7 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("208 mm", "1e400 m", "joint.geometry.connector_length", "not a finite number"),
         ("208 mm", "9**9**9 m", "joint.geometry.connector_length", "is not a"),
         ("208 mm", "1 " + "m*" * 2000 + "m", "joint.geometry.connector_length", "not a quantity"),
-        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.geometry.connector_length", "kind"),
+        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.geometry.connector_length", "dimensions"),
         ("208 mm", "", "joint.geometry.connector_length", "has no value"),
         ("208 mm", "[208 mm]", "joint.geometry.connector_length", "not a quantity"),
         ("from: knee-table-2, conn", "from: knee-tabel-2, conn", "joint.geometry", "did you mean 'knee-table-2'"),
@@ -202,7 +202,7 @@ def test_three_mistakes_are_three_problems_with_lines():
             "class: sine",
         ),
         ("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "{}", "reference.angle", "lacks the key `class`"),
-        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.amplitude", "unit like deg"),
+        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.amplitude", "unit such as deg"),
         ("0.5 Hz", "-0.5 Hz", "reference.angle.frequency", "outside 0 to 1e+06 Hz"),
         ("start: {angle: 0 deg,", "start: {angel: 0 deg,", "start.angel", "did you mean 'angle'"),
         ("duration: 10 s", "duration: 10000 min", "control_period", "more than 10000000 periods"),
@@ -375,7 +375,7 @@ def test_samples_from_a_table(tmp_path):
     [
         ("", "has no column time_"),
         ("time_s,torque_N\n0,1\n", "has no column angle_"),
-        ("time_s,angle_mm\n0,1\n", "'mm' is not a unit of the kind 'rad'"),
+        ("time_s,angle_mm\n0,1\n", "'mm' does not have the dimensions of 'rad'"),
         ("time_s,angle_deg\n", "holds no samples"),
         ("time_s,angle_deg\n0,x\n", "line 2: '0,x' does not hold 2 finite numbers"),
         ("time_s,angle_deg\n0,1\n0,2\n1\n", "line 3: the time 0 s does not rise; sort the rows (and 1 more)"),

@@ -114,7 +114,7 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         assert float(swept.table["angle_rmse"][0]) == pytest.approx(measured, rel=1e-9)
     assert float(fixed.table["angle_rmse"][0]) != float(known.table["angle_rmse"][0])
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0  # what is known is taken from the manifest
-    with pytest.raises(FileError, match=r"known: the sweep was begun with joint\.geometry\.connector_length"):
+    with pytest.raises(FileError, match=r"known: the sweep was started with joint\.geometry\.connector_length"):
         sweep(scenario, out=tmp_path, resume=True, known=())
 
 
@@ -149,7 +149,7 @@ def test_damaged_blocks_are_computed_again(kept, scenario, tmp_path):
     start = content.index(b"MCKCHUNK", content.index(b"MCKCHUNK", 1) + 1)
     content[start + 300] ^= 1  # in the second block
     path.write_bytes(content[: content.rindex(b"MCKCHUNK") - 7])  # and the last one torn
-    with pytest.warns(McKibbenWarning, match="1 damaged blocks are computed again"):
+    with pytest.warns(McKibbenWarning, match="1 damaged blocks will be recomputed"):
         swept = sweep(scenario, OVER, out=tmp_path, resume=True, **SOME)
     assert swept.computed == sum(8 if block == 4 else 16 for block in (written[1], written[-1]))
     assert sorted(blocks_of(tmp_path)) == list(range(5))
@@ -172,15 +172,15 @@ def test_a_changed_table_is_made_again_from_the_blocks(kept, scenario, tmp_path,
 @pytest.mark.parametrize(
     ("changed", "field", "said"),
     [
-        ({"seed": 2}, "seed", "begun with 1, not 2"),
-        ({"samples": 73}, "samples", "begun with 72, not 73"),
-        ({"design": "random"}, "design", "begun with sobol, not random"),
-        ({"metrics": ["angle_rmse"]}, "metrics", "begun with angle_max too"),
-        ({"precision": 32}, "precision", "begun with 64, not 32"),
-        ({"block": 32}, "block", "begun with 16, not 32"),
+        ({"seed": 2}, "seed", "started with 1, not 2"),
+        ({"samples": 73}, "samples", "started with 72, not 73"),
+        ({"design": "random"}, "design", "started with sobol, not random"),
+        ({"metrics": ["angle_rmse"]}, "metrics", "started with angle_max too"),
+        ({"precision": 32}, "precision", "started with 64, not 32"),
+        ({"block": 32}, "block", "started with 16, not 32"),
         ({"over": [OVER[0], "reference.stiffness.after=15..21 N*m/rad", OVER[2]]}, "over", "15 N*m/rad..21 N*m/rad"),
-        ({"over": OVER[:2]}, "over", "begun with controller.position.kp=1 bar/rad..3 bar/rad too"),
-        ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "begun without load.mass1=1 kg..2 kg"),
+        ({"over": OVER[:2]}, "over", "started with controller.position.kp=1 bar/rad..3 bar/rad too"),
+        ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "started without load.mass1=1 kg..2 kg"),
     ],
 )
 def test_another_sweep_is_not_mixed_in(kept, scenario, changed, field, said):
@@ -194,7 +194,7 @@ def test_another_sweep_is_not_mixed_in(kept, scenario, changed, field, said):
 
 def test_another_scenario_is_not_mixed_in(kept, scenario):
     heavier = scenario.model_copy(update={"control_period": 0.002})
-    with pytest.raises(FileError, match="begun with 'control_period: 1 ms', not 'control_period: 2 ms'"):
+    with pytest.raises(FileError, match="started with 'control_period: 1 ms', not 'control_period: 2 ms'"):
         sweep(heavier, out=kept[1], resume=True)
 
 
@@ -213,14 +213,14 @@ def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
         store.begin()
     assert read_manifest(out) == plan.manifest
     (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,6\n", encoding="utf-8")
-    with pytest.raises(FileError, match="scenario: a file that it names has changed since"):
+    with pytest.raises(FileError, match="scenario: a file that it names, or the catalog, has changed"):
         sweep(Scenario.read(tmp_path / "s.yaml"), resume=True, out=out)
 
 
 def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
     monkeypatch.setattr(compute_module, "software", lambda: {"mckibben": "9.9", "jax": "0", "platform": "cpu"})
     monkeypatch.setattr(plan_module, "software", compute_module.software)
-    with pytest.raises(FileError, match=r"mckibben: the sweep was begun with .*, not 9.9"):
+    with pytest.raises(FileError, match=r"mckibben: the sweep was started with .*, not 9.9"):
         sweep(scenario, out=kept[1], resume=True)
     monkeypatch.undo()
     task = SweepPlan.of(scenario, SweepOptions(OVER, **SOME)).task
@@ -247,14 +247,14 @@ def test_a_draw_that_cannot_run_is_refused_before_anything_is_written(scenario, 
 
 
 def test_a_folder_with_a_sweep_is_not_written_over(kept, scenario):
-    with pytest.raises(FileError, match="there is a sweep already; continue it with --resume"):
+    with pytest.raises(FileError, match="a sweep already exists; continue it with --resume"):
         sweep(scenario, OVER, out=kept[1])
 
 
 @pytest.mark.parametrize("name", ["sweep.nc"])
 def test_files_of_others_are_not_written_over(scenario, tmp_path, name):
     (tmp_path / name).write_text("mine", encoding="utf-8")
-    with pytest.raises(FileError, match=f"{name}: it is there already; choose another folder, or move"):
+    with pytest.raises(FileError, match=f"{name}: it already exists; choose another folder, or move"):
         sweep(scenario, OVER, out=tmp_path, **SOME)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / name]
     assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
@@ -278,7 +278,7 @@ def test_two_processes_do_not_compute_the_same_sweep(kept, scenario, tmp_path):
     with process:
         assert process.stdout.readline() == "holding\n"
         before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-        said = rf"another process \(pid {process.pid} on .*\) is computing this sweep; wait for its end"
+        said = rf"another process \(pid {process.pid} on .*\) is computing this sweep; wait for it to finish"
         with pytest.raises(FileError, match=said):
             sweep(scenario, out=folder, resume=True)
         assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
@@ -296,24 +296,24 @@ def test_a_complete_sweep_is_looked_up_though_someone_is_at_it(kept, scenario):
 def test_there_must_be_something_to_go_on_with(scenario, tmp_path):
     with pytest.raises(FileError, match=r"no sweep to continue \(sweep.journal\); leave --resume"):
         sweep(scenario, OVER, out=tmp_path, resume=True)
-    with pytest.raises(ParameterError, match="say in which folder"):
+    with pytest.raises(ParameterError, match="give its folder"):
         sweep(scenario, OVER, resume=True)
 
 
 def test_a_journal_that_is_none_of_a_sweep(scenario, tmp_path):
     (tmp_path / JOURNAL).write_text("mine", encoding="utf-8")
-    with pytest.raises(FileError, match="it is no mckibben sweep"):
+    with pytest.raises(FileError, match="it is not a mckibben sweep"):
         sweep(scenario, OVER, out=tmp_path, resume=True)
 
 
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"over": None}, "nothing is varied; say what"),
+        ({"over": None}, "nothing is varied; give a parameter"),
         ({"over": []}, "nothing is varied"),
         ({"over": ["load.mas2=1..2 kg"]}, "did you mean 'load.mass2'"),
         ({"over": ["load.mass2=2..1 kg"]}, "the range is empty"),
-        ({"over": ["load.mass2=1..2 N"]}, "not a unit of the kind 'kg'"),
+        ({"over": ["load.mass2=1..2 N"]}, "does not have the dimensions of 'kg'"),
         ({"over": ["load.mass2=1..2 kg", "load.mass2=1..2 kg"]}, "are about the same parameter"),
         ({"over": ["joint.geometry.connector_length=200..390 mm"]}, r"row \d+: with joint.geometry.connector_length"),
         ({"samples": 0}, "samples is 0"),
@@ -383,7 +383,7 @@ def test_a_vanished_folder_is_told(scenario, tmp_path):
         if done:
             shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
-    with pytest.raises(FileError, match="the folder has vanished"):
+    with pytest.raises(FileError, match="the folder has disappeared"):
         sweep(scenario, OVER, out=tmp_path / "out", workers=1, progress=vanish, **SOME)
 
 
@@ -477,7 +477,7 @@ def test_a_file_that_is_no_sweep(tmp_path, kept):
     with pytest.raises(FileError, match="cannot be read as NetCDF"):
         SweepResult.from_netcdf(tmp_path / "text.nc")
     xr.Dataset({"x": ("run", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
-    with pytest.raises(FileError, match="it is no sweep"):
+    with pytest.raises(FileError, match="it is not a sweep"):
         SweepResult.from_netcdf(tmp_path / "other.nc")
     odd = kept[0].table.copy()
     odd["outcome"] = ("run", np.full(72, 99, np.int8))

@@ -39,7 +39,7 @@ def run(path, *, scenarios=STILL, ranges=RANGES, cost=COST, **changes):
 def cut(path, trials, *, torn=0):
     """Leave so many trials of a history, and some bytes of another."""
     reader = JournalReader(path)
-    for _, _ in zip(range(trials + 2), reader, strict=False):  # the header is there twice
+    for _, _ in zip(range(trials + 2), reader, strict=False):  # the header appears twice
         end = reader.end
     assert end + torn < path.stat().st_size
     path.write_bytes(path.read_bytes()[: end + torn])
@@ -96,14 +96,14 @@ def for_free(monkeypatch):
 @pytest.mark.parametrize(
     ("changed", "field", "said"),
     [
-        ({"seed": 4}, "seed", "begun with 3, not 4"),
-        ({"method": Method.EVOLUTION}, "method", "begun with cma, not evolution"),
-        ({"population": 9}, "population", "begun with 8, not 9"),
+        ({"seed": 4}, "seed", "started with 3, not 4"),
+        ({"method": Method.EVOLUTION}, "method", "started with cma, not evolution"),
+        ({"population": 9}, "population", "started with 8, not 9"),
         ({"cost": Cost.of({"angle_rmse": deg})}, "cost", "not angle_rmse"),
-        ({"cost": Cost(COST.terms, gain_margin=1.5)}, "gain_margin", "begun with 1.0, not 1.5"),
-        ({"cost": Cost(COST.terms, worst=True)}, "worst", "begun with False, not True"),
+        ({"cost": Cost(COST.terms, gain_margin=1.5)}, "gain_margin", "started with 1.0, not 1.5"),
+        ({"cost": Cost(COST.terms, worst=True)}, "worst", "started with False, not True"),
         ({"ranges": RANGES | {"start.stiffness": LogUniform(11.0, 20.000000001)}}, "parameters", "20.000000001"),
-        ({"scenarios": [STILL, STILL]}, "scenarios", "begun without"),
+        ({"scenarios": [STILL, STILL]}, "scenarios", "started without"),
         ({"scenarios": Scenario.parse(TEXT.replace("2 deg", "3 deg"))}, "scenarios", ""),
     ],
 )
@@ -129,7 +129,7 @@ def test_a_file_that_the_scenario_names_is_a_part_of_the_search(tmp_path):
     path = tmp_path / "history.journal"
     run(path, iterations=1, scenarios=Scenario.parse(text, folder=tmp_path))
     samples.write_text("time_s,angle_deg\n0,2\n1,3\n", encoding="utf-8")
-    with pytest.raises(FileError, match="models: the search was begun with"):
+    with pytest.raises(FileError, match="models: the search was started with"):
         run(path, iterations=1, scenarios=Scenario.parse(text, folder=tmp_path), resume=True)
 
 
@@ -155,7 +155,7 @@ def test_an_existing_history_is_not_overwritten_and_a_missing_one_not_gone_on_wi
         pytest.fail("there is none")
     assert not path.exists()
     path.write_text("my own notes", encoding="utf-8")
-    with pytest.raises(FileError, match="history of a search already"), TuningHistory.open(path, ABOUT):
+    with pytest.raises(FileError, match="search history already exists"), TuningHistory.open(path, ABOUT):
         pytest.fail("there is one")
     assert path.read_text(encoding="utf-8") == "my own notes"
 
@@ -165,7 +165,7 @@ def test_what_is_no_history_is_refused_and_left_alone(tmp_path, content):
     path = tmp_path / "history.journal"
     path.write_bytes(content)
     with pytest.raises(FileError) as caught, TuningHistory.open(path, {}, resume=True):
-        pytest.fail("it is no history")
+        pytest.fail("it is not a history")
     cut = content[:8] in (b"", b"MCKCHUNK")
     assert (caught.value.problems[0].field == "header") is cut
     assert path.read_bytes() == content
@@ -179,7 +179,7 @@ def test_a_damaged_trial_is_computed_again(tmp_path):
     content[content.index(b'"cost"', len(content) // 2)] ^= 1
     path.write_bytes(content)
     assert len(read_trials(path)) == undisturbed.evaluated - 1
-    with pytest.warns(McKibbenWarning, match="1 damaged trials are computed again"):
+    with pytest.warns(McKibbenWarning, match="1 damaged trials will be recomputed"):
         again = run(path, resume=True)
     assert (again.values, again.cost, again.evaluated) == (
         undisturbed.values,

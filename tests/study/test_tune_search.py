@@ -78,9 +78,9 @@ def test_what_a_method_cannot_do_is_said():
     check_method(Method.GRADIENT, numbers=1, population=1)
     with pytest.raises(ParameterError, match=r"at least two parameters.*use gradient or evolution"):
         check_method(Method.CMA, numbers=1, population=8)
-    with pytest.raises(ParameterError, match="cma with 3 points a generation; give at least 4"):
+    with pytest.raises(ParameterError, match="cma with 3 points per generation; give at least 4"):
         check_method(Method.CMA, numbers=2, population=3)
-    with pytest.raises(ParameterError, match="evolution with 4 points a generation; give at least 5"):
+    with pytest.raises(ParameterError, match="evolution with 4 points per generation; give at least 5"):
         check_method(Method.EVOLUTION, numbers=2, population=4)
     check_method(Method.EVOLUTION, numbers=2, population=5)
 

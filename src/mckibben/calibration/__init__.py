@@ -1,4 +1,4 @@
-"""Calibration: identification of a joint's model on the joint, from recordings of its motion."""
+"""Calibration: identification of a joint model from recordings of the joint's motion."""
 
 from mckibben.calibration.equations import JointPrior, JointRecording
 from mckibben.calibration.estimation import JointCalibration, JointEstimate, calibrate_joint

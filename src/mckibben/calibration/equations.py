@@ -24,15 +24,15 @@ from mckibben.numerics.compiled import compiled
 from mckibben.units import deg, mm
 
 Floats = NDArray[np.float64]
-RATE = 50.0  # Hz, of the samples that are fitted
-_WINDOW = 0.05  # s, of the local cubic fits that differentiate: short, as they attenuate accelerations
-_SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, of a recording and between its samples
+RATE = 50.0  # Hz, of the fitted samples
+_WINDOW = 0.05  # s, window of the local cubic fits used for differentiation: short, as they attenuate accelerations
+_SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, duration of a recording and time between its samples
 COEFFICIENTS = 3  # of each polynomial of a correction
-OF_MUSCLE = 2 * COEFFICIENTS + 2  # parameters: those, friction and presliding
-_BEYOND = 1.2  # half width of the corrections over that of the contractions measured
-_SLIDING = 6.0  # presliding lengths of travel after which the friction's state at the start is forgotten
-_BAND, _PRESLIDING = 0.02, 2e-3  # friction where the model has none, over highest force and initial length
-LEAST_FRICTION = 0.01  # half width over that of the model
+OF_MUSCLE = 2 * COEFFICIENTS + 2  # parameters: these, friction and presliding
+_BEYOND = 1.2  # half width of the corrections relative to the measured contractions
+_SLIDING = 6.0  # presliding lengths of travel after which the initial friction state is forgotten
+_BAND, _PRESLIDING = 0.02, 2e-3  # friction if the model has none, relative to highest force and initial length
+LEAST_FRICTION = 0.01  # half width relative to the model
 CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
 _SHARED = 6  # parameters: the load's mass, the weight, zero, arms, and both load cells
 
@@ -50,7 +50,7 @@ class JointRecording:
     added_mass, distance
         A known weight [kg] on the limb, and its distance from the axis [m].
     commanded
-        Whether `pressures` are the commands, not measured.
+        Whether `pressures` are commands instead of measurements.
     """
 
     time: Floats
@@ -64,33 +64,33 @@ class JointRecording:
 
 @dataclass(frozen=True)
 class JointPrior:
-    """Standard deviations of what a calibration estimates, before it; relative ones refer to the model.
+    """Prior standard deviations of the quantities that a calibration estimates; relative ones refer to the model.
 
     Attributes
     ----------
     strength, offset
-        Of the pressure-proportional and of the constant part of a muscle's force, relative to the law's force at its
-        highest pressure and the middle contraction; of each further power of contraction half of that of the last.
+        Pressure-proportional and constant part of a muscle's force, relative to the law's force at its highest pressure
+        and the middle contraction; halved for each further power of contraction.
     friction, presliding
-        Of the half width of the friction band, relative, and of the logarithm of the presliding length.
+        Half width of the friction band, relative, and logarithm of the presliding length.
     creep
-        Of the stiffness of creep over the slope of the law: together of three Maxwell arms of 1, 3 and 10 s.
+        Stiffness of creep relative to the slope of the law: total of three Maxwell arms of 1, 3 and 10 s.
     mass
-        Of the load's mass (`Load.adapted_mass`), relative.
+        Load mass (`Load.adapted_mass`), relative.
     added_mass, load_cell
-        Of the added weight and of the gains of load cells, relative.
+        Added weight and load cell gains, relative.
     zero
-        Of the encoder's zero [rad].
+        Encoder zero [rad].
     arm_scale
-        Of the scale of the moment arms.
+        Scale of the moment arms.
     lag, rate, delay, damping
-        For recordings of commands: of the logarithms of the valve's time constant, of the limit of its rate, of the
-        delay about 20 ms, and of the load's damping. There `mass` is that of the logarithms of inertia and gravity.
+        For recordings of commands: logarithms of the valve's time constant, of its rate limit, of the delay about 20
+        ms, and of the load's damping. `mass` then refers to the logarithms of inertia and gravity.
     joint_friction, joint_presliding
-        For recordings of commands: of the logarithms of torque and presliding angle of the joint's own friction.
+        For recordings of commands: logarithms of torque and presliding angle of the joint's own friction.
     fits
-        Fits that the laws of muscles 1 and 2 are from, if they are: their covariance is that of the laws before, beside
-        `strength` and `offset`, which then are the scatter between the muscles tested and those of the joint.
+        Fits behind the laws of muscles 1 and 2, if any: their covariance is added to `strength` and `offset`, which
+        then describe the scatter between the tested muscles and those of the joint.
     """
 
     strength: float = 0.1
@@ -128,7 +128,7 @@ Halves = tuple[JointSamples, JointSamples]
 
 
 class CalibrationProblem(NamedTuple):
-    """The model, and for each muscle the scales of its correction."""
+    """The model, and the scales of each muscle's correction."""
 
     joint: AntagonisticJoint
     load: Load
@@ -136,28 +136,28 @@ class CalibrationProblem(NamedTuple):
     highest: tuple[float, ...]  # pressure [Pa]
     centre: tuple[float, ...]
     half_width: tuple[float, ...]
-    pressure: tuple[float, ...]  # mean of those measured [Pa]
+    pressure: tuple[float, ...]  # mean of the measured pressures [Pa]
     creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
     laws: tuple[Any, ...]  # Cholesky factor of the covariance of its correction, in standard deviations of the prior
     prior: dict[str, float]
 
 
 class _Corrected(NamedTuple):
-    """Model by parameters."""
+    """Model for given parameters."""
 
     joint: AntagonisticJoint
     load: Load
-    added_mass: Any  # over what it is stated to be
+    added_mass: Any  # relative to its stated value
     zero: Any  # [rad]
     load_cells: tuple[Any, Any]  # gains
 
 
 def check_recording(recording: JointRecording) -> None:
-    """Raise `IdentificationError` for numbers that are not finite, and for a recording that is too short."""
+    """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short."""
     columns = [recording.time, recording.angle, recording.pressures]
     columns += [] if recording.tensions is None else [recording.tensions]
     if not all(np.all(np.isfinite(column)) for column in columns):
-        raise IdentificationError("a recording holds numbers that are not finite", remedy="leave such rows out")
+        raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
     time = recording.time
     if time.size < 50 or time[-1] - time[0] < _SHORTEST:
         raise IdentificationError(
@@ -168,7 +168,7 @@ def check_recording(recording: JointRecording) -> None:
 
 
 def halves_of(recording: JointRecording) -> Halves:
-    """Even and odd samples, whose noise is independent, smoothed and at the same times."""
+    """Even and odd samples, with independent noise, smoothed at the same times."""
     if recording.commanded:
         raise IdentificationError(
             "a recording has commanded pressures", remedy="use calibrate_from_commands, or give measured pressures"
@@ -179,7 +179,7 @@ def halves_of(recording: JointRecording) -> Halves:
     width = max(2 * int(_WINDOW / (4 * period)) + 1, 5)
     if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:
         raise IdentificationError(
-            f"the samples of a recording, {period * 1e3:.3g} ms apart in the mean, are too far or not equally spaced",
+            f"the samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced",
             value=period,
             unit="s",
             remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more",
@@ -209,7 +209,7 @@ def halves_of(recording: JointRecording) -> Halves:
 def problem_of(
     joint: AntagonisticJoint, load: Load, recordings: Sequence[Halves], prior: JointPrior
 ) -> CalibrationProblem:
-    """The model, with friction where it has none, and the scales of its corrections."""
+    """The model, with friction added if it has none, and the scales of its corrections."""
     muscles, scales = [], []
     angle = np.concatenate([half.angle for half, _ in recordings])
     for muscle, spring, path in zip(
@@ -239,7 +239,7 @@ def problem_of(
 def _law_factor(
     prior: JointPrior, fit: Fit | None, muscle: Muscle, force: float, centre: float, half_width: float
 ) -> Floats:
-    """Cholesky factor of the covariance of a correction: that of the prior, and of a fit projected on it."""
+    """Cholesky factor of the covariance of a correction: from the prior, and from a fit projected on it."""
     covariance: Any = np.eye(2 * COEFFICIENTS)
     if fit is not None:
         v, p = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0, 1, 7)))
@@ -259,22 +259,22 @@ def muscle_parameters(problem: CalibrationProblem) -> int:
 
 
 def parameters(problem: CalibrationProblem) -> int:
-    """Number of parameters: those of the muscles, the shared ones, and the stiffnesses of creep."""
+    """Number of parameters: muscles, shared ones, and creep stiffnesses."""
     return creep_begin(problem) + CREEP_TIMES.size * problem.joint.springs.count(False)
 
 
 def creep_begin(problem: CalibrationProblem) -> int:
-    """Place of the first stiffness of creep among the parameters; recordings of commands have none."""
+    """Index of the first creep stiffness among the parameters; recordings of commands have none."""
     return muscle_parameters(problem) + _SHARED
 
 
 def friction_places(problem: CalibrationProblem) -> slice:
-    """Places of the friction's half widths among the parameters."""
+    """Indices of the friction half widths among the parameters."""
     return slice(2 * COEFFICIENTS, muscle_parameters(problem), OF_MUSCLE)
 
 
 def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
-    """The model by parameters in prior standard deviations from their prior mean."""
+    """The model for parameters in prior standard deviations from their prior mean."""
     prior, joint, load = problem.prior, problem.joint, problem.load
     muscles, shrink, n = [], 0.5 ** np.arange(COEFFICIENTS), COEFFICIENTS
     own = iter(z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE))
@@ -321,7 +321,7 @@ def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
 
 
 def _creep(problem: CalibrationProblem, joint: AntagonisticJoint, z: Array, angle: Array) -> Array:
-    """Creep of both muscles [N], shape (samples, 2): Maxwell arms along their paths, relaxed at the start."""
+    """Creep of both muscles [N], shape (samples, 2): Maxwell arms along their paths, initially relaxed."""
     stiffness = creep_stiffness(problem, z)
     decay: Any = np.exp(-1 / (RATE * CREEP_TIMES))
     moved = jnp.diff(jnp.stack(joint.geometry.path_lengths(angle), axis=1), axis=0)
@@ -358,7 +358,7 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
     required = loaded.required_torque(angle, samples.velocity, samples.acceleration)
     if not samples.tensions:
         return (required - (torque + arm2 * creep[1] - arm1 * creep[0]))[:, None]
-    # Measured tensions in the equation of motion: the laws' errors are in those of the tensions alone.
+    # Measured tensions in the equation of motion: law errors affect only the errors of the tensions.
     true1, true2 = (measured / gain for measured, gain in zip(samples.tensions, cells, strict=True))
     rows = zip(samples.tensions, cells, tensions, creep, strict=True)
     errors = [measured - gain * (law + more) for measured, gain, law, more in rows]
@@ -372,7 +372,7 @@ def linearised(problem: CalibrationProblem, z: Any, samples: JointSamples) -> tu
 
 
 def sliding_from(problem: CalibrationProblem, samples: JointSamples) -> int:
-    """First sample at which the friction does not depend on its unknown state at the start."""
+    """First sample at which the friction does not depend on its unknown initial state."""
     joint, first = problem.joint, 0
     for muscle, path in zip((joint.muscle1, joint.muscle2), joint.geometry.path_lengths(samples.angle), strict=True):
         travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)

@@ -1,4 +1,4 @@
-"""Identification on the joint: from recordings of its motion to the muscles' laws, load and encoder zero."""
+"""Identification on the joint: muscle laws, load and encoder zero from recordings of its motion."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ from mckibben.numerics.batching import recheck
 from mckibben.numerics.compiled import compiled
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
-_START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
+_START_VARIANCE = 1e-3  # of the torque [N^2*m^2], until residuals are available
 _LEAST_VARIANCE = 1e-8
 _INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
-_UNEXPLAINED = 3.0  # residual over its noise, from which on the model does not describe the recordings
-_NEGLIGIBLE = 1e-3  # residual over the highest torque, up to which that does not matter
-_CONTRADICTION = 1e-6  # probability of estimates as far from the model, by their prior
+_UNEXPLAINED = 3.0  # ratio of residual to noise above which the model does not describe the recordings
+_NEGLIGIBLE = 1e-3  # ratio of residual to highest torque up to which that is irrelevant
+_CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
 DETERMINED = 0.5
-"""Posterior over prior standard deviation below which a quantity counts as determined by the recordings."""
+"""Ratio of posterior to prior standard deviation below which a quantity counts as determined by the recordings."""
 
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """An estimated quantity in SI, its standard deviation, and that before the recordings."""
+    """An estimated quantity in SI, with posterior and prior standard deviation."""
 
     value: float
     deviation: float
@@ -80,15 +80,15 @@ class JointCalibration:
     joint, load
         The model with the estimates.
     quantities
-        Estimates by name: ``muscle1.force`` (over the model's, at the middle contraction and the mean
-        pressure), ``muscle1.friction``, ``muscle1.presliding``, ``muscle1.creep`` (stiffness of its Maxwell arms
-        together), ``friction`` (sum of both half widths), ``load.mass``, ``added_mass`` (over what it was stated to
-        be), ``zero`` (reading of the encoder at the angle 0), ``arm_scale``.
+        Estimates by name: ``muscle1.force`` (relative to the model, at the middle contraction and the mean pressure),
+        ``muscle1.friction``, ``muscle1.presliding``, ``muscle1.creep`` (total stiffness of its Maxwell arms),
+        ``friction`` (sum of both half widths), ``load.mass``, ``added_mass`` (relative to its stated value), ``zero``
+        (encoder reading at angle 0), ``arm_scale``.
     residual
         Root mean square of the error of the equation of motion [N*m], low-pass filtered.
     noise
-        Root mean square of its part that is noise of the sensors [N*m], which even and odd samples do not share; NaN
-        for recordings of commands.
+        Root mean square of its sensor noise [N*m], the part not shared by even and odd samples; NaN for recordings of
+        commands.
     """
 
     joint: AntagonisticJoint
@@ -106,7 +106,7 @@ class JointCalibration:
         return np.asarray(value), _deviation(np.asarray(slope), self._covariance)
 
     def prior_stiffness(self, angle: ArrayLike, pressures: Pressures) -> tuple[Floats, Floats]:
-        """Return what `stiffness` was before the recordings."""
+        """Return `stiffness` before the calibration."""
         start = jnp.zeros(self._estimate.size)
         value, slope = _stiffness(self._problem, start, jnp.asarray(angle, float), pressures)
         return np.asarray(value), _deviation(np.asarray(slope), np.eye(self._estimate.size))
@@ -119,7 +119,7 @@ class JointCalibration:
 def calibrate_joint(
     joint: AntagonisticJoint, load: Load, recordings: Sequence[JointRecording], prior: JointPrior | None = None
 ) -> JointCalibration:
-    r"""Identify a joint from recordings of its motion, some of them best with a known added weight.
+    r"""Identify a joint from recordings of its motion, preferably some with a known added weight.
 
     The equation of motion (Eq. 6) of both muscles, with friction and creep along the measured path, is fitted to all
     recordings at once:
@@ -129,31 +129,32 @@ def calibrate_joint(
         (I + m_w l_w^2)\,\ddot\theta + c\dot\theta = \tau(\theta - \theta_0, p_1, p_2) + (G + m_w l_w g)
         \sin(\theta_h - \theta + \theta_0)
 
-    Each muscle's law gets a `ForceCorrection` and creep, Maxwell arms of 1, 3 and 10 s whose stiffnesses are estimated:
-    the slope of a law is that of slower motion. Parameters have Gaussian priors. Under a single load the forces are
-    known up to a factor; a known weight, or load cells, give the factor. With load cells the torque in the equation of
-    motion is that of the measured tensions, and the laws are fitted to these: an imperfect law is then wrong once.
+    Each muscle's law gets a `ForceCorrection` and creep, Maxwell arms of 1, 3 and 10 s with estimated stiffnesses,
+    because the slope of a law applies to slower motion. Parameters have Gaussian priors. A single load determines the
+    forces only up to a factor; a known weight, or load cells, determine the factor. With load cells the equation of
+    motion uses the torque of the measured tensions, and the laws are fitted to the tensions: law errors then enter only
+    once.
 
-    Noise of the pressures is in the regressors as well, which biases least squares. So the estimates are those of
-    instrumental variables, begun at least squares: even samples are the instruments of the odd ones, and the other way
-    round. The variance of the torque is that of the residuals times their correlation time; the covariance of the
-    estimates is the robust one for correlated errors of unequal variance (Newey and West).
+    Pressure noise also enters the regressors, which biases least squares. The estimates therefore use instrumental
+    variables, started from least squares: even samples are the instruments of the odd ones, and vice versa. The
+    variance of the torque is the variance of the residuals times their correlation time; the covariance of the
+    estimates is robust to correlated errors of unequal variance (Newey and West).
 
     Parameters
     ----------
     joint, load
-        The model before, the mean of the prior. A muscle without friction gets a band whose width is estimated.
+        The initial model, the mean of the prior. A muscle without friction gets a band with an estimated width.
     recordings
-        At least one. Slow sweeps in both directions, at several co-contractions, tell most; some faster motion tells
-        the load's mass.
+        At least one. Slow sweeps in both directions at several co-contractions are most informative; some faster motion
+        determines the load's mass.
     prior
-        Standard deviations before.
+        Prior standard deviations.
 
     Raises
     ------
     IdentificationError
-        If a recording is too short, too slowly sampled or at rest, holds numbers that are not finite, or gives the
-        load no mass above 0.
+        If a recording is too short, too slowly sampled or at rest, contains non-finite numbers, or does not give the
+        load a positive mass.
 
     Warns
     -----
@@ -202,7 +203,7 @@ def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Flo
 
 
 def number(leaf: Any) -> Any:
-    """A scalar array as a number, anything else as it is."""
+    """A scalar array as a number, anything else unchanged."""
     return leaf.item() if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
 
 
@@ -260,7 +261,7 @@ def _quantity_names(problem: CalibrationProblem, *, creep: bool) -> tuple[list[s
 
 
 def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float, float]:
-    """Estimates and covariance of the parameters, the residual torque [N*m], and the noise in it."""
+    """Estimates and covariance of the parameters, the residual torque [N*m], and its noise."""
     count, edge, stride = parameters(problem), int(4 * _FILTER * RATE), int(_FILTER * RATE / 2)
     starts = [sliding_from(problem, half) + edge for half, _ in recordings]
     groups = 1 + len(recordings[0][0].tensions)
@@ -276,7 +277,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         return [[(filtered(r, n), filtered(j, n)) for (r, j), n in zip(one, starts, strict=True)] for one in found]
 
     def data(z: Floats) -> tuple[float, list[Floats], Floats]:
-        """Objective without the prior, its gradients at each sample, and its second derivatives but for the errors'."""
+        """Objective without the prior, its gradients at each sample, and its Gauss-Newton Hessian."""
         scale = 1 / np.sqrt(variances)
         objective, gradients, curvature = 0.0, [], np.zeros((count, count))
         for (r0, J0), (r1, J1) in zip(*raw(z), strict=True):
@@ -301,7 +302,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         means, apart = ([(a + sign * b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)] for sign in (1, -1))
         variances = np.array([variance_of([one[:, i] for one in means]) for i in range(groups)])
     residual, noise = (float(np.sqrt(np.mean(np.concatenate(one)[:, 0] ** 2))) for one in (means, apart))
-    bands = friction_places(problem)  # least ones have no derivative; the covariance is that at its edge
+    bands = friction_places(problem)  # at the bound there is no derivative; the covariance is taken at its edge
     z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
     _, gradients, curvature = data(z)
     inverse: Any = np.linalg.inv(curvature + np.eye(count))
@@ -327,7 +328,7 @@ def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:
 
 
 def start(problem: CalibrationProblem, strength: float) -> Floats:
-    """Start of a search, with a strength of all muscles in prior standard deviations: slack ones make local minima."""
+    """Start of a search, with a strength of all muscles in prior standard deviations: slack ones cause local minima."""
     z = np.zeros(parameters(problem))
     z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE)[:, COEFFICIENTS] = strength
     return z
@@ -352,13 +353,13 @@ def minimised(
 
 
 def variance_of(parts: list[Floats]) -> float:
-    """Variance of residuals times the number of samples that are as good as one independent sample."""
+    """Variance of residuals times the number of samples equivalent to one independent sample."""
     total, times = sum(one @ one for one in parts), [correlation_time(one) for one in parts]
     return max(float(total / sum(one.size for one in parts) * np.mean(times)), _LEAST_VARIANCE)
 
 
 def correlation_time(one: Floats) -> float:
-    """Number of samples of residuals that are as good as one independent sample."""
+    """Number of residual samples equivalent to one independent sample."""
     spectrum = np.abs(np.fft.rfft(one, 2 * one.size)) ** 2
     correlation = np.fft.irfft(spectrum)[: one.size]
     correlation /= max(correlation[0], 1e-300)

@@ -29,10 +29,10 @@ from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write
 from mckibben.units import show
 
-_SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness in a part
+_SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
 _FAST, _FAST_SHARE, _FASTEST = 1.0, 0.15, 1.0  # Hz; part of the amplitude; rad/s^2, of the faster motion
-_BAND = 0.7  # part of the attainable stiffness that is swept
-_TAUT = 0.08  # least tension by the model over its highest force at mid contraction: the muscle may be weaker
+_BAND = 0.7  # swept fraction of the attainable stiffness
+_TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
@@ -48,9 +48,9 @@ class Sweeps:
     lowest, highest
         Angles [rad].
     duration
-        Of each part [s].
+        Duration of each part [s].
     added_mass, distance
-        Weight of the second part [kg], and its distance from the axis [m]; without, there is one part.
+        Weight of the second part [kg], and its distance from the axis [m]; without a weight there is one part.
     """
 
     lowest: float
@@ -65,11 +65,11 @@ class Sweeps:
         return (0.0, self.added_mass) if self.added_mass else (0.0,)
 
     def scenarios(self, scenario: Scenario) -> dict[float, Scenario]:
-        """Scenario of each part by its added mass [kg]: sweeps within what the controller's model can hold.
+        """Scenario of each part by its added mass [kg]: sweeps within the attainable set of the controller's model.
 
-        Angles are swept slowly, three times, with a smaller motion of 1 Hz, and the stiffness twice over 70 % of what
-        is attainable at all angles, bare and with the weight; not with a return spring. Raises `ParameterError` if
-        there is nothing in common.
+        Angles are swept slowly, three times, with a smaller motion of 1 Hz, and the stiffness twice over 70 % of the
+        range attainable at all angles, bare and with the weight (but not with a return spring). Raises `ParameterError`
+        if there is no such range.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         low, high = self._attainable(scenario)
@@ -106,7 +106,7 @@ class Sweeps:
         return _general(load.with_weight(added_mass, self.distance))
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
-        """Stiffness [N*m/rad] attainable at all angles with each weight; the first above the second for none."""
+        """Stiffness range [N*m/rad] attainable at all angles with each weight; reversed if empty."""
         joint, load = model_of(scenario), load_of(scenario)
         angles = np.linspace(self.lowest, self.highest, _ANGLES)
         middle = joint.contractions((self.lowest + self.highest) / 2, (0.0, 0.0))
@@ -118,7 +118,7 @@ class Sweeps:
             torque = -self._weighted(load, mass).gravity_torque(jnp.asarray(angles))
             bands += [np.asarray(joint.attainable_stiffness(angles, torque, minimum_tension=least))]
         low, high = np.max([band[0] for band in bands]), np.min([band[1] for band in bands])
-        if any(joint.springs):  # the angle determines it, and none is held at all angles
+        if any(joint.springs):  # the angle determines the stiffness, so none is attainable at all angles
             low = high = np.mean(bands)
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
 
@@ -155,7 +155,7 @@ def model_of(scenario: Scenario) -> AntagonisticJoint:
     if isinstance(model.geometry, ScaledArms) or model.muscle1.correction or model.muscle2.correction:
         raise ParameterError(
             "the controller's model has been calibrated already",
-            remedy="give the scenario with the model before: intervals need its prior",
+            remedy="give the scenario with the initial model: intervals need its prior",
         )
     return model
 
@@ -174,10 +174,10 @@ def run_sweeps(
     ready: Callable[[float], None] | None = None,
     progress: Any = None,
 ) -> list[JointRecording]:
-    """Run all parts of an experiment on a joint rig, the simulated joint unless given, and record them in a folder.
+    """Run all parts of an experiment on a joint rig (default: the simulated joint), and record them in a folder.
 
-    `ready` is called with the added mass [kg] before a part. Raises `StoppedError` if a part is stopped by a limit or a
-    fault; the joint is vented then.
+    `ready` is called with the added mass [kg] before each part. Raises `StoppedError` if a limit or a fault stops a
+    part; the joint is then vented.
     """
     recordings = []
     for mass, part in sweeps.scenarios(scenario).items():
@@ -205,8 +205,8 @@ def read_joint_recording(
 ) -> JointRecording:
     """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
 
-    Commands are in ``command1_bar,command2_bar`` in place of pressures; two columns ``tension1_N,tension2_N`` are those
-    of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
+    Columns ``command1_bar,command2_bar`` give commands instead of pressures, ``tension1_N,tension2_N`` the readings of
+    load cells. A ``result.nc`` of `mckibben rig control` is read as well.
     """
     file = Path(path)
     if file.suffix == ".nc":
@@ -232,7 +232,7 @@ def read_joint_recording(
 
 
 def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
-    """The prior with the fits that the laws of the controller's model are from."""
+    """The prior with the fits behind the laws of the controller's model."""
     model = model_of(scenario)
     files = (origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2))
     first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
@@ -242,19 +242,19 @@ def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
 def calibrate_scenario(
     scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
 ) -> JointCalibration:
-    """The controller's model of a scenario identified from recordings of measured or of commanded pressures."""
+    """Identify the controller's model of a scenario from recordings of measured or commanded pressures."""
     joint, load = model_of(scenario), load_of(scenario)
     prior = with_fits(scenario, prior or JointPrior())
     if not any(one.commanded for one in recordings):
         return calibrate_joint(joint, load, recordings, prior)
     if not all(one.commanded for one in recordings):
-        raise ParameterError("recordings of commands and of measured pressures", remedy="give those of one kind")
+        raise ParameterError("recordings of commands and of measured pressures", remedy="give recordings of one kind")
     valve = scenario.valve
     if not isinstance(valve, FirstOrderValve):
         raise ParameterError(
             "recordings of commands need a valve with a first-order lag",
             field="valve",
-            remedy="give the scenario one that may be, such as `valve: {time_constant: 50 ms}`",
+            remedy="give the scenario a plausible one, such as `valve: {time_constant: 50 ms}`",
         )
     delay = scenario.command_delay
     return calibrate_from_commands(joint, load, valve, recordings, prior, friction=scenario.friction, delay=delay)
@@ -279,7 +279,7 @@ def _numbers(part: Any) -> Any:
 def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
     """Return the scenario with the estimates as its controller's model of joint and load.
 
-    Those from commands are its plant, too.
+    Estimates from commands become its plant, too.
     """
     control, model = scenario.control(), calibrated_model(scenario, found)
     if isinstance(found, CommandedCalibration):
@@ -303,7 +303,7 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
 def expected(
     scenario: Scenario, sweeps: Sweeps, folder: str | os.PathLike[str], prior: JointPrior | None = None
 ) -> tuple[float, float]:
-    """Standard deviation of the stiffness [N*m/rad] before and after an experiment on the model itself, simulated."""
+    """Standard deviation of the stiffness [N*m/rad] before and after an experiment simulated on the model itself."""
     model, load = model_of(scenario), load_of(scenario)
     recordings = run_sweeps(scenario.model_copy(update={"joint": model, "load": load}), sweeps, folder)
     prior = with_fits(scenario, prior or JointPrior())
@@ -323,16 +323,16 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
 
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s"}
 SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
-"""Units of quantities in reports, by those of SI."""
+"""Units of quantities in reports, by SI unit."""
 
 
 def statements(found: JointCalibration, *, weighted: bool) -> list[str]:
-    """Return one sentence for each quantity that is not determined; on the weight only where there was one."""
+    """Return one sentence per quantity that is not determined; the weight is mentioned only if there was one."""
     names = {"added_mass": "the weight", "zero": "the encoder's zero", "arm_scale": "the scale of the moment arms"}
     apart = ("friction.torque", "muscle1.friction", "muscle2.friction")
     together = "friction.total" in found.quantities and found.quantities["friction.total"].determined
     said = [
-        f"{name} cannot be told apart from the other friction; friction.total is determined"
+        f"{name} cannot be distinguished from the other friction; friction.total is determined"
         for name in apart
         if together and name in found.quantities and not found.quantities[name].determined
     ]

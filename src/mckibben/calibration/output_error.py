@@ -1,4 +1,4 @@
-"""Identification of a joint from commanded pressures: its simulated angle is fitted to the recorded one."""
+"""Identification of a joint from commanded pressures: the simulated angle is fitted to the recorded one."""
 
 from __future__ import annotations
 
@@ -44,21 +44,21 @@ from mckibben.numerics.compiled import compiled
 from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
 from mckibben.units import ms
 
-_REST = 3.0  # s after the last change of the commands; samples from then to the next change are left out
-_BEFORE = 0.5  # s before a change that are kept
-_CHANGE = 1e-3  # of the commands, over the highest pressure, that counts as one
+_REST = 3.0  # s after the last change of the commands; later samples, up to the next change, are left out
+_BEFORE = 0.5  # s kept before a change
+_CHANGE = 1e-3  # smallest change of the commands, relative to the highest pressure
 _LONGEST_PERIOD, _LARGEST_GAP = 0.05, 10  # s; periods
 _STEP = 5e-3  # s, of the integration
 _BLOCK = 1024  # samples
 _DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
-_DELAY = 20 * ms  # median before
-_DAMPING_TIME = 1.0  # s, inertia over damping of a load whose model has none
+_DELAY = 20 * ms  # prior median
+_DAMPING_TIME = 1.0  # s, ratio of inertia to damping of a load without damping in the model
 _FIRST_VARIANCE = 0.1**2  # rad^2
-_RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps, as else its derivative is zero
+_RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
 _STRENGTHS, _FIRST, _STAGES, _ITERATIONS = 3, 8, 3, 25
-_FRICTION = 2 * COEFFICIENTS  # place of the half width among a muscle's parameters
-_SHARED = 3  # parameters beside the muscles' that `corrected` has too: the weight, zero and scale of the arms
-_OWN = {  # units, and fields of the prior; those of the friction where the joint has its own
+_FRICTION = 2 * COEFFICIENTS  # index of the half width among a muscle's parameters
+_SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
+_OWN = {  # units, and fields of the prior; the friction's only if the joint has its own friction
     "valve.time_constant": ("s", "lag"),
     "valve.rate": ("Pa/s", "rate"),
     "delay": ("s", "delay"),
@@ -71,7 +71,7 @@ _OWN = {  # units, and fields of the prior; those of the friction where the join
 
 
 class _Motion(NamedTuple):
-    """Equally spaced samples of a recording without its rests."""
+    """Equally spaced samples of a recording, without periods of rest."""
 
     time: Any  # [s], shape (samples,)
     angle: Any  # measured [rad]
@@ -82,7 +82,7 @@ class _Motion(NamedTuple):
 
 
 class SimulatedAngles(NamedTuple):
-    """Times [s] and angles [rad] of a recording, measured, and simulated by the model before and after."""
+    """Times [s] and angles [rad] of a recording, measured and simulated by the model before and after calibration."""
 
     time: Floats
     measured: Floats
@@ -91,22 +91,22 @@ class SimulatedAngles(NamedTuple):
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Root mean square errors [rad] of the model before and after."""
+        """Root mean square errors [rad] of the model before and after calibration."""
         before, after = (float(np.sqrt(np.mean((one - self.measured) ** 2))) for one in (self.before, self.after))
         return before, after
 
 
 class _Simulated(NamedTuple):
-    """A plant with what recordings add to it."""
+    """A plant with the additional quantities of recordings."""
 
     plant: JointPlant
     delay: Any  # of the commands [s]
     zero: Any  # of the encoder [rad]
-    added: Any  # weight over what it is stated to be
+    added: Any  # weight relative to its stated value
 
 
 class _Problem(NamedTuple):
-    """The model whose joint, load and weight `corrected` corrects, its valve, and medians of the own parameters."""
+    """The model whose joint, load and weight `corrected` corrects, its valve, and prior medians of parameters."""
 
     base: CalibrationProblem
     valve: FirstOrderValve
@@ -121,16 +121,16 @@ class CommandedCalibration(JointCalibration):
     Attributes
     ----------
     quantities
-        As those of `JointCalibration`, and ``valve.time_constant``, ``valve.rate``, ``delay``, ``load.damping``,
+        As for `JointCalibration`, and ``valve.time_constant``, ``valve.rate``, ``delay``, ``load.damping``,
         ``load.inertia``, ``load.gravity_torque``, with prior deviations relative to the estimates; no ``load.mass``.
         With friction of the joint ``friction.torque`` and ``friction.presliding``, and ``friction.total`` [N*m], the
         sum of its torque and of the muscles' half widths times their moment arms.
     residual
         Root mean square of the error of the simulated angle [rad].
     valve, delay
-        The valve with the estimates, and the delay [s] of the commands before it.
+        The valve with the estimates, and the delay [s] of its commands.
     friction
-        That of the joint itself with the estimates, None where the model before has none.
+        Friction of the joint itself with the estimates; None if the initial model has none.
     """
 
     valve: FirstOrderValve
@@ -144,7 +144,7 @@ class CommandedCalibration(JointCalibration):
         return JointPlant(self.joint, self.load, self.valve, friction=self.friction, command_delay=self.delay)
 
     def simulate(self, recording: JointRecording) -> SimulatedAngles:
-        """Return angles simulated from the first angle and the commands of a recording, without its rests."""
+        """Return angles simulated from the first angle and the commands of a recording, without periods of rest."""
         motion = _motion(recording, _highest(self.joint))
         zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
         after = _Simulated(dataclasses.replace(self.plant, command_delay=None), self.delay, zero, added)
@@ -170,26 +170,26 @@ def calibrate_from_commands(
     The plant is simulated from the first angle and the commands, and the sum of squares of the angle's error is
     minimised over corrections of the muscles' laws and friction, the scale of the moment arms, inertia, gravity and
     damping of the load, lag and rate limit of the valves, delay of the commands and the encoder's zero, all with
-    Gaussian priors (of valves, delay and load those of their logarithms):
+    Gaussian priors (on the logarithms for valves, delay and load):
 
     .. math:: \sum_k \frac{(\theta_k - \hat\theta_k(z))^2}{\sigma^2} + z^T z
 
     sigma^2 is the variance of the residuals times their correlation time. Samples more than 3 s after the last change
-    of the commands are left out: the joint is at rest there, in the simulation too.
+    of the commands are left out: the joint is then at rest, also in the simulation.
 
     Parameters
     ----------
     joint, load, valve
-        The model before. A muscle without friction gets a band whose width is estimated, a valve without a limit of
-        its rate one that no step exceeds.
+        The initial model. A muscle without friction gets a band with an estimated width, a valve without rate limit one
+        that no step exceeds.
     recordings
         At least one, with commands as `pressures`.
     prior
-        Standard deviations before. Those of a joint whose muscles are little known are larger than the default ones.
+        Prior standard deviations; choose larger ones than the default for a joint with poorly known muscles.
     friction
-        Dry friction of the joint itself, whose torque and presliding angle are then estimated.
+        Dry friction of the joint itself; its torque and presliding angle are then estimated.
     delay
-        Of the commands in the model before [s]; without, its prior is about 20 ms.
+        Delay of the commands in the initial model [s]. Default: a prior about 20 ms.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def calibrate_from_commands(
     problem = _Problem(base, valve, friction, tuple(map(float, medians)))
     z, covariance, residual = _solve(problem, motions)
     full, slope = map(np.asarray, _full_and_slope(base, z))
-    wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # what is not estimated is as before
+    wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # keeps what is not estimated
     found = jax.tree.map(number, _model(problem, jnp.asarray(z)))
     plant, total = found.plant, {}
     if friction is not None:
@@ -237,12 +237,12 @@ def calibrate_from_commands(
 
 
 def _highest(joint: AntagonisticJoint) -> float:
-    """Highest pressure [Pa] of a muscle; that of a return spring is 0."""
+    """Highest pressure [Pa] of a muscle; 0 for a return spring."""
     return max(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))
 
 
 def _motion(recording: JointRecording, highest: float) -> _Motion:
-    """Equally spaced samples, with commands that are constant over each period, without rests."""
+    """Equally spaced samples with commands constant over each period, without periods of rest."""
     if not recording.commanded:
         raise IdentificationError(
             "a recording has measured pressures", remedy="give commands, in columns command1_bar,command2_bar"
@@ -273,7 +273,7 @@ def _motion(recording: JointRecording, highest: float) -> _Motion:
 
 
 def _padded(motion: _Motion) -> _Motion:
-    """A motion that ends with a rest, of a length that others have too: each length is a program of its own."""
+    """A motion padded with rest to a common length: each length needs its own program."""
     more = -motion.angle.size % _BLOCK
     time, angle, commands = (np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, more)], mode="edge") for one in motion[:3])
     return motion._replace(time=time, angle=angle, commands=commands)
@@ -284,7 +284,7 @@ def _substeps(motions: Sequence[_Motion]) -> int:
 
 
 def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
-    """Angle [rad] at the samples, as the encoder reads it."""
+    """Angle [rad] at the samples, as read by the encoder."""
     plant, steps = model.plant, jnp.arange(motion.angle.shape[0])
     plant = dataclasses.replace(plant, load=plant.load.with_weight(model.added * motion.added_mass, motion.distance))
     at = steps - model.delay / motion.period  # between two samples: their mean over the period
@@ -311,9 +311,9 @@ def _angles(problem: _Problem, zs: Any, motion: _Motion, substeps: Any) -> Array
 
 
 def _full(base: CalibrationProblem, z: Array) -> Array:
-    """The parameters of `corrected`: those of the load's mass and of load cells, which are not estimated here, 0.
+    """Parameters of `corrected`; load mass and load cells, not estimated here, are 0.
 
-    Those of the friction's half widths are such that their logarithms are estimated.
+    The friction half widths are estimated by their logarithms.
     """
     count, prior = muscle_parameters(base), base.prior["friction"]
     muscles = z[:count].reshape(-1, OF_MUSCLE)
@@ -360,7 +360,7 @@ def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str
 
 
 def _total_friction(problem: _Problem, plant: JointPlant, z: Floats, covariance: Floats, angle: float) -> JointEstimate:
-    """Torque [N*m] of the friction of joint and muscles at an angle [rad]; logarithms of its parts are estimated."""
+    """Friction torque [N*m] of joint and muscles at an angle [rad]; logarithms of its parts are estimated."""
     assert plant.friction is not None
     prior, own = problem.base.prior, iter(range(muscle_parameters(problem.base) // OF_MUSCLE))
     slope = np.zeros(z.size)
@@ -391,7 +391,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Float
         return angles[0] - measured, (angles[1:] - angles[0]) / _DIFFERENCE
 
     def terms(z: Floats) -> tuple[float, Floats, Floats]:
-        """Objective, its gradient, and its second derivatives without those of the errors."""
+        """Objective, its gradient, and its Gauss-Newton Hessian."""
         error, slope = linearised(z)
         if not (np.isfinite(error).all() and np.isfinite(slope).all()):
             return math.inf, np.zeros(count), np.eye(count)
@@ -406,7 +406,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Float
 
     z = min((begun(strength) for strength in STARTS[:_STRENGTHS]), key=lambda found: found[1])[0]
     if not math.isfinite(terms(z)[0]):
-        raise IdentificationError("the simulated joint diverges", remedy="give a model nearer to the joint")
+        raise IdentificationError("the simulated joint diverges", remedy="give a model closer to the joint")
     error = np.zeros(0)
     for _ in range(_STAGES):
         z, _ = minimised(terms, z, _ITERATIONS)

@@ -52,7 +52,7 @@ def names(kind: str) -> list[str]:
     """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs" or
     "robots".
 
-    Raises `NotInCatalogError` for another one.
+    Raises `NotInCatalogError` for any other kind.
     """
     if kind not in KINDS:
         raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
@@ -60,7 +60,7 @@ def names(kind: str) -> list[str]:
 
 
 def cite(name: str) -> str:
-    """Return the source of an entry, the place in it, and notes."""
+    """Return the source of an entry, the location within it, and notes."""
     found = [
         (publication, publication[kind][name])
         for publication in _publications()
@@ -75,7 +75,7 @@ def cite(name: str) -> str:
 
 
 def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
-    """Return an entry in the units of its source, and the source."""
+    """Return an entry in the units of its source, with the source."""
     for publication in _publications():
         if name in publication.get(kind, {}):
             return publication[kind][name], publication["source"]

@@ -76,7 +76,7 @@ def joint(name: str) -> AntagonisticJoint:
 
 
 def valve(name: str, **others: Any) -> AirValve:
-    """Return a valve such as "festo-mh1", with what its data sheet leaves open: supply [Pa], period [s] of switching.
+    """Return a valve such as "festo-mh1"; supply [Pa] and switching period [s] complete its data sheet.
 
     >>> from mckibben.units import bar, ms
     >>> valve("festo-mh1", supply=7 * bar, period=20 * ms)
@@ -89,7 +89,7 @@ def valve(name: str, **others: Any) -> AirValve:
 
 
 def valve_section(name: str) -> dict[str, Any]:
-    """Return what a scenario's section `valve` gets by `from`, with a conductance where the source has a flow."""
+    """Return the entries that `from` adds to a scenario's `valve` section, a flow converted to a conductance."""
     section = {key: value for key, value in find("valves", name)[0].items() if key != "where"}
     if "nominal_flow" in section:
         flow = quantity(section.pop("nominal_flow"), "m^3/s")
@@ -98,12 +98,12 @@ def valve_section(name: str) -> dict[str, Any]:
 
 
 def leg_section(name: str) -> dict[str, Any]:
-    """Return what a section `leg` gets by `from`."""
+    """Return the entries that `from` adds to a `leg` section."""
     return {key: value for key, value in find("legs", name)[0].items() if key != "where"}
 
 
 def _quantities(kind: type, entry: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a class with the unit of each, in SI."""
+    """Fields of a class with their SI units."""
     return {name: mark.read(entry[name]) for name, mark in field_quantities(kind).items()}
 
 

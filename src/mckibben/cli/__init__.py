@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from mckibben.scenario import Scenario
     from mckibben.simulation import Result
 
-_LONGEST_REASON = 1000  # characters of an exception that is not ours
+_LONGEST_REASON = 1000  # characters of a foreign exception
 
 app = typer.Typer(
     name="mckibben",
@@ -87,14 +87,10 @@ def reproduce(
     if json:
         echo(to_json(done.results()))
         return
-    table(
-        "The paper's claims",
-        ("verdict", "claim", "source"),
-        [
-            ("holds" if claim.holds else "does not hold", claim.claim, claim.source if claim.of_paper else "(ours)")
-            for claim in done.claims
-        ],
-    )
+    for title, claims in (("The paper's claims", done.paper_claims), ("Our own questions", done.questions)):
+        verdicts = [("holds" if claim.holds else "does not hold", claim.claim, claim.source) for claim in claims]
+        table(title, ("verdict", "statement", "source"), verdicts)
+    echo(done.verdict)
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
@@ -114,7 +110,7 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Simulate a scenario: a controller on a joint."""
-    if animate:  # mistakes come before the run
+    if animate:  # report mistakes before the run
         from mckibben.report.animation import animation_format
 
         animation_format(animate)
@@ -135,7 +131,7 @@ def simulate(
         "infeasible": infeasible,
         "metrics": in_shown_units(result.metrics),
     }
-    if out:  # before it is printed: who reads that may have gone
+    if out:  # before printing: the reader of the output may be gone
         with keeping(out):
             _keep_run(out, read, result)
             write_json(out / "results.json", numbers)
@@ -175,7 +171,7 @@ app.add_typer(leg)
 @app.command()
 def web(
     port: Annotated[int, Option(min=1, max=65535, help="Port of the address.")] = 8080,
-    no_browser: Annotated[bool, Option("--no-browser", help="Open no browser.")] = False,
+    no_browser: Annotated[bool, Option("--no-browser", help="Do not open a browser.")] = False,
 ) -> None:
     """Serve a page on this machine: identify a muscle, design a joint, run it."""
     try:
@@ -241,7 +237,7 @@ def _root(
     version: Annotated[bool, Option("--version", help="Print the version.")] = False,
     extension: Annotated[
         list[Path] | None,
-        Option(metavar="FILE.py", help="Python file with classes of one's own; runs it. Repeat for several."),
+        Option(metavar="FILE.py", help="Python file with user-defined classes, which is executed; repeatable."),
     ] = None,
 ) -> None:
     if version:
@@ -257,7 +253,7 @@ def main() -> None:
     """Run the command line: exit code 2 with a message for bad input, 1 for other failures, 130 after Ctrl-C."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # for names that the encoding of the terminal lacks
+            stream.reconfigure(errors="backslashreplace")  # for names outside the terminal's encoding
     warnings.showwarning = _show_warning
     with _interrupts() as interrupts:
         code = _run(interrupts)
@@ -286,15 +282,15 @@ def _run(interrupts: list[int]) -> int:
         return _failed(f"error: {on_command_line(str(error))}", 2)
     except OSError as error:
         if error.filename is None and error.errno in (errno.EPIPE, errno.ENOSPC, errno.EIO):
-            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 (what is left is not tried again)
-            return _failed(f"failed: not all could be printed: {error.strerror}", 1)
+            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 (the rest is not retried)
+            return _failed(f"failed: the output is incomplete: {error.strerror}", 1)
         return _failed(f"error: {error}", 1 if error.errno in (errno.ENOSPC, errno.EIO) else 2)
     except Exception as error:
-        if interrupts:  # for example an import that was broken off
+        if interrupts:  # for example an interrupted import
             return INTERRUPTED
         if os.environ.get("MCKIBBEN_DEBUG"):
             raise
-        advice = "Please report it, with what the same command prints under MCKIBBEN_DEBUG=1."
+        advice = "Please report it, with the output of the same command under MCKIBBEN_DEBUG=1."
         reason = printable(str(error), _LONGEST_REASON)
         return _failed(f"failed: {type(error).__name__}: {reason}\nThis is a fault of mckibben. {advice}", 1)
     return 0
@@ -308,9 +304,9 @@ def _failed(text: str, code: int) -> int:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Record each Ctrl-C, which raises `KeyboardInterrupt`; where it is ignored or handled already, it stays so.
+    """Record each Ctrl-C, which raises `KeyboardInterrupt`, unless it is already ignored or handled.
 
-    During an import it ends the process, as a kill would: compiled modules crash when their import is broken off.
+    During an import it kills the process: compiled modules crash if their import is interrupted.
     """
     found: list[int] = []
 

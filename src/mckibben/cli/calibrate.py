@@ -1,4 +1,4 @@
-"""`mckibben calibrate`: the controller's model identified on the joint."""
+"""`mckibben calibrate`: identification of the controller's model on the joint."""
 
 from __future__ import annotations
 
@@ -62,13 +62,14 @@ def calibrate(
         str, Option(metavar="PERCENT", help="Standard deviation of the strength of the model's muscles.")
     ] = "10 %",
     plan: Annotated[
-        bool, Option("--plan", help="Show the expected accuracy for other weights and durations; move nothing.")
+        bool,
+        Option("--plan", help="Show the expected accuracy for other weights and durations, without moving the joint."),
     ] = False,
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder of records, model and figure.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Identify the controller's model of the joint on the joint, with a known weight: the stiffness it has then.
+    """Identify the controller's joint model on the joint, with a known weight, and report its stiffness.
 
     Exit codes: 0 done, 1 stopped (the joint is vented), 2 refused before anything moved.
     """
@@ -78,7 +79,7 @@ def calibrate(
         raise ParameterError("--weight and --distance go together", remedy="give both, such as '0.5 kg' and '200 mm'")
     for name, given, text in (("--weight", mass, weight), ("--distance", at, distance)):
         if text and not given > 0:
-            raise ParameterError(f"{name} is {quoted(text)}", value=given, remedy="give it above 0")
+            raise ParameterError(f"{name} is {quoted(text)}", value=given, remedy="give a value above 0")
     low, high = parse_limits("--angles", angles, "rad")
     seconds = parse_quantity("--duration", duration, "s")
     if not _LEAST <= seconds <= _MOST:
@@ -129,7 +130,7 @@ def _measured(scenario: Scenario, sweeps: Sweeps, out: Path, rig: Path | None, q
     names = ("bare", "weighted")
     if any(segments(out / name) for name in names if (out / name).is_dir()):
         remedy = f"use them with --recording {out}/bare/result.nc, or choose another folder"
-        raise ParameterError(f"{out} holds records already", remedy=remedy)
+        raise ParameterError(f"{out} already contains records", remedy=remedy)
 
     def ready(mass: float) -> None:
         what = f"the weight of {mass:g} kg is clipped on" if mass else "no weight is on the limb"
@@ -161,7 +162,7 @@ def _report(
     commanded = any(one.commanded for one in recordings)
     if held_out and not (commanded and all(one.commanded for one in held_out)):
         raise ParameterError(
-            "--held-out is for recordings of commands", remedy="give columns command1_bar,command2_bar in all files"
+            "--held-out applies to recordings of commands", remedy="give columns command1_bar,command2_bar in all files"
         )
     found = calibrate_scenario(scenario, recordings, prior)
     simulated: list[dict[str, Any]] = []
@@ -256,7 +257,7 @@ def _plan(scenario: Scenario, sweeps: Sweeps, prior: JointPrior, json: bool) -> 
         echo(to_json(rows))
         return
     table(
-        "expected standard deviation of the stiffness, if the joint were the model",
+        "expected standard deviation of the stiffness if the model were exact",
         ("weight", "duration", "before, N*m/rad", "after, N*m/rad"),
         [
             (f"{r['weight_kg']:g} kg", f"{r['duration_s']:g} s", f"{r['before']:.2g}", f"{r['deviation']:.2g}")

@@ -1,4 +1,4 @@
-"""`mckibben compare`: controllers tuned with one budget and compared on the same unseen runs."""
+"""`mckibben compare`: controllers tuned with the same budget and compared on the same unseen runs."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def compare(
     if not resume:
         if searches.is_dir() and any(searches.glob("*.journal")):
             remedy = "continue them with --resume, or choose another folder"
-            raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
+            raise FileError(str(searches), [Problem("search histories already exist", remedy=remedy)])
         check_free(out, _KEPT)
     make_folder(out)
     for name in ("tuning", "figures"):
@@ -87,9 +87,9 @@ def _alone(out: Path, repeat: str) -> str:
     from mckibben.study.benchmark import draw
     from mckibben.study.benchmark.benchmark import read_runs
 
-    kept = out / "runs.nc"  # it has a checksum
+    kept = out / "runs.nc"  # verified by its checksum
     if not kept.is_file():
-        raise ParameterError(f"{out} holds no comparison", remedy="run it first, without --repeat")
+        raise ParameterError(f"{out} does not contain a comparison", remedy="run it first, without --repeat")
     suite, tuned, count = read_runs(kept)
     name, _, run = repeat.rpartition(" ")
     if name not in tuned:
@@ -146,7 +146,7 @@ def _tables(numbers: dict[str, Any]) -> None:
     )
     if at_air := numbers["at_air_of_first"]:
         table(
-            f"at no more air than {first} as tuned ({metric('air_L', at_air['air_L'])} L in the training runs)",
+            f"at no more air than the tuned {first} ({metric('air_L', at_air['air_L'])} L in the training runs)",
             ("controller", "angle rmse, deg", "95 %", f"x {first}", "95 % interval", "air, L", "diverged"),
             [
                 (

@@ -25,10 +25,10 @@ def export(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario or leg; see examples/.")],
     to: Annotated[str, Option(metavar="FORMAT", help=_FORMATS)],
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
-    name: Annotated[str, Option(metavar="NAME", help="Of the program or model.")] = "",
-    single: Annotated[bool, Option("--single", help="Numbers of 32 bits, of c: for processors without 64.")] = False,
+    name: Annotated[str, Option(metavar="NAME", help="Name of the program or model.")] = "",
+    single: Annotated[bool, Option("--single", help="32-bit numbers, of c: for processors without 64.")] = False,
     fmi: Annotated[
-        float | None, Option(metavar="VERSION", help="Version of FMI, 2 or 3, of FMUs. Default: 2.", show_default=False)
+        float | None, Option(metavar="VERSION", help="FMI version of FMUs, 2 or 3. Default: 2.", show_default=False)
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -55,16 +55,16 @@ def export(
 
 
 def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: float | None, force: bool) -> Exported:
-    """A leg, which MuJoCo alone can hold."""
+    """Export a leg, which only MuJoCo supports."""
     if to != "mjcf" or single:
         raise ParameterError(
-            f"a leg cannot be written as {quoted(to)}{' of 32 bits' if single else ''}",
+            f"a leg cannot be written as {quoted(to)}{' in 32 bits' if single else ''}",
             field="to",
             value=to,
             remedy="give --to mjcf, or a scenario of a joint",
         )
     if fmi is not None:
-        raise ParameterError("a leg is no FMU", field="fmi", value=fmi, remedy="leave it out")
+        raise ParameterError("a leg cannot be an FMU", field="fmi", value=fmi, remedy="leave it out")
     from mckibben.export.leg_mjcf import export_leg
     from mckibben.leg import LegScenario
 

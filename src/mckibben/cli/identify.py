@@ -1,4 +1,4 @@
-"""`mckibben points`, `identify` and `validate`: points of recordings, force laws, and their validation."""
+"""`mckibben points`, `identify` and `validate`: points from recordings, force laws, and their validation."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def points(
     dwell: Annotated[str, Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
     settle: Annotated[str, Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
     gap: Annotated[str, Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals).")] = "",
-    sample_rate: Annotated[str, Option(metavar="RATE", help="Of a file without times, such as '1000 Hz'.")] = "",
+    sample_rate: Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
@@ -144,7 +144,7 @@ def _show_points(read: Recording, found: ExtractedPoints, path: Path, json: bool
     shown = [tuple(map(format, row, formats)) for row in rows[:_SHOWN]]
     more = f" (first {_SHOWN} shown)" if len(rows) > _SHOWN else ""
     table(
-        f"{path.name}: {len(rows)} points of {len(read)} samples{more}",
+        f"{path.name}: {len(rows)} points from {len(read)} samples{more}",
         ("time s", "pressure bar", "contraction %", "force N", "spread N", "samples", "direction"),
         shown,
     )
@@ -212,7 +212,7 @@ def identify(
         str,
         Option("--friction", metavar="FORM", help="Form of friction of --hysteresis (default: by held-out loops)."),
     ] = "",
-    no_drift: Annotated[bool, Option("--no-drift", help="Estimate no drift with --hysteresis.")] = False,
+    no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
@@ -224,9 +224,9 @@ def identify(
 ) -> None:
     """Fit a force law to measured points: estimates with standard errors, and cross-validation errors.
 
-    With --law all every law is fitted, and they are ranked by cross-validation over pressures, inner contractions,
-    directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown.
-    With --hysteresis the friction between loading and unloading is identified with the law.
+    With --law all, every law is fitted, and laws are ranked by cross-validation over pressures, inner contractions,
+    directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown. With
+    --hysteresis the friction between loading and unloading is identified with the law.
     """
     figures = ("fit", "bands", "loops", "ranking")
     names = [f"{name}{end}" for name in figures for end in (".png", ".svg")]
@@ -280,7 +280,7 @@ def identify(
 
 
 def _keep_muscle(out: Path, data: str, points: IsobaricDataset, friction: MaxwellSlip | None = None) -> str:
-    """Write the muscle's file beside its fit; text on what was written, or why not."""
+    """Write the muscle file next to its fit; return a note on what was written, or why not."""
     from mckibben.scenario import muscle_text
 
     attrs = points.table.attrs
@@ -301,12 +301,12 @@ def _friction_form(text: str) -> FrictionForm:
     except ValueError:
         forms = ", ".join(form.value for form in FrictionForm)
         raise ParameterError(
-            f"--friction {text!r} is no form of friction", value=text, remedy=f"take {forms}"
+            f"--friction {text!r} is not a form of friction", value=text, remedy=f"take {forms}"
         ) from None
 
 
 def validate(
-    law: Annotated[str, Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
+    law: Annotated[str, Argument(metavar="LAW", help="A fit file, a law from the catalog, or 'chou'.")],
     data: Data,
     specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",

@@ -124,7 +124,7 @@ def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
 
 
 def _check_animation(path: Path | None, force: bool) -> None:
-    """Raise before the computation where an animation cannot be written."""
+    """Raise an error before the computation if an animation cannot be written."""
     if path is not None:
         from mckibben.report.animation import animation_format
 

@@ -1,4 +1,4 @@
-"""Options, tables, progress and the skeleton of long jobs that the commands share."""
+"""Shared options, tables, progress and skeleton of long jobs."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Json = Annotated[bool, Option("--json", help="Print machine-readable results ins
 Out = Annotated[Path | None, Option("--out", metavar="DIR", help="Write results, figures and data here.")]
 Data = Annotated[str, Argument(metavar="DATA", help="A data file, or the name of a dataset in the catalog.")]
 InitialLength = Annotated[
-    str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', where a file has lengths.")
+    str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', if the file has lengths.")
 ]
 SlackForce = Annotated[
     str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
 ]
-ForceSign = Annotated[int, Option(metavar="1|-1", help="-1 for a load cell that shows a pull as negative.")]
+ForceSign = Annotated[int, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")]
 Column = Annotated[
     list[str] | None, Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable.")
 ]
@@ -40,11 +40,11 @@ Known = Annotated[
     list[str] | None,
     Option(
         metavar="NAME",
-        help="Varied plant parameter that the controller's model follows, or 'all'; repeatable. By default the "
+        help="Varied plant parameter that the controller's model follows, or 'all'; repeatable. Default: the "
         "controller's model keeps the values of the file.",
     ),
 ]
-SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows that contain no number, and report them.")]
+SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows without numbers, and report them.")]
 
 
 def read_data(
@@ -56,7 +56,7 @@ def read_data(
     *,
     skip_corrupt: bool = False,
 ) -> IsobaricDataset:
-    """Read a data file or a dataset of the catalog; ignored columns and preprocessing go to standard error."""
+    """Read a data file or a dataset from the catalog; report ignored columns and preprocessing on standard error."""
     from mckibben.study.inputs import data_named
 
     found = data_named(
@@ -74,7 +74,7 @@ def read_data(
 
 
 def report_ignored_columns(attributes: Mapping[str, Any]) -> None:
-    """Report the columns of a file that were not read, on standard error."""
+    """Report unread columns of a file on standard error."""
     ignored = attributes.get("ignored_columns")
     if ignored:
         echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
@@ -84,17 +84,17 @@ _BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+) \(command line: ([^)]*)\
 
 
 def on_command_line(text: str) -> str:
-    """A message with remedies in terms of the command line in place of Python's."""
+    """A message with remedies in command-line terms instead of Python's."""
     return _BOTH_REMEDIES.sub(r"\1", text)
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Print a text; what a terminal would obey, such as escape sequences in names, is escaped."""
+    """Print text; control characters, such as escape sequences in names, are escaped."""
     typer.echo(printable(text), err=err, nl=nl)
 
 
 def notify(text: str, json: bool) -> None:
-    """Print a message; on standard error where standard output is JSON."""
+    """Print a message, on standard error if standard output is JSON."""
     echo(text, err=json)
 
 
@@ -131,7 +131,7 @@ def parse_optional_quantity(option: str, text: str, unit: str) -> float | None:
 
 
 def check_choice(name: str, choices: Iterable[str], what: str) -> None:
-    """Raise if a name is none of the choices."""
+    """Raise an error if a name is not one of the choices."""
     if name not in choices:
         raise ParameterError(f"{name!r} is not {what}", value=name, remedy=f"choose one of {', '.join(choices)}")
 
@@ -201,7 +201,7 @@ Force = Annotated[bool, Option("--force", help="Replace the results of an earlie
 
 
 def results_folder(out: Path | None, names: Iterable[str], force: bool) -> None:
-    """Make the folder of the results before they are computed; `FileError` if it has some and `force` is not set."""
+    """Create the results folder before the computation; `FileError` if it contains results and `force` is not set."""
     if out is not None:
         make_folder(out)
         if not force:
@@ -210,7 +210,7 @@ def results_folder(out: Path | None, names: Iterable[str], force: bool) -> None:
 
 @contextmanager
 def keeping(out: Path, remedy: str = "make room, and run it again with --force") -> Iterator[None]:
-    """Say which results are kept where not all can be written: the disk is full, or the folder has vanished."""
+    """Report which results are kept if writing fails: the disk is full, or the folder has disappeared."""
     begun = time.time()
 
     def kept() -> str:
@@ -222,12 +222,12 @@ def keeping(out: Path, remedy: str = "make room, and run it again with --force")
 
 
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, by the convention of shells."""
+"""Exit code after Ctrl-C, by shell convention."""
 
 
 @contextmanager
 def job_progress(*, quiet: bool, width: int = 40) -> Iterator[Callable[[str, float], None] | None]:
-    """Progress bar that appears with the first report, None if `quiet`: errors in the options come before it."""
+    """Progress bar that appears with the first report, after errors in the options; None if `quiet`."""
     if quiet:
         yield None
         return
@@ -244,7 +244,7 @@ def job_progress(*, quiet: bool, width: int = 40) -> Iterator[Callable[[str, flo
 
 @contextmanager
 def long_job(*, quiet: bool, kept: str) -> Iterator[Callable[[str, float], None] | None]:
-    """Skeleton of a long command: progress, and after Ctrl-C exit code 130 with a message of what is kept."""
+    """Skeleton of a long command: progress, and after Ctrl-C exit code 130 with a message on the kept results."""
     try:
         with job_progress(quiet=quiet) as report:
             yield report

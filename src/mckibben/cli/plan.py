@@ -57,22 +57,22 @@ def plan(
     ] = "force",
     points: Annotated[int, Option(metavar="N", help="Number of points.")] = 8,
     joint: Annotated[
-        str, Option(metavar="JOINT", help="Joint of stiffness and torque: of the catalog, or a scenario file.")
+        str, Option(metavar="JOINT", help="Joint for stiffness and torque: from the catalog, or a scenario file.")
     ] = "knee-table-2",
     contraction: Annotated[str, Option(metavar="RANGE", help="Limits, '0..20 %' (default: the specimen's).")] = "",
     pressure: Annotated[str, Option(metavar="RANGE", help="Limits, '1..6 bar' (default: the specimen's).")] = "",
     contraction_step: Annotated[str, Option(metavar="STEP", help="Resolution, '0.5 %' or '1 mm' (default).")] = "",
     pressure_step: Annotated[str, Option(metavar="STEP", help="Resolution of the rig's pressure.")] = "0.25 bar",
     directions: Annotated[
-        str, Option(metavar="|".join(_DIRECTIONS), help="Directions that the rig measures.")
+        str, Option(metavar="|".join(_DIRECTIONS), help="Directions in which the rig measures.")
     ] = "both",
-    repeats: Annotated[int, Option(metavar="N", help="How often a point may be planned.")] = 2,
+    repeats: Annotated[int, Option(metavar="N", help="Maximum repetitions of a point.")] = 2,
     friction: Annotated[bool | None, Option(help="Friction is unknown (default: if directions are recorded).")] = None,
     noise: Annotated[str, Option(metavar="FORCE", help="Error of a point (default: from the residuals).")] = "",
     stroke_error: Annotated[str, Option(metavar="FORCE", help="Error of a stroke (default: from the residuals).")] = "",
     guess: Annotated[
         str,
-        Option(metavar="LAW", help="Fit file or law of the catalog to linearise about where the data determine none."),
+        Option(metavar="LAW", help="Fit file or catalog law to linearise about if the data do not determine one."),
     ] = "",
     specimen: Annotated[
         str, Option(metavar="NAME", help="Specimen, or its file (default: the one named in the data).")
@@ -145,7 +145,7 @@ def _show(found: ExperimentPlan, specimen: str) -> None:
 
 
 def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domain | None:
-    """Design region; a limit that is not given is the specimen's."""
+    """Design region; missing limits are the specimen's."""
     if not contraction and not pressure:
         return None
     from mckibben.muscle import Domain
@@ -187,7 +187,7 @@ def stiffness(
     out: Out = None,
     force: Force = False,
 ) -> None:
-    """Test the stiffness of a joint over size and rate of a motion, at the setpoint that its controller holds."""
+    """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller."""
     results_folder(out, ("results.json", "stiffness.png", "stiffness.svg"), force)
     sizes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
     from mckibben.component.checks import check_positive
@@ -227,7 +227,7 @@ def envelope(
         str, Option(metavar="FRACTION", help="Margin of nearest references to both ends of the stiffness band.")
     ] = "5 %",
     smoothing: Annotated[
-        str, Option(metavar="TIME", help="Smoothing of jumps and corners; the narrowest trackable one unless given.")
+        str, Option(metavar="TIME", help="Smoothing of jumps and corners. Default: the narrowest trackable one.")
     ] = "",
     design: Annotated[
         str | None,
@@ -242,7 +242,7 @@ def envelope(
         ),
     ] = None,
     torque_reserve: Annotated[
-        str, Option(metavar="TORQUE", help="Torque of a design in either direction beyond that against gravity.")
+        str, Option(metavar="TORQUE", help="Torque of a design in either direction in excess of gravity.")
     ] = "0 N*m",
     minimum_tension: Annotated[str, Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
     json: Json = False,
@@ -259,7 +259,7 @@ def envelope(
     tension = parse_quantity("--minimum-tension", minimum_tension, "N")
     if design is None and (vary or reserve or tension):
         raise ParameterError(
-            "--vary, --torque-reserve and --minimum-tension are for a design",
+            "--vary, --torque-reserve and --minimum-tension apply to a design",
             remedy="add --design 'stiffness 12..18 N*m/rad over -20..20 deg'",
         )
     if design is not None and not vary:
@@ -331,5 +331,5 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         echo(found.describe())
     if out:
         if "design.yaml" not in names:
-            echo("no scenario written: a length belongs to a specimen or a geometry of the catalog", err=True)
+            echo("no scenario written: a length belongs to a specimen or a geometry in the catalog", err=True)
         notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)

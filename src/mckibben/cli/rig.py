@@ -44,8 +44,8 @@ def control(
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder of record and results.")] = None,
     rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
     unpaced: Annotated[bool, Option("--unpaced", help="Run the simulated joint as fast as possible.")] = False,
-    ideal: Annotated[bool, Option("--ideal", help="Ideal sensors, and the start of `mckibben simulate`.")] = False,
-    duration: Annotated[str, Option(metavar="TIME", help="Duration, '60 s'; else the scenario's.")] = "",
+    ideal: Annotated[bool, Option("--ideal", help="Ideal sensors, and the same start as `mckibben simulate`.")] = False,
+    duration: Annotated[str, Option(metavar="TIME", help="Duration, such as '60 s'. Default: the scenario's.")] = "",
     json: Json = False,
 ) -> None:
     """Run a scenario's controller on a joint in real time, and record it. Ctrl-C stops it and vents.
@@ -64,7 +64,7 @@ def control(
     read = _with_duration(Scenario.read(scenario), parse_optional_quantity("--duration", duration, "s"))
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.nidaqmx is not None and unpaced:
-        raise ParameterError("--unpaced is for the simulated joint", remedy="leave it out")
+        raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
     check_free(make_folder(out), (*_KEPT, "record-0001.chunks"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
@@ -77,7 +77,7 @@ def control(
             echo(str(stopped), err=True)
             raise typer.Exit(1) from None
     error = ran.outcome.error
-    if error is not None:  # before the results, for which the disk may be full
+    if error is not None:  # before the results, as the disk may be full
         echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
     _report(ran, session, out, paced=not unpaced, json=json)
     if error is not None:
@@ -87,12 +87,12 @@ def control(
 
 
 def _with_duration(scenario: Scenario, duration: float | None) -> Scenario:
-    """Scenario with another duration [s]."""
+    """Scenario with a new duration [s]."""
     if duration is None:
         return scenario
     from mckibben.simulation.problem import sampling_times
 
-    sampling_times(duration, scenario.control_period)  # raises where they make no sense together
+    sampling_times(duration, scenario.control_period)  # raises an error if they are inconsistent
     return scenario.model_copy(update={"duration": duration})
 
 
@@ -145,7 +145,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
 
 
 class _Line:
-    """Progress line, written by a thread of the loop's priority, which could wait for one of less."""
+    """Progress line, written by a thread with the loop's priority, as the loop could wait for one of lower priority."""
 
     def __init__(self) -> None:
         self._shown: RunProgress | None = None
@@ -159,7 +159,7 @@ class _Line:
             self._thread.start()
 
     def close(self) -> None:
-        """Write the last progress, and end."""
+        """Write the last progress and end."""
         self._over.set()
         if self._thread is not None:
             self._thread.join()
@@ -212,7 +212,7 @@ def run(
     protocol: Protocol,
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder of protocol, record and dataset.")] = None,
     resume: Annotated[bool, Option("--resume", help="Resume the test in DIR at the next point.")] = False,
-    dry_run: Annotated[bool, Option("--dry-run", help="Print steps, duration and violations; move nothing.")] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="Print steps, duration and violations, without moving.")] = False,
     standing_at: Annotated[
         str, Option(metavar="CONTRACTION", help="With --resume: position of the motor, if unknown.")
     ] = "",
@@ -229,7 +229,7 @@ def run(
 
     standing = parse_optional_quantity("--standing-at", standing_at, "1")
     if standing is not None and not resume:
-        raise ParameterError("--standing-at is for a test that is resumed", remedy="add --resume")
+        raise ParameterError("--standing-at applies to a resumed test", remedy="add --resume")
     test, document = read_test(protocol)
     checked = check(test, document, source=str(protocol), session=len(segments(out)) if out else 0)
     if dry_run:
@@ -238,7 +238,7 @@ def run(
         echo(to_json(_numbers(checked)) if json else checked.describe())
         return
     if out is None:
-        raise FileError(str(protocol), [Problem("needs a folder to record to", remedy="add --out DIR, or --dry-run")])
+        raise FileError(str(protocol), [Problem("needs a folder for the record", remedy="add --out DIR, or --dry-run")])
     from mckibben.study.rig.running import data_name, run_test
 
     begun = time.monotonic()
@@ -260,7 +260,7 @@ def run(
 
 @rig.command()
 def data(folder: Annotated[Path, Argument(metavar="DIR", help="A folder of `rig run --out`.")]) -> None:
-    """Make the dataset of a test from its record, finished or not."""
+    """Make the dataset of a test from its record, complete or not."""
     from mckibben.study.rig.running import gather
 
     echo(repr(gather(folder)))
@@ -318,7 +318,7 @@ def _progress_line(checked: CheckedTest, *, quiet: bool) -> Iterator[ProgressCal
                 return
             last[0] = wall
             latest = progress.latest
-            bars(  # 80 columns hold it
+            bars(  # fits 80 columns
                 f"{latest.pressure / bar:5.2f} bar {latest.force:6.1f} N {progress.contraction / percent:5.1f} %  "
                 f"{progress.points}/{total}  {time_text(found.duration * (1 - part))} left",
                 part,

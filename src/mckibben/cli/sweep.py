@@ -41,7 +41,7 @@ def sweep(
     known: Known = None,
     list_: Annotated[bool, Option("--list", help="List the parameters that can be varied, and exit.")] = False,
     design: Annotated[str | None, Option(metavar="KIND", help="Design: sobol (default), random or grid.")] = None,
-    samples: Annotated[int | None, Option(metavar="N", help="Number of runs (default 1024), not of a grid.")] = None,
+    samples: Annotated[int | None, Option(metavar="N", help="Number of runs (default 1024), not for a grid.")] = None,
     seed: Annotated[int | None, Option(metavar="N", help="Seed of the design (default 0).")] = None,
     metrics: Annotated[
         list[str] | None,
@@ -50,7 +50,7 @@ def sweep(
     precision: Annotated[
         int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 5 digits, fewer with an encoder.")
     ] = None,
-    out: Annotated[Path | None, Option(metavar="DIR", help="Output folder, for each finished block.")] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Output folder; each finished block is stored.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the sweep in DIR with its options.")] = False,
     dask: Annotated[
         str | None,
@@ -148,19 +148,19 @@ def tune(
     ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
     method: Annotated[str, Option(metavar="|".join(_METHODS), help="Search method.")] = "gradient",
     margin: Annotated[
-        float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains so many times larger.")
+        float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains larger by this factor.")
     ] = 1.5,
     worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario or condition, not the mean.")] = False,
     conditions: Annotated[
         list[str] | None,
         Option(
             metavar="'NAME=RANGE'",
-            help="Parameter, such as 'load.mass2=+-50 %', whose draws all are simulated for each point; repeatable.",
+            help="Parameter, such as 'load.mass2=+-50 %'; all its draws are simulated for each point; repeatable.",
         ),
     ] = None,
     draws: Annotated[int | None, Option(metavar="N", min=1, help="Draws of the conditions; default: 16.")] = None,
     percentile: Annotated[
-        float | None, Option(metavar="PERCENT", help="Minimise the cost that so many conditions do not exceed.")
+        float | None, Option(metavar="PERCENT", help="Minimise this percentile of the cost over the conditions.")
     ] = None,
     starts: Annotated[int, Option(metavar="N", help="Starting points of the gradient method.")] = 4,
     iterations: Annotated[int, Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
@@ -183,7 +183,7 @@ def tune(
     ranges = parse_ranges(parameters or [], read[0])
     asked = parse_cost(cost, gain_margin=margin, worst=worst, percentile=percentile)
     if not conditions and (draws is not None or (percentile is not None and len(read) == 1)):
-        raise ParameterError("--draws and --percentile are for conditions", remedy="add --conditions 'NAME=RANGE'")
+        raise ParameterError("--draws and --percentile apply to conditions", remedy="add --conditions 'NAME=RANGE'")
     drawn = sample(parse_sweeps(conditions, read[0]), samples=draws or 16, seed=seed) if conditions else {}
     for name, values in drawn.items():
         if len(values) > 1 and values.min() == values.max():
@@ -322,7 +322,7 @@ def _metrics(scenario: Scenario) -> dict[str, float]:
 
 
 def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:
-    """Write the tuned scenarios, editing the user's text in place where its relative paths still hold."""
+    """Write the tuned scenarios, editing the user's text in place if its relative paths remain valid."""
     from mckibben.scenario import Scenario, edit_scenario
 
     names = _tuned_names(paths)
@@ -333,7 +333,7 @@ def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[s
                 with atomic_write(out / name, overwrite=True) as part:
                     part.write_text(text, encoding="utf-8")
                 continue
-        scenario.to_yaml(out / name)  # a relative path in the text does not hold in the new folder
+        scenario.to_yaml(out / name)  # a relative path in the text is invalid in the new folder
     return names
 
 

@@ -1,4 +1,4 @@
-"""Functions of the project as programs in C99 and JavaScript, emitted from their jaxprs."""
+"""Code generation: JAX functions as C99 and JavaScript programs, emitted from their jaxprs."""
 
 from mckibben.codegen.c import write_c
 from mckibben.codegen.javascript import write_js

@@ -1,4 +1,4 @@
-"""Rules of the primitives that compute, reduce or move the elements of arrays."""
+"""Rules for the primitives that compute, reduce or move array elements."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Array = Any  # an array of values
 
 
 class ArrayRules:
-    """A rule for each primitive: its parameters, the kind and shape of the result, and the arguments."""
+    """One rule per primitive; takes its parameters, the kind and shape of the result, and the arguments."""
 
     _graph: Graph
 
     def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
-        if not any(one.ndim for one in arrays):  # nearly always
+        if not any(one.ndim for one in arrays):  # the common case
             result = np.empty((), object)
             result[()] = function(*(one[()] for one in arrays))
             return result
@@ -101,7 +101,7 @@ class ArrayRules:
             result = self._graph.operation("shift_right", kind, x, places)
             if places.constant is None:
                 return result
-            rest = self._graph.constant((1 << (64 - places.constant)) - 1, kind)  # of a word of 64 bits
+            rest = self._graph.constant((1 << (64 - places.constant)) - 1, kind)  # of a 64-bit word
             return self._graph.operation("and", kind, result, rest)
 
         return self._elementwise(shifted, x, places)
@@ -185,7 +185,7 @@ class ArrayRules:
 
 
 def array_of(shape: tuple[int, ...], value: Callable[[tuple[int, ...]], Value]) -> Array:
-    """Array of values, by their place."""
+    """Array of values, by position."""
     result = np.empty(shape, object)
     for at in np.ndindex(*shape):
         result[at] = value(at)

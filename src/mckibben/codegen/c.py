@@ -1,4 +1,4 @@
-"""C99 of a module: a header with its structures, and a source file without memory allocation or recursion."""
+"""C99 writer: a header with structures, and a source file without memory allocation or recursion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mckibben.codegen.precision import wide_inputs, wide_values
 from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, inputs_of, is_scalar
 from mckibben.codegen.writer import Writer
 
-_PARAMETERS = "what can be changed; call prepare afterwards"
+_PARAMETERS = "may be changed; call prepare afterwards"
 _STATE = "from one step to the next"
 _PREPARED = "computed from the parameters"
 
@@ -31,15 +31,16 @@ def write_c(
     wide: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
 ) -> Sources:
-    """Write a module as C99; `units` are of members, by structure and path.
+    """Write a module as C99; `units` of the members, by structure and path.
 
-    In `single` precision numbers are `float`, but for what depends on the arguments `wide` alone, which is `double`.
+    In `single` precision numbers are `float`, except values that depend on the arguments `wide` alone, which are
+    `double`.
     """
     return _Writing(module, comment, single, wide, units or {}).sources()
 
 
 class _Writing:
-    """The text of one module."""
+    """Text of one module."""
 
     def __init__(
         self, module: SourceModule, comment: str, single: bool, wide: Sequence[str], units: Mapping[str, str]
@@ -52,7 +53,7 @@ class _Writing:
         self._wide = wide_inputs(module, wide) if single else frozenset[str]()
         known = wide_values(module, self._wide)
         self._writer = Writer(module.scopes, self._language, module.results(), known, c_language("double"))
-        self._prepared = dict.fromkeys(Kind, 0)  # how many numbers are prepared
+        self._prepared = dict.fromkeys(Kind, 0)  # number of prepared values
 
     def sources(self) -> Sources:
         """Header and source."""
@@ -84,8 +85,8 @@ class _Writing:
                 "#include <stdbool.h>\n#include <stdint.h>\n",
                 '#ifdef __cplusplus\nextern "C" {\n#endif\n',
                 *structures,
-                f"/* the parameters with which this was made, and prepare */\nvoid {name}_defaults({name} *self);\n",
-                f"/* to be called after parameters were changed */\nvoid {name}_prepare({name} *self);\n",
+                f"/* set the default parameters, and prepare */\nvoid {name}_defaults({name} *self);\n",
+                f"/* call after changing parameters */\nvoid {name}_prepare({name} *self);\n",
                 *(f"/* {one.text} */\n{self._signature(one)};\n" for one in module.functions),
                 "#ifdef __cplusplus\n}\n#endif\n\n#endif\n",
             ]
@@ -114,7 +115,7 @@ class _Writing:
         return "\n".join([f"void {name}_defaults({name} *self)", "{", *lines, f"    {name}_prepare(self);", "}\n"])
 
     def _prepare(self) -> str:
-        """The function that computes what depends on parameters alone."""
+        """Function that computes the values that depend on parameters alone."""
 
         def stored(value: Value) -> str:
             self._prepared[value.kind] += 1
@@ -143,7 +144,7 @@ class _Writing:
         return f"{'const ' if given else ''}{self._name}_{name} *{name}"
 
     def _place(self, structure: str, members: Sequence[Member], name: str, *, given: bool) -> str:
-        """Where an element of an argument or of a result is."""
+        """Location of an element of an argument or a result."""
         if structure == "state":
             return f"self->{name}"
         if is_scalar(members):

@@ -1,6 +1,6 @@
-"""C functions of programs of one run: a call of the C library saves all registers, and takes longer.
+"""C functions for single-run programs: calls to the C library save all registers and take longer.
 
-Sine and cosine are the polynomials of `numerics.elementary`; `exp` takes a table: its chain of operations is shorter.
+Sine and cosine are the polynomials of `numerics.elementary`; `exp` uses a table, a shorter chain of operations.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def native_language() -> Language:
 
 @functools.cache
 def definitions() -> str:
-    """The functions that `native_language` calls."""
+    """Functions that `native_language` calls."""
     k = elementary.DOUBLE
     return f"""
 static const double POWERS[{_POINTS}][2] = {{{", ".join(f"{{{high!r}, {low!r}}}" for high, low in _powers())}}};
@@ -72,14 +72,14 @@ static inline double cos_of(double x) {{ return __imag__ sincos_of(x); }}
 
 
 def _powers() -> list[tuple[float, float]]:
-    """Powers of two, and what rounding took from each, as a part of it."""
+    """Powers of two, and their relative rounding errors."""
     with decimal.localcontext(prec=40):
         exact = [decimal.Decimal(2) ** (decimal.Decimal(n) / _POINTS) for n in range(_POINTS)]
         return [(float(one), float(one / decimal.Decimal(float(one)) - 1)) for one in exact]
 
 
 def _estrin(x: str, coefficients: Sequence[float]) -> str:
-    """A polynomial, constant term first, as `elementary.polynomial` computes it."""
+    """Polynomial, constant term first, evaluated as by `elementary.polynomial`."""
     terms, power = [repr(one) for one in coefficients], x
     while len(terms) > 1:
         paired = [f"({low} + {high} * {power})" for low, high in zip(terms[::2], terms[1::2], strict=False)]

@@ -1,7 +1,7 @@
-"""Scalar expressions in nested scopes: the form between a jaxpr and the text of a program.
+"""Scalar expressions in nested scopes: the intermediate representation between a jaxpr and program text.
 
-An expression stands in the outermost scope that knows all of its arguments, so what does not change in a loop is
-moved out of it, and what depends on parameters alone is computed once. Equal expressions are one.
+An expression is placed in the outermost scope that contains all of its arguments: loop invariants are hoisted, and
+values that depend on parameters alone are computed once. Equal expressions are merged.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Value:
     arguments: tuple[Value, ...]
     scope: Scope
     data: Any = None  # of a constant, an input, ... : number, name, `Carried`, `Element`, or a `Branch` and a place
-    uniform: bool = True  # whether it is the same in all lanes of a program for many runs
+    uniform: bool = True  # whether it is the same in all lanes of a batched program
 
     @property
     def constant(self) -> Any:
-        """Its number, if it is known."""
+        """Its number, if known."""
         return self.data if self.operation == "constant" else None
 
 
@@ -48,7 +48,7 @@ class Scope:
     statements: list[Value | ForLoop | Branch | StoredArray] = field(default_factory=list)
     known: dict[Any, Value] = field(default_factory=dict)
     depth: int = 0
-    floor: Scope | None = None  # outside of which nothing is moved: the innermost branch
+    floor: Scope | None = None  # the innermost branch, beyond which nothing is hoisted
 
     def inner(self, *, branch: bool = False) -> Scope:
         """A new block inside."""
@@ -64,40 +64,40 @@ class Carried:
 
     loop: ForLoop
     initial: Value
-    following: Any = None  # its value after a pass of the loop
+    following: Any = None  # its value after an iteration
     uniform: bool = True
 
 
 @dataclass(eq=False, repr=False, slots=True)
 class ForLoop:
-    """A loop; `index` counts its passes."""
+    """A loop; `index` counts the iterations."""
 
     scope: Scope
     length: int
     index: Value
-    row: Any = None  # of its arrays: the index, or from the last on
+    row: Any = None  # row of its arrays: the index, or counted from the last
     carried: list[Carried] = field(default_factory=list)
-    arrays: list[StoredArray] = field(default_factory=list)  # in which it stores a row each pass
-    going: Carried | None = None  # whether there is a further pass, in place of a fixed number
+    arrays: list[StoredArray] = field(default_factory=list)  # arrays that receive one row per iteration
+    going: Carried | None = None  # condition for a further iteration, instead of a fixed number
 
 
 @dataclass(eq=False, repr=False, slots=True)
 class Branch:
-    """Two blocks, of which one runs."""
+    """Two blocks, one of which runs."""
 
     condition: Value
     scopes: tuple[Scope, Scope]
-    values: tuple[list[Value], list[Value]]  # where the condition holds, and where not
-    chosen: list[Value] = field(default_factory=list)  # their data are the branch, and the place in `values`
+    values: tuple[list[Value], list[Value]]  # if the condition holds, and if not
+    chosen: list[Value] = field(default_factory=list)  # their data are the branch and the position in `values`
 
 
 @dataclass(eq=False, repr=False, slots=True)
 class StoredArray:
-    """Elements in memory, so that a loop can index them: given ones, those of an input, or rows that a loop stores."""
+    """Array in memory that a loop can index: constants, an input, or rows stored by a loop."""
 
     kind: Kind
     size: int
-    elements: list[Value]  # all, none of an input, or those of one row
+    elements: list[Value]  # all, none for an input, or the elements of one row
     loop: ForLoop | None = None
     name: str = ""  # of an input
     uniform: bool = True
@@ -111,7 +111,7 @@ class StoredArray:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """Place in an array: row (the argument of its value) times stride plus offset."""
+    """Position in an array: row (the argument of its value) times stride plus offset."""
 
     array: StoredArray
     stride: int
@@ -170,9 +170,9 @@ FOLDED: dict[str, Callable[..., Any]] = {
     "integer": int,
     "boolean": bool,
 }
-"""Operations of values by name, on known numbers; `select`, of a condition and both values, is the one without.
+"""Operations by name, evaluated on known numbers; only `select` (condition and two values) is missing.
 
-`bits` are those of a real number as an integer, `from_bits` the reverse; `single` is the nearest number of 32 bits.
+`bits` are the bits of a real number as an integer, `from_bits` the inverse; `single` is the nearest 32-bit number.
 """
 
 
@@ -182,9 +182,9 @@ class Graph:
     def __init__(self, *, lanes: bool = False, single: bool = False) -> None:
         self.root = Scope()
         self.scope = self.root
-        self.lanes = lanes  # whether the program is for many runs side by side
-        self.single = single  # whether what differs between them has 32 bits
-        self._kept: list[Value] = []  # expressions are told apart by the identities of values
+        self.lanes = lanes  # whether the program is batched
+        self.single = single  # whether values that differ between runs have 32 bits
+        self._kept: list[Value] = []  # expressions are distinguished by the identities of values
 
     def constant(self, number: Any, kind: Kind) -> Value:
         """A known number."""
@@ -197,7 +197,7 @@ class Graph:
         return self.root.known[key]
 
     def input(self, name: str, kind: Kind, *, uniform: bool = True) -> Value:
-        """A number that is given under a name, in the current scope."""
+        """A named input of the current scope."""
         return self._known(("input", name), self.scope, lambda: Value("input", kind, (), self.scope, name, uniform))
 
     def operation(self, name: str, kind: Kind, *arguments: Value) -> Value:
@@ -210,7 +210,7 @@ class Graph:
         return self._known(key, scope, lambda: Value(name, kind, arguments, scope, None, uniform))
 
     def _place(self, arguments: Sequence[Value]) -> Scope:
-        """The outermost scope that knows all arguments, within the innermost branch."""
+        """The outermost scope that contains all arguments, within the innermost branch."""
         scopes = [argument.scope for argument in arguments]
         if self.scope.floor is not None:
             scopes.append(self.scope.floor)
@@ -224,7 +224,7 @@ class Graph:
         return self._known(key, scope, lambda: Value("element", array.kind, arguments, scope, place, array.uniform))
 
     def _known(self, key: Any, scope: Scope, make: Callable[[], Value]) -> Value:
-        """The value of a key in a scope or around it, made and added to its statements if there is none."""
+        """The value of a key in a scope or an enclosing one; created and added to its statements if missing."""
         outer: Scope | None = scope
         while outer is not None:
             if key in outer.known:
@@ -235,7 +235,7 @@ class Graph:
         return value
 
     def _simplified(self, name: str, kind: Kind, arguments: tuple[Value, ...]) -> Value | None:
-        """A constant, or one of the arguments, where the result is that."""
+        """A constant or one of the arguments, if the operation reduces to it."""
         known = [argument.constant for argument in arguments]
         if name == "select":
             _, yes, no = arguments
@@ -273,7 +273,7 @@ class Graph:
         return result if exponent > 0 else self.operation("div", x.kind, self.constant(1.0, x.kind), result)
 
     def array(self, elements: Sequence[Value]) -> tuple[StoredArray, int]:
-        """An array with these elements, and the place of the first: one that exists, if they lie in it in a row."""
+        """An array with these elements, and the position of the first; reuses an array that contains them."""
         first = elements[0]
         if first.operation == "element" and not first.arguments:
             array, begin = first.data.array, first.data.offset
@@ -288,7 +288,7 @@ class Graph:
     def loop(
         self, length: int, body: Callable[[ForLoop], Sequence[Sequence[Value]]], *, reverse: bool = False
     ) -> ForLoop:
-        """ForLoop whose body makes statements in a scope of its own, and returns the rows of the arrays to store."""
+        """Loop whose body makes statements in its own scope and returns the rows of the arrays to store."""
         outer, inside = self.scope, self.scope.inner()
         loop = ForLoop(inside, length, Value("index", Kind.INTEGER, (), inside))
         self.scope = inside
@@ -305,18 +305,18 @@ class Graph:
         return loop
 
     def carry(self, loop: ForLoop, initial: Value, uniform: bool = True) -> Value:
-        """A variable of a loop, as its body sees it."""
+        """A loop variable, as seen by the body."""
         loop.carried.append(Carried(loop, initial, uniform=uniform))
         return Value("carried", initial.kind, (), loop.scope, loop.carried[-1], uniform)
 
     def after(self, carried: Carried) -> Value:
-        """The last value of a variable of a loop, in the scope around it."""
+        """The final value of a loop variable, in the enclosing scope."""
         value = Value("carried", carried.initial.kind, (), self.scope, carried, carried.uniform)
         self._kept.append(value)
         return value
 
     def branch(self, condition: Value, bodies: Sequence[Callable[[], Sequence[Value]]]) -> list[Value]:
-        """Values of the first body where a condition holds, else of the second; each is a scope of its own."""
+        """Values of the first body if a condition holds, else of the second; each has its own scope."""
         outer, scopes, found = self.scope, [], []
         for body in bodies:
             self.scope = outer.inner(branch=True)

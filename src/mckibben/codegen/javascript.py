@@ -1,4 +1,4 @@
-"""JavaScript of a module: a script without imports and exports, which defines one object."""
+"""JavaScript writer: a script without imports and exports that defines one object."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from mckibben.errors import ExportError
 def write_js(module: SourceModule, comment: str = "") -> str:
     """Write a module as JavaScript, for pages (also from files) and for Node.
 
-    The object has ``defaults()``, which returns ``self`` with ``parameters`` and ``state``, ``prepare(self)`` to be
-    called after a parameter was changed, and the functions, with ``self`` and their arguments; a function returns its
-    results but for the state, which it changes, as an object, or a number if that is all.
+    The object has ``defaults()``, which returns ``self`` with ``parameters`` and ``state``, ``prepare(self)``, to be
+    called after changing a parameter, and the functions, which take ``self`` and their arguments. A function updates
+    the state and returns its other results as an object, or as a number if there is only one.
     """
     writer = _Writer(module.scopes, JAVASCRIPT, module.results())
     functions = [_defaults(module), _prepare(module, writer), *(_function(one, writer) for one in module.functions)]
@@ -40,12 +40,12 @@ _BITS = {"and", "or", "xor", "shift_left", "shift_right", "bits", "from_bits", "
 
 
 class _Writer(Writer):
-    """Writes integer divisions, which JavaScript has no operator for; it has no integers of 64 bits either."""
+    """Writes integer divisions, for which JavaScript has no operator; it has no 64-bit integers either."""
 
     def _expression(self, value: Value) -> Text:
         if value.operation in _BITS and value.kind is not Kind.BOOLEAN:
             name = value.operation
-            raise ExportError(f"{name} is for integers of 64 bits", field=name, remedy="write it in C")
+            raise ExportError(f"{name} needs 64-bit integers", field=name, remedy="write it in C")
         text, strength = super()._expression(value)
         if value.operation == "div" and value.kind is Kind.INTEGER:
             return f"Math.trunc({text})", strength + 10

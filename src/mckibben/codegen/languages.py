@@ -1,4 +1,4 @@
-"""C99 and JavaScript, as the writer needs them."""
+"""Definitions of C99 and JavaScript for the writer."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def c_language(real: str = "double") -> Language:
                 "    memcpy(&x, &word, sizeof x);\n    return x;\n}\n"
             ),
             "single": "static double single(double x)\n{\n    return (float)x;\n}\n",
-            # NaN where one is NaN, unlike fmax
+            # NaN if either is NaN, unlike fmax
             f"maximum{suffix}": function("maximum", "x, y", "x > y || x != x ? x : y"),
             f"minimum{suffix}": function("minimum", "x, y", "x < y || x != x ? x : y"),
             f"sign{suffix}": function("sign", "x", f"({real})((x > 0) - (x < 0))"),

@@ -1,4 +1,4 @@
-"""From a jaxpr to scalar expressions: arrays become scalars, calls are inlined, long loops stay loops."""
+"""Lowering of a jaxpr to scalar expressions: arrays become scalars, calls are inlined, long loops stay loops."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bit
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
-_UNROLLED = 300  # equations: loops of fewer in all passes are written out
+_UNROLLED = 300  # equations: loops with fewer in total are unrolled
 _RENAMED = {"add_any": "add", "shift_right_arithmetic": "shift_right"}
 _UNARY = {
     "neg", "abs", "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
@@ -33,7 +33,7 @@ _BINARY = {
 _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
-_RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`: the libraries' are called
+_RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`, for library functions
 _CALLS = {"jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call"}
 _TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
 _LARGEST = 50_000  # elements of an array that is not in memory
@@ -42,7 +42,7 @@ Array = Any  # an array of values, or `Stored`
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """An array in memory, from a place on; without one the numbers 0, 1, 2, ... of a kind."""
+    """An array in memory, from a position on; without an array, the numbers 0, 1, 2, ... of a kind."""
 
     shape: tuple[int, ...]
     kind: Kind
@@ -56,7 +56,7 @@ class Stored:
 
     @property
     def dtype(self) -> Any:
-        """As of arrays of values."""
+        """NumPy type, as of an array of values."""
         return np.dtype(object)
 
 
@@ -69,11 +69,11 @@ def kind_of(dtype: Any) -> Kind:
 
 
 _FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
-"""Polynomials in place of calls of the libraries, which have no vectors."""
+"""Polynomials in place of library calls, which are not vectorised."""
 
 
 class _UnsupportedError(Exception):
-    """A primitive without counterpart, and where it was written."""
+    """An unsupported primitive, with its source location."""
 
     def __init__(self, equation: Any) -> None:
         super().__init__(equation.primitive.name)
@@ -90,18 +90,18 @@ class Lowering(ArrayRules):
     def function(
         self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]
     ) -> tuple[list[Array], Any]:
-        """Lower a function of trees: example arguments, the values of their leaves; returns the leaves of its results.
+        """Lower a function of trees, from example arguments and the values of their leaves.
 
-        And the tree of their shapes and types.
+        Returns the leaves of its results, and the tree of their shapes and types.
         """
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         try:
             return self._closed(closed, inputs), shape
         except _UnsupportedError as error:
             raise ExportError(
-                f"{error.name} cannot be written as a program: {error.place or 'of an unknown source'}",
+                f"{error.name} cannot be written as a program: {error.place or 'unknown source'}",
                 field=error.name,
-                remedy="use another option of this part, or write the function without it",
+                remedy="use another option of this component, or write the function without it",
             ) from None
 
     def _closed(self, closed: Any, arguments: Sequence[Array]) -> list[Array]:
@@ -146,7 +146,7 @@ class Lowering(ArrayRules):
         return np.array([*values, None], object)[:-1].reshape(stored.shape)
 
     def literal(self, number: Any) -> Array:
-        """Constants of the shape of a number or array."""
+        """Constants with the shape of a number or array."""
         number = np.asarray(number)
         kind = kind_of(number.dtype)
         return array_of(number.shape, lambda at: self._graph.constant(number[at], kind))
@@ -186,7 +186,7 @@ class Lowering(ArrayRules):
         return found if isinstance(found, list) else [found]
 
     def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
-        """Result of an operation, of 32 bits where its type has no more."""
+        """Result of an operation, in 32 bits if its type is 32-bit."""
         result = self._graph.operation(name, kind_of(dtype), *arguments)
         if dtype == np.float32 and not self._graph.single:
             return self._graph.operation("single", Kind.REAL, result)
@@ -195,7 +195,7 @@ class Lowering(ArrayRules):
         return result
 
     def _random(self, name: str, parameters: Any, aval: Any, arguments: list[Array], equation: Any) -> list[Array]:
-        """Random keys, which are two words each, and bits drawn from them."""
+        """Random keys (two words each) and the bits drawn from them."""
         if (
             (aval.ndim and name != "random_bits")
             or not is_supported()
@@ -216,7 +216,7 @@ class Lowering(ArrayRules):
         ]
 
     def _rule(self, name: str, inner: Any, arguments: list[Array]) -> tuple[str, ...]:
-        """Operations in place of a polynomial of the project, but where all lanes are computed side by side."""
+        """Operations in place of one of our polynomials, except in batched programs."""
         if name != "custom_jvp_call" or not all(map(_is_uniform, arguments)):
             return ()
         return _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
@@ -234,7 +234,7 @@ class Lowering(ArrayRules):
     # Control flow
 
     def _cond(self, parameters: Any, kind: Kind, shape: Any, which: Array, *arguments: Array) -> list[Array]:
-        """One of two branches runs where all lanes take the same one; else all are computed: they are pure, and few."""
+        """One branch runs if all lanes take the same one; otherwise all are computed: they are pure and few."""
         index, branches = which.item(), parameters["branches"]
         if index.constant is not None:
             return self._closed(branches[int(index.constant)], arguments)
@@ -291,7 +291,7 @@ class Lowering(ArrayRules):
         ]
 
     def _while(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array] | None:
-        """A loop until a condition fails; not for lanes, which fail it in different passes."""
+        """A loop until a condition fails; not for lanes, which end at different iterations."""
         if self._graph.lanes:
             return None
         outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
@@ -344,7 +344,7 @@ class Lowering(ArrayRules):
     def _unrolled(
         self, body: Any, length: int, reverse: bool, constants: Any, carry: Sequence[Array], columns: Any
     ) -> list[Array]:
-        """A scan written out."""
+        """An unrolled scan."""
         rows = []
         for number in reversed(range(length)) if reverse else range(length):
             here = [np.asarray(column[number], object) for column in columns]
@@ -373,7 +373,7 @@ def kind_of_values(array: Array) -> Kind:
 
 
 def _equations(jaxpr: Any) -> int:
-    """Equations of a jaxpr, with those of inner ones."""
+    """Equations of a jaxpr, including nested ones."""
     return sum(1 + sum(map(_equations, _inner(equation))) for equation in jaxpr.eqns)
 
 
@@ -386,7 +386,7 @@ def _inner(equation: Any) -> Iterator[Any]:
 
 
 def _source(equation: Any) -> str:
-    """Where an equation was written."""
+    """Source location of an equation."""
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
         if "/jax/" not in frame.file_name and "/equinox/" not in frame.file_name:
@@ -395,7 +395,7 @@ def _source(equation: Any) -> str:
 
 
 def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], columns: Sequence[bool]) -> list[bool]:
-    """Loop-carried variables that vary over lanes, by those constants, initial values and columns that do."""
+    """Loop-carried variables that vary over lanes, given the constants, initial values and columns that do."""
     carry = list(carry)
     while True:
         results = _varying(body.jaxpr, [*constants, *carry, *columns])[: len(carry)]
@@ -406,7 +406,7 @@ def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], 
 
 
 def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
-    """Results that vary over lanes, by the inputs that do; those of branches and of stored rows always."""
+    """Results that vary over lanes, given the inputs that do; results of branches and stored rows always vary."""
     known = dict(zip(jaxpr.invars, inputs, strict=True))
 
     def read(variable: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Functions compiled by the C compiler of the machine: of one run, or of many runs side by side."""
+"""Functions compiled by the machine's C compiler, for one run or for many runs in parallel."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _FLAGS = (
 )
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
-_SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # of gcc; it allows more spills, 5 % faster
+_SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
 _LONGEST = 3_000_000  # characters of a source
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 
@@ -55,14 +55,15 @@ def compiler() -> str | None:
 
 
 def _own_flags() -> list[str]:
-    """The user's own options of the compiler."""
+    """The user's compiler options."""
     return os.environ.get("MCKIBBEN_CFLAGS", "").split()
 
 
 class NativeFunction:
-    """A pure function of two trees, shared by all runs and of one run each, compiled as C; without runs, of one.
+    """A pure function compiled as C, of a tree shared by all runs and, in a batch, a tree with an entry per run.
 
-    Arrays of the second tree have the runs along their last axis, as the results do; what is no array is static.
+    Arrays of the second tree have the runs along their last axis, as do the results; leaves other than arrays are
+    static.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -71,21 +72,22 @@ class NativeFunction:
         self._lock = threading.Lock()
 
     def __call__(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Any:
-        """Results; raises `ExportError` where the function cannot be emitted or compiled.
+        """Results; raises `ExportError` if the function cannot be emitted or compiled.
 
-        In a `single` program what differs between runs has 32 bits; what they share, such as the reference, has 64.
+        In a `single` program values that differ between runs have 32 bits; shared values, such as the reference, have
+        64.
         """
         return self.bound(shared, lanes, single=single)()
 
     def bound(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
-        """The compiled function with its arguments packed; what it returns computes the results."""
+        """The compiled function with its arguments packed, as a callable that computes the results."""
         given, varying = _Split.of(shared), _Split.of(lanes, lanes=True)
         key = given.key, varying.key, single
         with self._lock:
             if (found := self._known.get(key)) is None:
                 try:
                     found = self._compiled(given, varying, single)
-                except ExportError as error:  # nor will it the next time
+                except ExportError as error:  # it will fail next time too
                     found = error
                 self._known[key] = found
         if isinstance(found, ExportError):
@@ -115,7 +117,7 @@ class NativeFunction:
 
 @dataclass(frozen=True)
 class _Split:
-    """Leaves of a tree, those that are arrays apart."""
+    """Leaves of a tree, with the arrays separated."""
 
     structure: Any
     static: tuple[Any, ...]  # `ARRAY` in place of arrays
@@ -137,22 +139,22 @@ class _Split:
         return self.structure, self.static, tuple(map(type, self.static)), shapes, kinds
 
     def filled(self, arrays: Sequence[Any]) -> Any:
-        """The tree with other arrays."""
+        """The tree with new arrays."""
         rest = iter(arrays)
         return jax.tree.unflatten(self.structure, [next(rest) if leaf is ARRAY else leaf for leaf in self.static])
 
 
 @dataclass(frozen=True)
 class _Compiled:
-    """A library, and shapes, types and tree of its results."""
+    """A library, with shapes, types and tree of its results."""
 
     run: Any
     leaves: list[tuple[tuple[int, ...], str]]
     tree: Any
-    width: int = 1  # runs in a vector
+    width: int = 1  # runs per vector
 
     def bound(self, given: Sequence[Any], varying: Sequence[Any] = ()) -> Callable[[], Any]:
-        """Arguments in words of 64 bits; what it returns computes the results of all runs."""
+        """Arguments packed in 64-bit words, as a callable that computes the results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
         scalars = [x for x in given if not x.ndim]
@@ -177,9 +179,9 @@ class _Compiled:
 
 
 def compile_alone(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile a function of vectors of 64-bit floats for calls that take microseconds.
+    """Compile a function of 64-bit float vectors for calls that take microseconds.
 
-    Raises `ExportError` as the others.
+    Raises `ExportError` if the function cannot be emitted or compiled.
     """
     source, leaves, tree = write_native(lambda given, _: function(*given), [np.zeros(size) for size in sizes], ())
     compiled = _Compiled(load_library(compile_library(source, _ALONE)), leaves, tree)
@@ -187,7 +189,7 @@ def compile_alone(function: Callable[..., Any], *sizes: int) -> Callable[..., An
 
 
 class Written(NamedTuple):
-    """C source of a function of arrays, shapes and types of its results, and their tree."""
+    """C source of a function of arrays, with shapes, types and tree of its results."""
 
     source: str
     leaves: list[tuple[tuple[int, ...], str]]
@@ -197,7 +199,7 @@ class Written(NamedTuple):
 def write_native(
     function: Callable[..., Any], given: Sequence[Any], varying: Sequence[Any], *, single: bool = False
 ) -> Written:
-    """Write a function of arrays that all runs share, and of arrays of one run each."""
+    """Write a function of arrays shared by all runs and arrays with an entry per run."""
     graph = Graph(lanes=bool(varying), single=single)
     graph.scope = graph.root.inner()
     inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
@@ -225,7 +227,7 @@ def write_native(
 
 
 def _places(given: Sequence[Any], varying: Sequence[Any], leaves: Sequence[tuple[tuple[int, ...], str]]) -> list[str]:
-    """Declarations of where each argument and result lies: words of 64 bits, side by side as `_Compiled` packs them."""
+    """Declarations of the location of each argument and result: 64-bit words, as packed by `_Compiled`."""
     lines = []
     scalars, shared, lanes = 0, 0, 0
     for n, x in enumerate([*given, *varying]):
@@ -256,7 +258,7 @@ def _input_value(graph: Graph, name: str, x: Any, uniform: bool) -> Any:
 
 
 def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence[Any]) -> list[str]:
-    """Statements that compute the results of one run, or of a vector of runs."""
+    """Statements that compute the results of one run or of a vector of runs."""
     indent = " " * 8
     for one in inputs:
         if isinstance(one, Stored) and one.array is not None:
@@ -283,7 +285,7 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 
 
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
-    """Shared library of a source; raises `ExportError` where it cannot be compiled."""
+    """Compile a source to a shared library; raises `ExportError` if that fails."""
     command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *flags, *_own_flags(), "source.c", "-o", "library.so", "-lm"]
     with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
         Path(folder, "source.c").write_text(source, encoding="utf-8")
@@ -294,13 +296,13 @@ def compile_library(source: str, flags: Sequence[str]) -> bytes:
             reason = getattr(error, "stderr", b"").decode(errors="replace").splitlines()[:1]
             raise ExportError(
                 f"{command[0]} does not compile the program: {' '.join(reason) or error}",
-                remedy="use engine='xla', or another compiler by the environment variable CC",
+                remedy="use engine='xla', or set another compiler in the environment variable CC",
             ) from error
 
 
 def load_library(library: bytes) -> Any:
     """The function of a shared library."""
-    with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:  # of this user alone, with a name of its own
+    with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:  # accessible to this user only, with a unique name
         path = Path(folder, "library.so")
         path.write_bytes(library)
         run = ctypes.CDLL(str(path)).run
@@ -321,11 +323,11 @@ def _compiler_state() -> str:
 
 
 def _words(x: Any) -> Any:
-    """Elements of an array in words of 64 bits."""
+    """Elements of an array in 64-bit words."""
     return x.ravel() if x.dtype.kind == "f" else x.astype(np.int64).ravel().view(float)
 
 
 def _padded(x: Any, size: int) -> Any:
-    """Lanes filled up with the last one."""
+    """Lanes padded with the last one."""
     short = size - x.shape[-1]
     return np.concatenate([x, np.repeat(x[..., -1:], short, axis=-1)], axis=-1) if short else x

@@ -1,4 +1,4 @@
-"""Functions that the libraries of C lack, or lack for vectors, by polynomials."""
+"""Polynomials for functions missing from C libraries, or missing in vectorised form."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _FAR = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.005739
 
 
 def tanh(x: Any) -> Any:
-    """Hyperbolic tangent, right to an absolute 2e-16."""
+    """Hyperbolic tangent, absolute error below 2e-16."""
     power = elementary.exp(-2 * jnp.abs(x))
     value = (1 - power) / (1 + power)
     return jnp.where(x < 0, -value, value)
 
 
 def log1p(x: Any) -> Any:
-    """Natural logarithm of 1 + x, a positive normal number (fdlibm), right to 1e-16 of it."""
+    """Natural logarithm of 1 + x, a positive normal number (fdlibm), relative error below 1e-16."""
     x = 1.0 + x
     bits = lax.bitcast_convert_type(x, jnp.int64)
     shifted = bits + _ABOVE_HALF_ROOT
@@ -46,7 +46,7 @@ _LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149
 
 
 def erf_inv(x: Any) -> Any:
-    """Inverse error function as XLA has it in single precision (Giles 2012), right to 3e-7 but near 1."""
+    """Inverse error function as in XLA's single precision (Giles 2012), accurate to 3e-7 except near 1."""
     w = -jnp.log1p(-x * x)
     near, far = w - 2.5, jnp.sqrt(w) - 3.0
     p, q = (functools.reduce(lambda sum_, c: sum_ * y + c, cs) for y, cs in ((near, _NEAR), (far, _FAR)))
@@ -54,7 +54,7 @@ def erf_inv(x: Any) -> Any:
 
 
 def log1p_single(x: Any) -> Any:
-    """Natural logarithm of 1 + x, a positive normal number of 32 bits (Cephes), right to 1e-7 of it."""
+    """Natural logarithm of 1 + x, a positive normal 32-bit number (Cephes), relative error below 1e-7."""
     x = 1 + x
     bits = lax.bitcast_convert_type(x, jnp.int32) + _ABOVE_HALF_ROOT_32
     exponent = ((bits >> 23) - 127).astype(x.dtype)

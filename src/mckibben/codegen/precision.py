@@ -1,4 +1,4 @@
-"""Mixed precision: values of a program in single precision that are `double`, as they depend on some arguments alone.
+"""Mixed precision: values of a single-precision program that stay `double`, as they depend on some arguments alone.
 
 Derivatives of a sampled reference, for example, are differences of nearly equal numbers.
 """
@@ -12,7 +12,7 @@ from mckibben.codegen.source_module import SourceModule, element
 
 
 def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
-    """Identities of the values that depend on some inputs, and else on parameters alone."""
+    """Identities of the values that depend only on some inputs and on parameters."""
     root = module.graph.root
     wide, narrow = set[int](), set[int]()
     for function in module.functions:
@@ -31,7 +31,7 @@ def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
 
 
 def wide_inputs(module: SourceModule, arguments: Collection[str]) -> frozenset[str]:
-    """Names of the inputs that are members of some arguments, or of the state and depend on those alone."""
+    """Names of inputs that are members of some arguments, or of the state and depend on those alone."""
     inputs = {
         element(name, member, place)
         for function in module.functions
@@ -50,7 +50,7 @@ def wide_inputs(module: SourceModule, arguments: Collection[str]) -> frozenset[s
 
 
 def _states(module: SourceModule) -> Iterator[tuple[str, Value]]:
-    """Inputs of the state, and their values after each function that has them as arguments."""
+    """State inputs, and their values after each function that takes them as arguments."""
     for function in module.functions:
         if "state" in function.arguments and "state" in function.results:
             members = function.results["state"]

@@ -1,4 +1,4 @@
-"""Random bits of JAX's keys (Threefry-2x32, Salmon et al. 2011) as integer operations; words are 32 bits in 64."""
+"""Random bits of JAX's keys (Threefry-2x32, Salmon et al. 2011) as 64-bit integer operations on 32-bit words."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def seed_key(graph: Graph, seed: Value) -> Pair:
 
 
 def fold_in(graph: Graph, key: Pair, data: Value) -> Pair:
-    """Key of a key and a word."""
+    """Key derived from a key and a word."""
     return threefry(graph, key, (_integer(graph, 0), data))
 
 
 def random_bits(graph: Graph, key: Pair, index: int, width: int) -> Value:
-    """Bits at an index of an array that is drawn from a key."""
+    """Bits at an index of an array drawn from a key."""
     high, low = threefry(graph, key, (_integer(graph, index >> 32), _integer(graph, index & MASK)))
     if width == 64:
         return _operation(graph, "or", _shifted(graph, "shift_left", high, 32), low)
@@ -47,7 +47,7 @@ def threefry(graph: Graph, key: Pair, counts: Pair) -> Pair:
 
 
 def is_supported() -> bool:
-    """Whether JAX draws its bits as `random_bits` does."""
+    """Whether JAX draws its bits in the same way as `random_bits`."""
     return bool(jax.config.jax_threefry_partitionable)  # type: ignore[attr-defined]
 
 

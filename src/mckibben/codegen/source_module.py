@@ -1,4 +1,4 @@
-"""A module of source code: functions over parameters that can be changed, and a state."""
+"""A module of source code: functions of adjustable parameters and a state."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ class Member(NamedTuple):
     name: str
     kind: Kind
     shape: tuple[int, ...]
-    value: Any  # of the example from which the module was made
+    value: Any  # in the example from which the module was made
     path: str  # in the tree, such as decoupling.poles.bandwidth
 
     @property
     def size(self) -> int:
-        """Number of its elements."""
+        """Number of elements."""
         return int(np.prod(self.shape))
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function: arguments and results are structures by name; `state` may be both."""
+    """A function, with arguments and results as named structures; `state` may be both."""
 
     name: str
     arguments: dict[str, list[Member]]
     results: dict[str, list[Member]]
     scope: Scope
     values: dict[str, list[Value]]  # of the results, element by element
-    text: str  # what it does
+    text: str  # description
 
     @property
     def returned(self) -> str | None:
@@ -56,15 +56,15 @@ class Function:
 
 @dataclass
 class SourceModule:
-    """Functions of a tree of parameters, and of arguments each.
+    """Functions of a tree of parameters and of their own arguments.
 
-    Leaves of the parameters and arguments are numbers or arrays. What depends on parameters alone is computed once, in
-    a function `prepare` of its own.
+    Leaves of the parameters and arguments are numbers or arrays. Values that depend on parameters alone are computed
+    once, in a separate function `prepare`.
     """
 
     name: str
     parameters: Any
-    prefix: str = ""  # of the paths of parameters, which their names do without
+    prefix: str = ""  # prefix of parameter paths, omitted from names
     functions: list[Function] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -103,7 +103,7 @@ class SourceModule:
 
     @property
     def scopes(self) -> list[Scope]:
-        """Scope of the parameters, and those of the functions."""
+        """Scope of the parameters, and scopes of the functions."""
         return [self.graph.root, *(one.scope for one in self.functions)]
 
     def results(self) -> list[Value]:
@@ -111,7 +111,7 @@ class SourceModule:
         return [value for one in self.functions for values in one.values.values() for value in values]
 
     def structures(self) -> dict[str, list[Member]]:
-        """Arguments and results of all functions by name, but for the state and scalars."""
+        """Arguments and results of all functions by name, except the state and scalars."""
         found: dict[str, list[Member]] = {}
         for function in self.functions:
             for name, members in (function.arguments | function.results).items():
@@ -131,12 +131,12 @@ class SourceModule:
 
 
 def is_scalar(members: Sequence[Member]) -> bool:
-    """Whether the members are those of one number in place of a structure."""
+    """Whether the members are a single number instead of a structure."""
     return len(members) == 1 and not members[0].path and not members[0].shape
 
 
 def element(structure: str, member: Member, number: int) -> str:
-    """Name of an element of a member of a structure: the name of the input that stands for it."""
+    """Name of an element of a structure's member, which is the name of its input."""
     if not member.path and structure != "state":
         return structure
     return f"{structure}.{member.name}" + (f"[{number}]" if member.shape else "")

@@ -1,6 +1,6 @@
-"""Text of programs for many runs side by side: C with the vector extensions of gcc and clang.
+"""Writer of batched programs: C with the vector extensions of gcc and clang.
 
-What is the same in all lanes is a scalar of 64 bits; the rest are vectors of `W` numbers, of masks where it is boolean.
+Values equal in all lanes are 64-bit scalars; the others are vectors of `W` numbers, or of masks if boolean.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ HEADERS = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#includ
 _SCHEDULING = """#ifndef __clang__
 #pragma GCC optimize("schedule-insns", "sched-pressure", "ira-region=one", "no-gcse", "no-tree-pre")
 #endif
-"""  # of gcc for long blocks: scheduling before registers are allocated, and less that is slow to compile
+"""  # gcc options for long blocks: scheduling before register allocation, without passes that are slow to compile
 _PRELUDE = """
 #define INLINE static inline __attribute__((always_inline, unused))
 INLINE V real(double x) { return (REAL)x - (V){0}; }
@@ -57,12 +57,12 @@ INLINE V v_from_bits_32(I x) { return __builtin_convertvector((F)__builtin_conve
 
 
 def width(single: bool) -> int:
-    """Runs in a vector."""
+    """Number of runs per vector."""
     return _BITS // (32 if single else 64)
 
 
 def prelude(single: bool) -> str:
-    """Definitions of vector types: `V` of W real numbers, `I` of integers, `D` and `L` of those of 64 bits."""
+    """Definitions of vector types: `V` of W real numbers, `I` of integers, `D` and `L` of their 64-bit forms."""
     real, suffix, bits = ("float", "f", 32) if single else ("double", "", 64)
     names = {"ROOT": "sqrt", "NEAREST": "rint", "FLOOR": "floor", "CEIL": "ceil"}
     vectors = {"V": real, "I": f"int{bits}_t", "U": f"uint{bits}_t", "D": "double", "L": "int64_t"}
@@ -79,7 +79,7 @@ _FUNCTIONS = {"max": "v_maximum", "min": "v_minimum", "abs": "v_absolute", "roun
 
 
 class VectorWriter(Writer):
-    """Writes scopes of a program for many runs."""
+    """Writes the scopes of a batched program."""
 
     def __init__(self, scopes: Sequence[Scope], results: Sequence[Value | StoredArray], *, single: bool) -> None:
         super().__init__(scopes, c_language(), results)
@@ -95,7 +95,7 @@ class VectorWriter(Writer):
         return self.text(value) if uniform else self._vector(value)
 
     def _argument(self, value: Value, argument: Value) -> Text:
-        """Text of an argument; scalars are numbers of 32 bits, where the vector beside them has those."""
+        """Text of an argument; scalars get 32 bits if the other operand is a 32-bit vector."""
         text = super()._argument(value, argument)
         if not self._single or value.uniform or not argument.uniform:
             return text
@@ -162,7 +162,7 @@ class VectorWriter(Writer):
             return f"((I){self._vector(arguments[0])})", _ATOM
         if name == ("from_bits_32" if self._single else "from_bits"):
             return f"((V){self._vector(arguments[0])})", _ATOM
-        if name == "shift_right" and self._single:  # of words: random bits, and positive numbers
+        if name == "shift_right" and self._single:  # for random bits and positive numbers
             return f"((I)((U){self._vector(arguments[0])} >> (U){self._vector(arguments[1])}))", _ATOM
         if name in self.language.functions:
             function = _FUNCTIONS.get(name, f"v_{self.language.functions[name]}")

@@ -1,4 +1,4 @@
-"""Text of the statements of a graph, in C99 or JavaScript."""
+"""Writer of the statements of a graph in C99 or JavaScript."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Value, needed
 
-_LONGEST = 100  # characters of an expression that is not given a name
+_LONGEST = 100  # characters of an expression without its own variable
 _ATOM, _PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
 _INFIX = {
     "add": ("+", _SUM),
@@ -30,24 +30,24 @@ _INFIX = {
 }
 _BITWISE = {"and": "&", "or": "|", "xor": "^"}
 Text = tuple[str, int]
-"""Text of an expression, and how strongly its outermost operator binds."""
+"""Text of an expression, and the precedence of its outermost operator."""
 
 
 @dataclass(frozen=True, slots=True)
 class Language:
     """Syntax of a programming language."""
 
-    types: Mapping[Kind, str]  # of declarations of what changes
-    constants: Mapping[Kind, str]  # of declarations of what does not
+    types: Mapping[Kind, str]  # declarations of variables
+    constants: Mapping[Kind, str]  # declarations of constants
     functions: Mapping[str, str]  # by operation
-    helpers: Mapping[str, str]  # definitions of functions that the language lacks, by their name
+    helpers: Mapping[str, str]  # definitions of functions that the language lacks, by name
     literal: Callable[[Any, Kind], str]
     conversion: Callable[[str, Kind, Kind], str]  # text of an atom, from one kind to another
     array: Callable[[str, Kind, int, Sequence[str] | None, bool], str]  # declaration
 
 
 class Writer:
-    """Writes scopes, and knows the text of each value that it has written."""
+    """Writes scopes, and keeps the text of each value written."""
 
     def __init__(
         self,
@@ -68,24 +68,24 @@ class Writer:
         self._names: Counter[str] = Counter()
         self._uses: Counter[int] = Counter(id(result) for result in results for _ in range(2))  # results have names
         self.shared = {id(result) for result in results}
-        """Identities of values that are results, or used in another scope than theirs."""
+        """Identities of values that are results, or used outside their scope."""
         for scope in scopes:
             self._count(scope)
 
     def name(self, value: Value, text: str) -> None:
-        """Give a value a text of one's own."""
+        """Set the text of a value."""
         self._texts[id(value)] = (text, _ATOM)
 
     def text(self, value: Value) -> str:
-        """Text of a value that has been written."""
+        """Text of a value already written."""
         return self._text(value)[0]
 
     def name_array(self, array: StoredArray, text: str) -> None:
-        """Say that an array is declared elsewhere under a name."""
+        """Register the name of an array declared elsewhere."""
         self._arrays[id(array)] = text
 
     def constant(self, value: Value) -> str:
-        """Type of the declaration of a value."""
+        """Declared type of a value."""
         return self._language(value).constants[value.kind]
 
     def _language(self, value: Value) -> Language:
@@ -96,7 +96,7 @@ class Writer:
         return id(value) in self._needed
 
     def scope(self, scope: Scope, indent: str = "    ", stored: Callable[[Value], str] | None = None) -> list[str]:
-        """Lines of a scope whose inputs have names; `stored` tells where values for other scopes are stored."""
+        """Lines of a scope with named inputs; `stored` gives the destination of values for other scopes."""
         lines = []
         for statement in scope.statements:
             if isinstance(statement, ForLoop):
@@ -177,11 +177,11 @@ class Writer:
         return [*lines, f"{indent}}}"]
 
     def variable(self, kind: Kind, uniform: bool) -> str:
-        """Type of the declaration of what changes, which may be the same in all lanes."""
+        """Declared type of a variable, which may be uniform over lanes."""
         return self.language.types[kind]
 
     def converted(self, value: Value, uniform: bool) -> str:
-        """Text of a value as it is assigned to a variable."""
+        """Text of a value as assigned to a variable."""
         return self.text(value)
 
     def store(self, array: StoredArray, place: str, value: Value) -> str:
@@ -197,7 +197,7 @@ class Writer:
         return [f"{indent}{self.language.array(name, array.kind, array.size, texts, array.constant)}"]
 
     def _place(self, row: Value | None, stride: int, offset: int) -> str:
-        """Text of a place in an array."""
+        """Text of a position in an array."""
         if row is None:
             return str(offset)
         text, strength = self._text(row)
@@ -217,7 +217,7 @@ class Writer:
         return literal, _PREFIX if literal.startswith("-") else _ATOM
 
     def _expression(self, value: Value) -> Text:
-        """Text of an operation, from those of its arguments, or of an element."""
+        """Text of an operation, from the texts of its arguments, or of an element."""
         if value.operation == "element":
             place = self._place(value.arguments[0] if value.arguments else None, value.data.stride, value.data.offset)
             return self.element(value.data.array, place), _ATOM
@@ -233,7 +233,7 @@ class Writer:
             return f"{_bound(texts[0], _ATOM)} {_BITWISE[name]} {_bound(texts[1], _ATOM)}", _OR
         if name in _INFIX:
             operator, strength = _INFIX[name]
-            least = strength if strength >= _SUM else _SUM  # compilers warn of mixed comparisons, && and ||
+            least = strength if strength >= _SUM else _SUM  # compilers warn about mixed comparisons, && and ||
             return f"{_bound(texts[0], least)} {operator} {_bound(texts[1], max(least, strength + 1))}", strength
         if name in ("neg", "not"):
             return f"{'-' if name == 'neg' else '!'}{_bound(texts[0], _ATOM)}", _PREFIX
@@ -261,7 +261,7 @@ class Writer:
         return f"{letter}{self._names[letter]}"
 
     def _count(self, scope: Scope) -> None:
-        """Count the uses of each value; what another scope or a loop uses counts twice, as it needs a name."""
+        """Count the uses of each value; use in another scope or a loop counts twice, as it requires a name."""
         for statement in scope.statements:
             if isinstance(statement, ForLoop):
                 for one in statement.carried:
@@ -293,5 +293,5 @@ class Writer:
 
 
 def _bound(text: Text, least: int) -> str:
-    """Text in parentheses, unless its outermost operator binds at least so strongly."""
+    """Text, in parentheses if the precedence of its outermost operator is lower than given."""
     return text[0] if text[1] >= least else f"({text[0]})"

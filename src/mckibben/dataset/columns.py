@@ -25,8 +25,8 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
     "phase": (),
 }
 
-# Other names, accepted only with a unit. None whose sign or zero is ambiguous, such as strain or displacement. Letters
-# are case-sensitive: f is a frequency and T a temperature.
+# Other names, accepted only with a unit. Names with an ambiguous sign or zero, such as strain or displacement, are
+# excluded. Letters are case-sensitive: f is a frequency and T a temperature.
 _NAMES: Mapping[str, str] = {
     name: quantity
     for quantity, others in (
@@ -59,7 +59,7 @@ _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a
 
 
 class Header(NamedTuple):
-    """Meaning of a header: a key of `ACCEPTED`, and its unit; `direction`, `repeat` and `phase` have none."""
+    """Meaning of a header: a key of `ACCEPTED`, and its unit; `direction`, `repeat` and `phase` have no unit."""
 
     quantity: str
     unit: str
@@ -76,7 +76,7 @@ def names(quantity: str) -> str:
 
 
 def parse_header(header: str, unit: str = "") -> Header | None:
-    """Quantity and unit of a header, None if unknown; case counts only in a leading m: MPa is not mPa."""
+    """Quantity and unit of a header, None if unknown; only a leading m is case-sensitive: MPa is not mPa."""
     for quantity, spelled in _readings(header, unit):
         for known in ACCEPTED[quantity] or ("",):
             if _same_unit(spelled, known, quantity):
@@ -85,7 +85,7 @@ def parse_header(header: str, unit: str = "") -> Header | None:
 
 
 def unit_error(header: str, unit: str = "") -> str:
-    """Error of a header that names a quantity with a wrong unit; empty where there is none."""
+    """Error of a header that names a quantity with a wrong unit; empty if there is none."""
     if parse_header(header, unit):
         return ""
     known = {name.lower() for name in units.UNITS}
@@ -149,7 +149,7 @@ def _same_unit(spelled: str, known: str, quantity: str) -> bool:
 
 
 _BY_NAME = "columns={...} (command line: --column 'HEADER=NAME')"
-_LONGEST = 200  # characters of a name; the patterns take quadratic time
+_LONGEST = 200  # characters of a name; matching takes quadratic time
 _SHOWN = 40  # names of the file's columns in a message
 
 
@@ -175,7 +175,7 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
         by_position = "columns={'1': 'pressure_bar', ...} (command line: --column 1=pressure_bar)"
         problem("the file has no header", remedy=f"name the columns by position: {by_position}")
         return layout
-    mapping = {  # the other way round is as clear
+    mapping = {  # the reverse order is equally clear
         **{k: v for k, v in mapping.items() if not _swapped(k, v, header)},
         **{v: k for k, v in mapping.items() if _swapped(k, v, header)},
     }
@@ -186,7 +186,7 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
         if given not in header:
             problem(f"columns has {given!r}, the file {shown}")
         if column is None:
-            problem(f"columns gives {given!r} the unknown name {name!r}", remedy=f"accepted are {_accepted()}")
+            problem(f"columns assigns the unknown name {name!r} to {given!r}", remedy=f"accepted are {_accepted()}")
         else:
             asked.add(column.quantity)
     for index, channel in enumerate(sheet.channels):
@@ -195,7 +195,7 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
         seen.add(header[index - 1] if index else "")
         column = parse_header(mapping[text]) if mapped else parse_header(channel.label, channel.unit)
         if text and text in seen:
-            problem("stands twice in the header", text)
+            problem("appears twice in the header", text)
         elif column is None or (column.quantity in asked and not mapped):
             if column is None and not mapped and (reason := unit_error(channel.label, channel.unit)):
                 problem(reason, text, f"accepted are {_accepted(channel.label)}")
@@ -203,13 +203,13 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
         elif column.quantity in layout.places:
             first = header[layout.places[column.quantity][0]]
             remedy = f"keep one of them, or assign it by {_BY_NAME}"
-            problem(f"gives {column.quantity} again, after {first!r}", text, remedy)
+            problem(f"duplicates {column.quantity}, after {first!r}", text, remedy)
         else:
             layout.places[column.quantity] = index, column
             unit = _bare(channel.unit)
             if not mapped and is_unit(unit) and not _same_unit(unit, column.unit, column.quantity):
                 remedy = f"correct one of them, or assign it by {_BY_NAME}"
-                problem(f"is in {column.unit} by its name, in {unit} by its unit", text, remedy)
+                problem(f"is in {column.unit} by its name, but in {unit} by its unit", text, remedy)
     for name in needed:
         if name not in layout.places and not (name == "contraction" and "length" in layout.places):
             wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
@@ -220,17 +220,17 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
 
 
 def _swapped(given: str, name: str, header: Sequence[str]) -> bool:
-    """True if a pair of the mapping is a known name and a header, in place of a header and a known name."""
+    """True if a pair of the mapping is reversed: a known name and a header."""
     return given not in header and name in header and parse_header(given) is not None
 
 
 def _same_length(sheet: RawTable, layout: Layout) -> None:
-    """Check that the columns that are read have one length."""
+    """Check that all columns read have equal length."""
     read = [sheet.channels[index] for index, _ in layout.places.values()]
     for channel in read[1:]:
         if len(channel.cells) != len(read[0].cells):
             message = f"has {len(channel.cells)} values, {read[0].name!r} {len(read[0].cells)}"
-            remedy = "read columns of one length"
+            remedy = "read columns of equal length"
             layout.problems.append(sheet.kind(message, field=channel.name, remedy=remedy))
 
 

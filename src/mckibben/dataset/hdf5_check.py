@@ -16,12 +16,12 @@ from mckibben.dataset import hdf5_child
 from mckibben.dataset.sheet import unreadable
 from mckibben.errors import DatasetError, Problem
 
-_WAIT = 60.0, 10e6  # s: longest time of an answer, and a second more for so many bytes
+_WAIT = 60.0, 10e6  # s: timeout of an answer, plus a second per so many bytes
 _REMEDY = "save the file again, with its values in it"
 
 
 class _Child:
-    """Child process that is kept for the next file as long as the files are sound."""
+    """Child process that is reused for the next file as long as the files are sound."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -29,7 +29,7 @@ class _Child:
         self.owner = 0
 
     def ask(self, request: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """Answer to a request; empty if the child ended before."""
+        """Answer to a request; empty if the child ended first."""
         with self.lock:
             answer: dict[str, Any] = {}
             process = self._running()
@@ -57,12 +57,12 @@ class _Child:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-                start_new_session=True,  # Ctrl-C is for this process
+                start_new_session=True,  # Ctrl-C should reach only this process
             )
         return self.process
 
     def end(self, *, kill: bool = False) -> None:
-        """End the child of this process."""
+        """End the child process."""
         process, self.process = self.process, None
         if process is None or self.owner != os.getpid():
             return
@@ -77,7 +77,7 @@ atexit.register(_CHILD.end)
 
 
 def check_hdf5(path: Path, what: str, *, netcdf: bool = False) -> None:
-    """Raise a `DatasetError` if reading a file (`what` for messages) loops, grows, crashes or leads to other files."""
+    """Raise a `DatasetError` if reading a file (`what` in messages) loops, grows, crashes or refers to other files."""
     try:
         size = path.stat().st_size
     except (OSError, ValueError) as error:
@@ -88,5 +88,5 @@ def check_hdf5(path: Path, what: str, *, netcdf: bool = False) -> None:
         if found:
             raise DatasetError(str(path), [Problem(text, field=name, remedy=_REMEDY) for name, text in found])
         return
-    reason = answer.get("error") or "reading it takes too long, or crashes: it is damaged"
+    reason = answer.get("error") or "reading it takes too long or crashes: it is damaged"
     raise unreadable(path, what, ValueError(reason))

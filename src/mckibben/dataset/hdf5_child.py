@@ -1,7 +1,7 @@
 """Child process that reads HDF5 and NetCDF files within limits of time and memory; run as a script by `hdf5_check`.
 
-Each line of the standard input is a request, each line of the output its answer, in JSON. A damaged file can make the
-HDF5 library loop, fill the memory or crash: that ends this process alone.
+Each line of standard input is a request, each line of output its answer, in JSON. A damaged file can make the HDF5
+library loop, exhaust the memory or crash: only this process ends.
 """
 
 import json
@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-_MEMORY = 2**29  # bytes beyond those of the process at rest
-_SECONDS = 3, 50e6  # of processor time: at least, and a second more for so many bytes
+_MEMORY = 2**29  # bytes in excess of the idle process
+_SECONDS = 3, 50e6  # of processor time: minimum, plus a second per so many bytes
 _CLAIMED = 2**26  # bytes that the datasets of a file may claim without having them
-_SQUEEZED = 1100  # times smaller than its values compressed data may be: deflate's limit is 1032
+_SQUEEZED = 1100  # largest compression ratio: deflate's limit is 1032
 _BLOCK = 2**26  # bytes read at a time
 _DEEPEST = 20  # groups in groups
 
@@ -34,7 +34,7 @@ def _limit(size: int) -> None:
 
 
 def problems(path: str, *, netcdf: bool) -> list[tuple[str, str]]:
-    """Fields and problems of a file; reads all that can loop or grow: attributes, texts, references, chunks."""
+    """Fields and problems of a file; reads everything that can loop or grow: attributes, texts, references, chunks."""
     import h5py
 
     found: list[tuple[str, str]] = []
@@ -47,7 +47,7 @@ def problems(path: str, *, netcdf: bool) -> list[tuple[str, str]]:
             prefix, group, depth = groups.pop()
             address = h5py.h5o.get_info(group.id).addr  # pyright: ignore[reportAttributeAccessIssue]
             if depth > _DEEPEST or address in visited:
-                found.append((prefix, "is a group in itself" if address in visited else "has groups too deep"))
+                found.append((prefix, "is a group in itself" if address in visited else "has groups nested too deep"))
                 continue
             visited.add(address)
             dict(group.attrs)
@@ -76,7 +76,7 @@ def problems(path: str, *, netcdf: bool) -> list[tuple[str, str]]:
 
 
 def _read(file: Any, node: Any) -> None:
-    """Read a dataset by blocks, except for plain values at one place of the file."""
+    """Read a dataset by blocks, except for contiguous plain values."""
     import h5py
     import numpy as np
 
@@ -121,7 +121,7 @@ def _serve() -> None:
             answer: dict[str, Any] = {"problems": problems(request["path"], netcdf=request["netcdf"])}
         except MemoryError:
             answer = {"error": f"takes more than {_MEMORY >> 20} MiB of memory"}
-        except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
+        except Exception as error:  # h5py and h5netcdf raise almost any exception on a damaged file
             answer = {"error": (str(error) or type(error).__name__)[:1000]}
         sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()

@@ -26,7 +26,7 @@ from mckibben.dataset.schema import (
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
 
-_BLOCK = 32768  # samples worked on at a time: 256 KiB of floats stay in a core's cache
+_BLOCK = 32768  # samples per block: 256 KiB of floats stay in a core's cache
 
 
 def mean_and_std(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -45,7 +45,7 @@ def mean_and_std(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
-    """Mask of the points whose level is within `tolerance` of any of the pressures [Pa]; each must have one."""
+    """Mask of the points with a level within `tolerance` of a pressure [Pa]; each pressure must match a point."""
     wanted = np.atleast_1d(np.asarray(pressures, dtype=np.float64)).ravel()
     close = np.abs(levels[:, None] - wanted) <= tolerance
     if len(missing := wanted[~np.any(close, axis=0)]):
@@ -59,7 +59,7 @@ def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: floa
 
 
 def equal_to(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    """Mask of the points whose entry in a column is one of the values; each must have one."""
+    """Mask of the points whose entry in a column is one of the values; each value must match a point."""
     wanted = np.atleast_1d(np.asarray(values)).ravel()
     present = np.unique(column)
     if missing := sorted(set(wanted.tolist()) - set(present.tolist())):
@@ -76,7 +76,7 @@ def equal_to(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.boo
 
 
 def format_list(values: np.ndarray, most: int = 24) -> str:
-    """Numbers or words as text, shortened where there are many."""
+    """Numbers or words as text, abbreviated if there are many."""
     shown = [value if isinstance(value, str) else f"{value:g}" for value in values[:most].tolist()]
     return ", ".join(shown) + (f", ... ({len(values)} in all)" if len(values) > most else "")
 
@@ -92,12 +92,11 @@ class IsobaricDataset:
     ----------
     table
         Along ``point``: ``pressure`` [Pa, gauge], ``contraction`` [-, positive = shorter], ``force`` [N];
-        where known ``direction`` ("loading": being stretched; "unloading": shortening; empty: not known), ``phase``
+        where known ``direction`` ("loading": being stretched; "unloading": shortening; empty: unknown), ``phase``
         ("filling" or "venting" at a fixed length, else empty), ``repeat``, ``time`` [s], ``set_pressure`` [Pa, NaN
-        where not known] and ``force_spread`` [N]. Along ``point`` and
-        ``sample`` the raw ``force_samples`` [N] and ``pressure_samples`` [Pa], where kept. Attributes:
-        ``specimen``, ``source``, ``slack_force`` [N] and, where known, ``initial_length`` [m]; ``repairs`` and
-        ``ignored_columns`` of the file it was read from, where there is something to say.
+        where unknown] and ``force_spread`` [N]. Along ``point`` and ``sample`` the raw ``force_samples`` [N] and
+        ``pressure_samples`` [Pa], where kept. Attributes: ``specimen``, ``source``, ``slack_force`` [N] and, where
+        known, ``initial_length`` [m]; ``repairs`` and ``ignored_columns`` of the source file, if any.
 
     Examples
     --------
@@ -145,17 +144,17 @@ class IsobaricDataset:
         pressure, contraction, force
             Shape (points,): gauge pressure [Pa], contraction [-], axial pull [N].
         direction
-            Shape (points,): "loading" or "unloading", empty where it is not known.
+            Shape (points,): "loading" or "unloading", empty where unknown.
         phase
             Shape (points,): "filling" or "venting" where the pressure was changed at a fixed length, else empty.
         repeat, time
             Shape (points,): integers from 0 up, and [s].
         set_pressure
-            Shape (points,): nominal pressure [Pa], NaN where it is not known.
+            Shape (points,): nominal pressure [Pa], NaN where unknown.
         force_samples, pressure_samples
             Shape (points, samples): raw samples [N], [Pa], not copied.
         specimen, source
-            Name of the muscle's type, and source of the data.
+            Type of the muscle, and source of the data.
         initial_length
             Length of the deflated muscle [m].
         slack_force
@@ -174,9 +173,9 @@ class IsobaricDataset:
             "pressure_samples": pressure_samples,
         }
         table, problems = assemble(variables, VARIABLES)
-        if not problems and (set_pressure is None or (table["set_pressure"] > 0).any()):  # not a test at 0 bar alone
+        if not problems and (set_pressure is None or (table["set_pressure"] > 0).any()):  # not a test at 0 bar only
             highest = float(table["pressure"].to_numpy().max(initial=0.0))
-            if highest < 1 * bar:  # those of `read_dataset` are checked further
+            if highest < 1 * bar:  # `read_dataset` performs further checks
                 problems += [problem for problem, impossible in check_pressures(highest) if impossible]
         if problems:
             raise DatasetError("dataset", problems)
@@ -211,7 +210,7 @@ class IsobaricDataset:
 
     @property
     def levels(self) -> NDArray[np.float64]:
-        """Nominal pressure of each point [Pa]: the set pressure, or the measured one where none is known."""
+        """Nominal pressure of each point [Pa]: the set pressure, or the measured one where it is unknown."""
         if "set_pressure" not in self.table:
             return self.pressure
         nominal = self.table["set_pressure"].to_numpy()
@@ -256,7 +255,7 @@ class IsobaricDataset:
         if len(self.repeats):
             parts.append(f"repeats {format_list(self.repeats)}")
         if samples := self.table.sizes.get("sample"):
-            parts.append(f"{samples} samples a point")
+            parts.append(f"{samples} samples per point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
     def _repr_html_(self) -> str:
@@ -275,7 +274,7 @@ class IsobaricDataset:
     def at(self, pressures: ArrayLike, tolerance: float = 1e3) -> Self:
         """Points whose level [Pa] is within `tolerance` [Pa] of any of the given pressures [Pa].
 
-        Raises a `RangeError` if there is no point at one of them; the error names the pressures that there are.
+        Raises a `RangeError` that names the available pressures if there is no point at one of them.
         """
         return self.select(at_levels(self.levels, pressures, tolerance))
 
@@ -303,7 +302,7 @@ class IsobaricDataset:
         if held_out.all() or not held_out.any():
             side = "train on" if held_out.any() else "hold out"
             raise RangeError(
-                f"the split leaves no point to {side}",
+                f"the split leaves no points to {side}",
                 remedy="name some, not all, pressures, repeats or directions",
             )
         return self.select(~held_out), self.select(held_out)
@@ -329,7 +328,7 @@ class IsobaricDataset:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `to_netcdf` wrote; raises a `DatasetError` if it is missing or no dataset."""
+        """Read a file written by `to_netcdf`; raises a `DatasetError` if it is missing or not a dataset."""
         return load_validated(Path(path), cls)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:

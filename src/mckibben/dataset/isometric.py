@@ -14,10 +14,10 @@ from mckibben.errors import RangeError
 from mckibben.units import bar
 
 LEAST = 3  # samples of a point
-FASTEST = 2.0  # s for the range of the pressure: a muscle that lags 50 ms behind the sensor is 2.5 % of it behind
+FASTEST = 2.0  # s for the range of the pressure: a lag of 50 ms between sensor and muscle is 2.5 % of it
 REVERSAL = 20  # parts of the range of the pressure
-_NAMED = 8  # pressures that a message names
-_SMOOTHED = 2000  # means by which the turns of the pressure are found: at most so many
+_NAMED = 8  # pressures listed in a message
+_SMOOTHED = 2000  # maximum number of means used to find the reversals of the pressure
 BAND = 40  # parts of the range of the levels
 
 
@@ -25,9 +25,7 @@ def fixed_contraction(table: xr.Dataset, contraction: float | None, tolerance: f
     """Contraction of the test [-]."""
     if "contraction" not in table:
         if contraction is None:
-            raise RangeError(
-                "the contraction is not known", remedy="give contraction=..., at which the muscle was held"
-            )
+            raise RangeError("the contraction is unknown", remedy="give contraction=..., at which the muscle was held")
         return float(contraction)
     values = table["contraction"].to_numpy()
     held = float(np.median(values))
@@ -42,25 +40,25 @@ def fixed_contraction(table: xr.Dataset, contraction: float | None, tolerance: f
     if 2 * int(moved.sum()) > len(values):
         raise RangeError(
             f"the length was not fixed: contraction {values.min():.4g} to {values.max():.4g}",
-            remedy="use plateaus, or cut the recording to a part of one length",
+            remedy="use plateaus, or cut the recording to a part of constant length",
         )
     account.assign_reason(moved, "at another length")
     return held if contraction is None else float(contraction)
 
 
 def pressure_levels(pressure: NDArray[np.float64], levels: ArrayLike | None, count: int) -> NDArray[np.float64]:
-    """The given levels, or so many evenly spaced inside the range of the pressure [Pa]."""
+    """The given levels, or `count` evenly spaced ones inside the range of the pressure [Pa]."""
     if levels is not None:
         wanted = np.unique(np.asarray(levels, np.float64).ravel())
         if not len(wanted) or not np.isfinite(wanted).all():
-            raise RangeError("levels are no finite pressures", value=levels, unit="Pa")
+            raise RangeError("levels must be finite pressures", value=levels, unit="Pa")
         return wanted
     if count < 1:
-        raise RangeError(f"{count} levels are none", value=count, lower=1)
+        raise RangeError(f"{count} levels were requested", value=count, lower=1)
     if not len(pressure):
         return np.zeros(1)
     low, high = float(pressure.min()), float(pressure.max())
-    # half a step inside: at the ends of the range there are samples on one side only
+    # half a step inside: samples at the ends of the range lie on one side only
     return low + (high - low) * (np.arange(count) + 0.5) / count
 
 
@@ -73,7 +71,7 @@ class Phases(NamedTuple):
 
 
 def split_phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: float) -> Phases:
-    """Split a recording at the reversals of its pressure, by means over a two-thousandth of it."""
+    """Split a recording at the reversals of its pressure, using means over 1/2000 of its length."""
     size = max(1, len(pressure) // _SMOOTHED)
     edges = np.arange(0, max(1, len(pressure) - size + 1), size)
     bounds = np.append(edges, len(pressure))
@@ -84,11 +82,11 @@ def split_phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], rever
 
     def close(start: int, end: int, up: bool) -> None:
         away = np.abs(means[start : end + 1] - means[start]) >= reversal
-        if away.any():  # before, the muscle rests, or friction is that of the last phase
+        if away.any():  # before that, the muscle rests, or friction still has the sign of the last phase
             of[start + int(np.argmax(away)) : end + 1] = len(rising)
             rising.append(up)
 
-    start, top, bottom, sign = 0, 0, 0, 0  # sign: +1 while rising, -1 while falling, 0 while neither is sure
+    start, top, bottom, sign = 0, 0, 0, 0  # sign: +1 while rising, -1 while falling, 0 if uncertain
     for i in range(1, len(means)):
         if gaps[i]:
             close(start, top if sign > 0 else bottom, sign > 0)
@@ -112,14 +110,14 @@ def split_phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], rever
     return Phases(np.repeat(of, np.diff(bounds)), filling, repeat)
 
 
-_HOLDS = 2  # inside the range of a phase: then it is a staircase
+_HOLDS = 2  # levels inside the range of a phase that make it a staircase
 _HOLD = 50  # parts of a phase: the shortest hold
 _HELD = 200  # parts of the range of a phase: the tolerance of a hold
 _INSIDE = 0.05  # of the range of a phase, from its ends
 
 
 def refuse_staircase(pressure: NDArray[np.float64], phases: Phases, interval: float) -> None:
-    """Raise a `RangeError` if most of a recording are phases in which the pressure was held at levels inside."""
+    """Raise a `RangeError` if the pressure was held at intermediate levels in most phases of a recording."""
     held: list[float] = []
     shortest: list[float] = []
     samples = 0
@@ -137,7 +135,7 @@ def refuse_staircase(pressure: NDArray[np.float64], phases: Phases, interval: fl
         named = ", ".join(f"{each / bar:.3g}" for each in held[:_NAMED]) + (" ..." if len(held) > _NAMED else "")
         dwell = 0.5 * float(np.median(shortest))
         raise RangeError(
-            f"the pressure was held at {len(held)} levels ({named} bar); the transients in between are no points",
+            f"the pressure was held at {len(held)} levels ({named} bar); the transients in between are not points",
             remedy=f"plateaus(dwell={dwell:.2g}) (command line: leave out --isometric, --dwell '{dwell:.2g} s')",
         )
 

@@ -1,4 +1,4 @@
-"""Excel workbooks and TDMS files to a `Sheet`."""
+"""Readers of Excel workbooks and TDMS files."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, u
 from mckibben.errors import DatasetError, Problem
 
 _ROWS = 1_048_576  # of a sheet of Excel
-_HEADER = 60  # rows in which a header is looked for
-_SQUEEZED = 300  # times smaller than its content a workbook may be; sheets of numbers are 3 to 20 times
+_HEADER = 60  # rows searched for a header
+_SQUEEZED = 300  # largest compression ratio of a workbook; sheets of numbers reach 3 to 20
 _LARGEST = 2**28  # bytes of a workbook's content
 _BESIDES = 2**25  # bytes of texts, styles and names in it
 _MOST_COLUMNS = 4096
@@ -47,7 +47,7 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
         tables = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
     except DatasetError:
         raise
-    except Exception as error:  # openpyxl raises nearly every kind on a damaged file
+    except Exception as error:  # openpyxl raises almost any exception on a damaged file
         raise unreadable(path, "a workbook", error, "save it again, or as CSV") from error
     sheet = RawTable(kind=RowProblem)
     found = {title: _table(rows, known) for title, rows in tables.items()}
@@ -64,8 +64,8 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
 
 
 def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
-    """Rows of a sheet that are not empty, with their numbers."""
-    sheet.reset_dimensions()  # what the file says of its size is not always true
+    """Non-empty rows of a sheet, with their numbers."""
+    sheet.reset_dimensions()  # the size stated in the file is not always true
     rows: list[tuple[int, tuple[Any, ...]]] = []
     cells = 0
     for number, row in enumerate(islice(sheet.iter_rows(values_only=True), _ROWS + 1), 1):
@@ -107,7 +107,7 @@ def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, st
 
 
 def _start(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, str], bool]) -> int:
-    """Index of the header: the first row, or a later one with two known names where the first has none."""
+    """Index of the header: the first row, or a later one with two known names if the first has none."""
     for index, (_, row) in enumerate(rows[: min(_HEADER, len(rows) - 1)]):
         below = [_name(cell) for cell in rows[index + 1][1]] + [""] * len(row)
         names = [(_name(cell), unit if is_unit(unit) else "") for cell, unit in zip(row, below, strict=False)]
@@ -123,7 +123,7 @@ def _name(cell: object) -> str:
 
 
 def read_tdms(path: Path, data: bytes) -> RawTable:
-    """Scaled channels of a TDMS file, named ``group/channel``; the increment of waveforms is the interval."""
+    """Scaled channels of a TDMS file, named ``group/channel``; the waveform increment gives the sample interval."""
     try:
         from nptdms import TdmsFile
     except ImportError:
@@ -136,7 +136,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
             file = TdmsFile.read_metadata(io.BytesIO(data))
             claimed = sum(len(channel) for group in file.groups() for channel in group.channels())
             if claimed > len(data):  # a sample has at least a byte
-                raise DatasetError(str(path), [Problem(f"claims {claimed} samples, which the file does not hold")])
+                raise DatasetError(str(path), [Problem(f"declares {claimed} samples, more than the file contains")])
             file = TdmsFile.read(io.BytesIO(data))
             for group in file.groups():
                 for channel in group.channels():
@@ -144,8 +144,8 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
             status = file.file_status
     except DatasetError:
         raise
-    except Exception as error:  # npTDMS raises nearly every kind on a damaged file
-        raise unreadable(path, "TDMS", error, "copy it again from where it was written") from error
+    except Exception as error:  # npTDMS raises almost any exception on a damaged file
+        raise unreadable(path, "TDMS", error, "copy it again from its original") from error
     sheet.corrupt += [RowProblem(f"npTDMS: {text[:120]}") for text in dict.fromkeys(warned)]
     if status.incomplete_final_segment:
         lost = sum(c.expected_length - c.read_length for c in (status.channel_statuses or {}).values())

@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-_LARGEST = 2**26  # bytes that the compressed variables of a small file may hold
-_SQUEEZED = 20  # times smaller than its content a large file may be
-_DEEPEST = 20  # arrays in arrays
+_LARGEST = 2**26  # bytes that the compressed variables of a small file may expand to
+_SQUEEZED = 20  # largest compression ratio of a large file
+_DEEPEST = 20  # nested arrays
 _INTEGERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i8", 13: "u8", 16: "u1", 17: "u2"}
 _KINDS = {**_INTEGERS, 7: "f4", 9: "f8"}
 _KINDS_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
@@ -27,11 +27,11 @@ _COMPLEX = 0x0800
 
 
 class MatlabObject:
-    """MATLAB object of a class that the format does not describe: tables, strings, times."""
+    """MATLAB object of a class outside the published format: tables, strings, times."""
 
 
 class Unsupported:
-    """Variable that is no column: sparse and complex matrices, functions."""
+    """Variable that is not a column: sparse and complex matrices, functions."""
 
 
 Value = NDArray[np.float64] | str | list["Value"] | dict[str, "Value"] | MatlabObject | Unsupported
@@ -48,7 +48,7 @@ def variables(data: bytes) -> Iterator[tuple[str, Value]]:
         yield from _version_4(data)
         return
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
-        raise CorruptFileError("its head is not that of a MATLAB file")
+        raise CorruptFileError("its header is not that of a MATLAB file")
     reader = _Reader(memoryview(data), "<" if data[126:128] == b"IM" else ">")
     reader.at = 128
     left = max(_LARGEST, _SQUEEZED * len(data))
@@ -61,7 +61,7 @@ def variables(data: bytes) -> Iterator[tuple[str, Value]]:
         if kind != _MATRIX:
             raise CorruptFileError(f"an element of kind {kind} stands where a variable should")
         name, value = _array(content, reader.order, 0)
-        if name:  # what has none is data of the objects
+        if name:  # variables without a name are object data
             yield name, value
 
 
@@ -94,7 +94,7 @@ class _Reader:
             raise CorruptFileError(f"an element of kind {kind} stands where numbers should")
         dtype = np.dtype(self.order + _KINDS[kind])
         if len(content) % dtype.itemsize:
-            raise CorruptFileError(f"{len(content)} bytes are no whole numbers")
+            raise CorruptFileError(f"{len(content)} bytes are not a whole number of values")
         return np.frombuffer(content, dtype)
 
     def text(self) -> str:
@@ -115,7 +115,7 @@ class _Reader:
 
 def _named(name: str) -> str:
     if name and not (name.isascii() and name.isidentifier()):
-        raise CorruptFileError(f"{name[:20]!r} is no name of a variable")
+        raise CorruptFileError(f"{name[:20]!r} is not a variable name")
     return name
 
 
@@ -133,7 +133,7 @@ def _unpacked(content: memoryview, most: int) -> memoryview:
 def _array(content: memoryview, order: str, depth: int) -> tuple[str, Value]:
     """Name and value of a matrix element."""
     if depth > _DEEPEST:
-        raise CorruptFileError(f"arrays stand {_DEEPEST} deep in each other")
+        raise CorruptFileError(f"arrays are nested more than {_DEEPEST} deep")
     if not len(content):
         return "", np.empty((0, 0))
     reader = _Reader(content, order)
@@ -185,13 +185,13 @@ def _matrix(reader: _Reader) -> memoryview:
 def _possible(count: int, reader: _Reader) -> int:
     """Check a number of elements: each has at least 8 bytes."""
     if count > len(reader.data) // 8:
-        raise CorruptFileError(f"{count} elements are claimed, which the file does not hold")
+        raise CorruptFileError(f"{count} elements are declared, more than the file contains")
     return count
 
 
 def _letters(codes: np.ndarray) -> str:
     if codes.dtype.kind == "f":
-        raise CorruptFileError("a text has letters that are no whole numbers")
+        raise CorruptFileError("a text has character codes that are not integers")
     if codes.dtype.itemsize == 1:
         return codes.tobytes().decode("utf-8", "replace")
     return "".join(chr(code) if 0 <= code < 0xD800 else "\ufffd" for code in codes.tolist())
@@ -206,7 +206,7 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Value]]:
         code, rows, columns, imaginary, letters = struct.unpack_from(f"{order}5i", data, at)
         number_type, kind = code // 10 % 10, code % 10
         if code // 1000 not in (0, 1) or code // 100 % 10 or number_type > 5 or min(rows, columns, letters) < 0:
-            raise CorruptFileError("it is no MATLAB file, or its head is damaged")
+            raise CorruptFileError("it is not a MATLAB file, or its header is damaged")
         dtype = np.dtype(order + _KINDS_4[number_type])
         size = rows * columns * dtype.itemsize * (2 if imaginary else 1)
         start = at + 20 + letters

@@ -14,10 +14,10 @@ from mckibben.dataset.mat5 import CorruptFileError, MatlabObject, Value, variabl
 from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, unreadable
 from mckibben.errors import DatasetError, Problem
 
-_DEEPEST = 6  # structs in structs
+_DEEPEST = 6  # nested structs
 _MOST = 4096  # columns of a file
 _WIDEST = 64  # columns of a matrix
-_TABLE = "is an object of MATLAB (a table?), which only MATLAB can open"
+_TABLE = "is a MATLAB object (a table?), which only MATLAB can open"
 _TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 
 
@@ -45,7 +45,7 @@ def read_hdf5(path: Path, data: bytes) -> RawTable:
                 _add_node(sheet, name, node, matlab)
     except DatasetError:
         raise
-    except Exception as error:  # h5py raises nearly every kind on a damaged file
+    except Exception as error:  # h5py raises almost any exception on a damaged file
         raise unreadable(path, "an HDF5 file", error) from error
     return _checked(path, sheet)
 

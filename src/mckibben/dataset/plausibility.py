@@ -16,7 +16,7 @@ from mckibben.units import bar, mm, percent
 Floats = NDArray[np.float64]
 
 _PRESSURES = (0.08 * bar, 0.9 * bar, 12 * bar, 16 * bar)
-"""Highest pressure of a test of a pneumatic muscle: impossible below, usual from, usual to, impossible above."""
+"""Highest pressure of a muscle test: impossible below, usual from, usual to, impossible above."""
 _DIAMETERS = (0.8 * mm, 120 * mm)
 _BLOCKED_FORCE = 8.2
 """Force of a muscle at its initial length over p pi d^2/4 at a braid angle of 25 deg; 14 at 20 deg, 5 at 30 deg.
@@ -25,18 +25,18 @@ C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-10
 """
 _LIKE_SPECIMEN = (0.4, 2.0, 3.0)  # implied over given diameter: usual from, usual to, impossible above
 _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
-_FIRST = 0.1  # least contraction of a test that begins near the initial length
-_COPIED = 4  # rows in the same order as before that are copies
+_FIRST = 0.1  # smallest contraction of a test that begins near the initial length
+_COPIED = 4  # repeated rows in the same order that count as copies
 _SMALL_FORCE = 0.05  # of the largest one
 _LENGTH = "check initial_length (command line: --initial-length)"
 _UNIT = (
-    "check the unit: arrays are in SI, and columns={...} gives that of a file's column (command line: "
+    "check the unit: arrays are in SI, and columns={...} gives the unit of a file's column (command line: "
     "--column 'HEADER=NAME')"
 )
 
 
 class Findings(NamedTuple):
-    """Problems of points that cannot be measured on a muscle, and warnings for unusual ones."""
+    """Problems of points that are impossible for a muscle, and warnings for unusual ones."""
 
     problems: list[Problem]
     warnings: list[str]
@@ -50,11 +50,11 @@ def check_points(
     initial_length: float | None,
     specimen: Specimen | None = None,
 ) -> Findings:
-    """Check points of a muscle, with those of its specimen where it is known."""
+    """Check points of a muscle, and of its specimen where it is known."""
     problems, warnings = [], []
     found = list(_sign(force)) if len(force) else []
     if found and found[0][1]:
-        problems.append(found[0][0])  # the other numbers mean nothing
+        problems.append(found[0][0])  # the other numbers are meaningless
     elif len(force):
         for problem, impossible in (
             *found,
@@ -74,8 +74,8 @@ def _sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
     limit = _SMALL_FORCE * float(np.abs(force).max())
     negative, positive = int((force < -limit).sum()), int((force > limit).sum())
     if negative > positive:
-        text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, and a muscle only pulls"
-        yield Problem(text, field="force", remedy="turn the sign: force_sign=-1 (command line: --force-sign -1)"), True
+        text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
+        yield Problem(text, field="force", remedy="flip the sign: force_sign=-1 (command line: --force-sign -1)"), True
     elif negative:
         text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N: they count as slack"
         yield Problem(text, field="force", remedy="check these points, and the zero of the load cell"), False
@@ -86,7 +86,7 @@ def _contractions(
 ) -> Iterator[tuple[Problem, bool]]:
     low, high = float(contraction.min()), float(contraction[taut].max(initial=-1.0))
     if low < _STRETCHED:
-        text = f"contractions begin at {low / percent:.3g} %, and a muscle can be stretched by about 3 %"
+        text = f"contractions begin at {low / percent:.3g} %, but a muscle can be stretched by about 3 % only"
         yield (
             Problem(text, field="contraction", remedy=f"{_LENGTH}, and the sign (positive = shorter)"),
             low < _OVERSTRETCHED,
@@ -96,20 +96,20 @@ def _contractions(
         text = f"contractions begin at {low / percent:.3g} %, not near 0 %{longest}"
         yield Problem(text, field="contraction", remedy=_LENGTH), False
     if high > _SHORT:
-        text = f"the muscle pulls at a contraction of {high / percent:.3g} %, and muscles contract by 20 to 35 %"
+        text = f"the muscle pulls at a contraction of {high / percent:.3g} %, but muscles contract by 20 to 35 %"
         yield Problem(text, field="contraction", remedy=f"{_LENGTH}, and the unit"), high > _SHORTEST
 
 
 def check_pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
-    """Unusual highest pressure [Pa], and whether it is impossible."""
+    """Message for an unusual highest pressure [Pa], and whether it is impossible."""
     lowest, least, most, limit = _PRESSURES
     if highest > 0 and not least <= highest <= most:
-        text = f"the highest pressure is {highest / bar:.3g} bar, and pneumatic muscles are tested at 1 to 8 bar"
+        text = f"the highest pressure is {highest / bar:.3g} bar, but pneumatic muscles are tested at 1 to 8 bar"
         yield Problem(text, field="pressure", remedy=_UNIT), not lowest <= highest <= limit
 
 
 def _copies(rows: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Rows in a row that were there before in the same order; equal points of one measurement are not."""
+    """Consecutive rows that repeat earlier ones in the same order; equal points of one measurement do not count."""
     first: dict[bytes, int] = {}
     earlier = np.array([first.setdefault(row.tobytes(), place) for place, row in enumerate(rows)])
     copied = earlier < np.arange(len(rows))
@@ -132,5 +132,5 @@ def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Itera
     elif specimen is not None and (given := specimen.initial_diameter):
         low, high, limit = _LIKE_SPECIMEN
         if not low <= diameter / given <= high:
-            text = f"{text}, and {specimen.name} has {given / mm:.3g} mm"
-            yield Problem(text, field="force", remedy=f"{_UNIT}, that of pressures too"), diameter / given > limit
+            text = f"{text}, but {specimen.name} has {given / mm:.3g} mm"
+            yield Problem(text, field="force", remedy=f"{_UNIT}; also for pressures"), diameter / given > limit

@@ -13,14 +13,14 @@ from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.units import show
 
 _LEAST = 10  # samples in a row
-_LONGER = 10  # times what is usual in the channel
-_JITTER = 0.25  # of the bends change sign: 0.73 do in white noise
+_LONGER = 10  # times the usual value in the channel
+_JITTER = 0.25  # share of second differences that change sign: 0.73 in white noise
 _ROUNDING = 1e-9  # of the range
-_SHARE = 0.2  # of the samples of a stretch, at an end that was found
+_SHARE = 0.2  # of the samples of a stretch, at a detected end
 
 
 def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-    """Masks (n,) "floor" and "ceiling" of a noisy channel: extremes 10 times in a row and 10 times the usual run."""
+    """Masks (n,) "floor" and "ceiling" of a noisy channel: runs of at least 10 extremes, 10 times the usual length."""
     count = len(values)
     if count < _LEAST:
         return {}
@@ -43,7 +43,7 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
 
 
 def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
-    """True if second differences change sign from sample to sample, as those of noise do."""
+    """True if second differences change sign from sample to sample, as in noise."""
     bend = np.diff(heights, 2)
     bend[np.abs(bend) <= _ROUNDING * np.ptp(heights)] = 0
     within = inside[:-3] & inside[1:-2] & inside[2:-1] & inside[3:]
@@ -60,7 +60,7 @@ def _usual(lengths: NDArray[np.int64]) -> int:
 
 
 def _stretches(at_end: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Saturated samples, and those around which at least a fifth is saturated."""
+    """Saturated samples, and samples with at least a fifth of their surroundings saturated."""
     window = 2 * _LEAST + 1
     if len(at_end) < window:
         return at_end
@@ -72,21 +72,21 @@ def _stretches(at_end: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 _GAP = 10  # usual intervals
-_NAMED = 5  # places that a note names
+_NAMED = 5  # places listed in a note
 
 
 @dataclass(frozen=True, eq=False)
 class ExtractedPoints:
-    """Points extracted from a recording (for `identify`), and the use of all its samples.
+    """Points extracted from a recording (for `identify`), with an account of all samples.
 
     Attributes
     ----------
     samples
         Number of samples of each point, shape (points,).
     counts
-        Number of samples by use or reason for leaving them out; their sum is the length of the recording.
+        Number of samples by use or reason for exclusion; they sum to the length of the recording.
     notes
-        Findings: gaps, saturation of a sensor, levels that were not reached.
+        Findings: gaps, sensor saturation, levels not reached.
     """
 
     dataset: IsobaricDataset
@@ -102,7 +102,7 @@ class ExtractedPoints:
 def extracted_points(
     table: xr.Dataset, account: SampleAccount, rest: str, samples: NDArray[np.int64], **columns: ArrayLike | None
 ) -> ExtractedPoints:
-    """Points of a recording's table; `columns` are those of a dataset, and ``force_spread``."""
+    """Points of a recording's table; `columns` are the dataset columns and ``force_spread``."""
     spread = ("point", columns.pop("force_spread"))
     attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
     dataset = IsobaricDataset.of(**columns, **attrs)  # type: ignore[arg-type]
@@ -111,7 +111,7 @@ def extracted_points(
 
 
 class SampleAccount:
-    """Use of each sample, or reason for leaving it out; the first reason counts."""
+    """Use of each sample, or reason for its exclusion; the first reason counts."""
 
     def __init__(self, table: xr.Dataset, gap: float | None) -> None:
         self.table = table
@@ -123,14 +123,14 @@ class SampleAccount:
             self._ends(name)
 
     def assign_reason(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
-        """Assign a reason to samples that have none yet."""
+        """Assign a reason to samples that do not have one yet."""
         if reason not in self.reasons:
             self.reasons.append(reason)
         part = self.of[where]
         self.of[where] = np.where(part < 0, self.reasons.index(reason), part)
 
     def counts(self, rest: str) -> dict[str, int]:
-        """Number of samples by reason; those without one get `rest`."""
+        """Number of samples by reason; samples without one count as `rest`."""
         self.assign_reason(self.of < 0, rest)
         found = np.bincount(self.of, minlength=len(self.reasons))
         return {reason: int(n) for reason, n in zip(self.reasons, found, strict=True) if n or reason == "used"}
@@ -140,7 +140,7 @@ class SampleAccount:
         return format_counts(self.counts(rest), self.notes).replace("\n", "\n  ")
 
     def _breaks(self, gap: float | None) -> NDArray[np.bool_]:
-        """Samples after a gap or a clock that went back."""
+        """Samples after a gap or a backward clock step."""
         time = self.table["time"].to_numpy()
         steps = np.diff(time)
         broken = np.zeros(len(time), bool)
@@ -153,7 +153,7 @@ class SampleAccount:
             if len(places):
                 shown = ", ".join(f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places[:_NAMED])
                 more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
-                self.notes.append(f"{what}: {shown}{more}; nothing is joined across")
+                self.notes.append(f"{what}: {shown}{more}; segments end there")
                 broken[places + 1] = True
         return broken
 

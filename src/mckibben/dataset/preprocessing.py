@@ -1,8 +1,8 @@
 """Preprocessing of measured points: pressure levels, passes of loading and unloading, force of the slack muscle.
 
-Only what a dataset does not record is estimated. Each estimate is a method for any data: gaps between sorted pressures,
-reversals of the contraction in the order of the rows, and the mode of the lowest forces with the spread below it, which
-forces of a taut muscle do not reach.
+Only quantities that a dataset does not record are estimated. The methods suit any data: gaps between sorted pressures,
+reversals of the contraction in row order, and the mode of the lowest forces with the spread below it, out of reach of a
+taut muscle's forces.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ Ints = NDArray[np.int_]
 Bools = NDArray[np.bool_]
 
 _FEWEST = 3  # points at a level
-_SEPARATION = 2.5  # least ratio of gaps between levels to those within
+_SEPARATION = 2.5  # smallest ratio of gaps between levels to gaps within
 _ONE_LEVEL = 0.01  # of the highest pressure: a narrower range is scatter about one level
 _STEPS = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)  # bar, of nominal pressures
-_REVERSAL = 0.1  # of the range of contractions: a smaller change of direction is noise
-_LOWEST_FORCES = 0.15  # of the range of forces, in which the slack muscle is searched
+_REVERSAL = 0.1  # of the range of contractions: a smaller reversal is noise
+_LOWEST_FORCES = 0.15  # of the range of forces, searched for the slack muscle
 _FEWEST_SLACK = 5
 _OUTSIDE = 4.0  # standard deviations of the noise
-_FAR = 8.0  # standard deviations: farther above, a point beyond slack ones is no noise
-_TAIL = 0.8  # of the slack points have no taut point at a larger contraction; the rest may be friction
-_UPPERMOST = 0.95  # share of the readings of the slack muscle, above which friction may be
+_FAR = 8.0  # standard deviations: a point farther above slack ones is not noise
+_TAIL = 0.8  # share of slack points without a taut point at a larger contraction; the rest may be friction
+_UPPERMOST = 0.95  # share of the slack muscle's readings, above which there may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
 
 
 def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
-    """Table with levels, directions, repeats and slack force, where they are not known; `preprocessing` lists them."""
+    """Table with unknown levels, directions, repeats and slack force estimated; `preprocessing` lists the estimates."""
     notes = []
     pressure, contraction = (table[name].to_numpy() for name in ("pressure", "contraction"))
     labels = group_pressures(pressure) if "set_pressure" not in table else None
@@ -68,14 +68,14 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
 
 
 def _levels(table: xr.Dataset) -> Floats:
-    """Set pressure of each point, the measured one where it is not known."""
+    """Set pressure of each point, or the measured one where it is unknown."""
     measured = table["pressure"].to_numpy()
     nominal = table.get("set_pressure", table["pressure"]).to_numpy()
     return np.where(np.isnan(nominal), measured, nominal)
 
 
 def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
-    """Table with the slack muscle's force found and subtracted, and a note of it; as it is, without, where not seen."""
+    """Table with the slack muscle's force subtracted, and a note; unchanged and no note if it is not detected."""
     contraction, force = (table[name].to_numpy() for name in ("contraction", "force"))
     levels = _levels(table)
     groups = np.unique(levels, return_inverse=True)[1]
@@ -96,9 +96,9 @@ def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:
 
 
 def group_pressures(pressure: Floats) -> Ints | None:
-    """Level of each measured pressure, ascending from 0; None where pressures repeat exactly, or are not grouped.
+    """Level of each measured pressure, ascending from 0; None if pressures repeat exactly or form no groups.
 
-    The finest grouping is taken in which gaps between levels are larger than levels are wide, and than gaps in them.
+    Uses the finest grouping in which gaps between levels exceed both the width of levels and the gaps within them.
     """
     if 0 < np.ptp(pressure) < _ONE_LEVEL * pressure.max() and len(pressure) >= _FEWEST:
         return np.zeros(len(pressure), int)
@@ -130,7 +130,7 @@ def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
 
 
 def passes(groups: Ints, contraction: Floats) -> tuple[NDArray[np.str_], Ints] | None:
-    """Direction and repeat of each point from reversals of the contraction in each group; None without reversals."""
+    """Direction and repeat of each point from reversals of the contraction per group; None without reversals."""
     direction, repeat = np.zeros(len(groups), "<U9"), np.zeros(len(groups), int)
     reversing = count = 0
     for group in np.unique(groups):
@@ -147,7 +147,7 @@ def passes(groups: Ints, contraction: Floats) -> tuple[NDArray[np.str_], Ints] |
 
 
 def _runs(values: Floats) -> Iterator[tuple[slice, str]]:
-    """Parts in which the contraction rises (unloading) or falls (loading), apart from noise."""
+    """Parts in which the contraction rises (unloading) or falls (loading), ignoring noise."""
     threshold = _REVERSAL * np.ptp(values)
     start = extreme = 0
     rising: bool | None = None
@@ -176,9 +176,9 @@ class Slack(NamedTuple):
 
 
 def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> Slack | None:
-    """Force of the slack muscle, in which the force does not depend on the contraction; None if it is not to be seen.
+    """Force of the slack muscle, which does not depend on the contraction; None if not detectable.
 
-    The mode of the lowest forces is their offset, and the forces below it give the noise: there are no taut points.
+    The mode of the lowest forces is the offset; the forces below it, none of them taut, give the noise.
     """
     lowest = np.sort(force[force <= force.min() + _LOWEST_FORCES * np.ptp(force)])
     if len(lowest) < _FEWEST_SLACK or not np.ptp(force):
@@ -204,7 +204,7 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
 
 
 def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, float] | None:
-    """Offset and noise of readings of the slack muscle that end at a floor: those of a censored normal distribution."""
+    """Offset and noise of slack-muscle readings clipped at a floor, from a censored normal distribution."""
     from scipy.special import ndtri
 
     floor = force.min()
@@ -221,7 +221,7 @@ def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, f
 
 
 def _beyond(marked: Bools, contraction: Floats, passes: Ints) -> Bools:
-    """Points from the second of the marked ones of their pass on, in the order of contraction."""
+    """Points from the second marked one of each pass on, in order of contraction."""
     order = np.lexsort((contraction, passes))
     found, starts = np.cumsum(marked[order]), np.flatnonzero(np.diff(passes[order], prepend=-1))
     sizes = np.diff(np.append(starts, len(order)))
@@ -234,7 +234,7 @@ def _beyond(marked: Bools, contraction: Floats, passes: Ints) -> Bools:
 
 
 def _largest_taut(taut: Bools, contraction: Floats, pressure: Floats) -> Floats:
-    """Largest contraction of a taut point at the pressure of each point, or at a lower one."""
+    """Largest contraction of a taut point at or below the pressure of each point."""
     order = np.lexsort((contraction, pressure))
     largest = np.maximum.accumulate(np.where(taut, contraction, -np.inf)[order])
     return largest[np.searchsorted(pressure[order], pressure, side="right") - 1]

@@ -20,8 +20,8 @@ OnCorrupt = Literal["raise", "report"]
 """Treatment of corrupt rows: raise an error, or leave them out and report each."""
 
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
-_LENGTH_ROUNDING = 0.5e-3, 0.002  # m and parts of the initial length: a rule's and a printed table's
-_WARNED = 5  # rows left out that a warning names
+_LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
+_WARNED = 5  # omitted rows listed in a warning
 
 _MEANINGS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -65,7 +65,7 @@ class ColumnConverter:
         self.decimal = decimal_sign(numeric, self.lines, sheet.delimiter)
 
     def attributes(self, path: Path, specimen: str, slack_force: float | None) -> dict[str, Any]:
-        """Attributes from the comments, unless given as arguments."""
+        """Attributes from the comments; arguments take precedence."""
         comments = self.sheet.comments
         found: dict[str, float] = {}
         for key, unit in (("initial_length", "m"), ("slack_force", "N")):
@@ -104,7 +104,7 @@ class ColumnConverter:
         rows = len(set(lines.tolist()) | bad - {None}) if bad else len(lines)
         left_out = rows - int(kept.sum())
         if self.corrupt and on_corrupt == "report" and not self.problems and 2 * left_out > rows:
-            unit = f"{left_out} of {rows} rows hold no number: more than half cannot be left out"
+            unit = f"{left_out} of {rows} rows are not numeric: more than half cannot be left out"
             self.problems.append(Problem(unit))
         if self.problems or (self.corrupt and on_corrupt == "raise"):
             found = self._sorted(self.problems + self.corrupt)
@@ -184,7 +184,7 @@ class ColumnConverter:
         elif name == "length":
             self._refuse(name, values, si <= 0, f"{{:g}}{unit} is not above 0")
         elif name == "repeat":
-            # beyond 2**53 a float no longer tells one integer from the next
+            # beyond 2**53 a float cannot distinguish consecutive integers
             wrong = (si < 0) | (si != np.round(si)) | (si > 2**53)
             self._refuse(name, values, wrong & ~np.isnan(si), "{:g} is not an integer from 0 up")
         return si
@@ -223,6 +223,6 @@ class ColumnConverter:
             self._problem(text, None, "initial_length")
         expected = agreed * (1 - contraction)
         for row in np.flatnonzero(usable & (np.abs(length - expected) > tolerance)):
-            given = f"{length[row]:g} m does not go with contraction {contraction[row]:g}"
-            text = f"{given} of {agreed:g} m: {expected[row]:.4g} m would"
+            given = f"{length[row]:g} m contradicts contraction {contraction[row]:g}"
+            text = f"{given} of {agreed:g} m, which implies {expected[row]:.4g} m"
             self._problem(text, self.lines[int(row)], "length")

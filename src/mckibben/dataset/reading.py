@@ -1,4 +1,4 @@
-"""Readers of measurement files, which report all errors of a file at once."""
+"""Readers of measurement files that report all errors of a file at once."""
 
 from __future__ import annotations
 
@@ -52,7 +52,9 @@ def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
 
         return read_matlab(path, data)
     if data.startswith(_OLD_WORKBOOK):
-        raise DatasetError(str(path), [Problem("is a workbook of before 2007", remedy="save it as .xlsx or CSV")])
+        raise DatasetError(
+            str(path), [Problem("is a workbook in the format before 2007", remedy="save it as .xlsx or CSV")]
+        )
     text, zeros = decode(data, str(path))
     if text.startswith(SIGNATURE):
         return read_lvm(text, str(path), known, zeros=zeros)
@@ -82,13 +84,13 @@ def read_dataset(
     Required are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and
     ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction`` (loading,
     unloading or a synonym; 1 and -1 are refused, as their meaning differs), ``phase``, ``repeat``, ``time_*`` (s, ms or
-    min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` and the like are
-    equivalent, as are units in a row under the header or in the properties of a channel. Other columns are listed in
-    the attribute ``ignored_columns``.
+    min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` etc. are equivalent, as are
+    units in a row under the header or in the properties of a channel. Other columns are listed in the attribute
+    ``ignored_columns``.
 
-    Where the file does not tell, pressure levels are found from the gaps between the pressures, directions and repeats
-    from reversals of the contraction in the order of the rows, and the force of the slack muscle from its noise; the
-    attribute ``preprocessing`` lists what was found.
+    If the file does not give them, pressure levels are estimated from gaps between the pressures, directions and
+    repeats from reversals of the contraction in row order, and the force of the slack muscle from its noise; the
+    attribute ``preprocessing`` lists the estimates.
 
     Parameters
     ----------
@@ -96,13 +98,13 @@ def read_dataset(
         Header of the file to one of the names above: ``{"Druck [bar]": "pressure_bar"}``. In files with
         groups or structs: ``group/channel``, ``struct.field``, ``matrix(:,2)``, ``sheet/header``.
     initial_length
-        Length of the deflated muscle [m]: required where the file has lengths and no contractions, inferred where it
-        has both.
+        Length of the deflated muscle [m]: required if the file has lengths but no contractions, inferred if it has
+        both.
     specimen, slack_force
-        Name of the muscle's type, and force [N] up to which it counts as slack; unless given, from the file, or from
-        the noise of the slack muscle, whose mean force is subtracted.
+        Type of the muscle, and force [N] up to which it counts as slack. Default: from the file, or from the noise of
+        the slack muscle, whose mean force is subtracted.
     force_sign
-        -1 for a load cell that shows a pull as negative.
+        -1 for a load cell that reads a pull as negative.
     on_corrupt
         "raise": a truncated row, or a cell without a number, is an error. "report": such rows are left out with a
         warning, and the attribute ``repairs`` lists them.
@@ -111,7 +113,7 @@ def read_dataset(
     ------
     DatasetError
         With every problem of the file, its line and column; also if more than half of the rows are corrupt, or the
-        points are of no muscle: negative forces, or a wrong unit or initial length.
+        points are impossible for a muscle: negative forces, or a wrong unit or initial length.
     RangeError
         If an argument is a text in place of a number in SI units, or `force_sign` is neither.
 
@@ -137,7 +139,7 @@ def read_dataset(
 
 
 def check_dataset(dataset: IsobaricDataset, source: str, specimen: Specimen | None = None) -> IsobaricDataset:
-    """The dataset; raises a `DatasetError` for points of no muscle, and warns of unusual ones."""
+    """Check a dataset; raises a `DatasetError` for points impossible for a muscle, and warns of unusual ones."""
     attrs = dataset.table.attrs
     found = check_points(
         dataset.pressure,
@@ -160,7 +162,7 @@ Kind = TypeVar("Kind", IsobaricDataset, Recording)
 def _made(
     kind: type[Kind], path: Path, data: Mapping[str, Any], attrs: Mapping[str, Any], found: Mapping[str, str]
 ) -> Kind:
-    """Dataset or recording of the columns of a file; an error of an argument names the file."""
+    """Dataset or recording from the columns of a file; an argument error names the file."""
     try:
         made = kind.of(**data, **attrs)
     except DatasetError as error:
@@ -169,7 +171,7 @@ def _made(
 
 
 def _check_arguments(force_sign: int, **numbers: object) -> None:
-    """Raise `RangeError` for texts in place of numbers, and for a sign that is none."""
+    """Raise `RangeError` for texts in place of numbers, and for an invalid sign."""
     check_number("reading", **numbers)
     if force_sign not in (1, -1):
         remedy = "give 1 or -1 (command line: --force-sign)"
@@ -179,7 +181,7 @@ def _check_arguments(force_sign: int, **numbers: object) -> None:
 def _from_netcdf(
     kind: type[Kind], path: Path, columns: Mapping[str, str] | None, force_sign: int, given: Mapping[str, Any]
 ) -> Kind:
-    """Dataset or recording of a NetCDF file, with the sign and the attributes that are given."""
+    """Dataset or recording of a NetCDF file, with the given sign and attributes."""
     if columns:
         raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
     found = kind.from_netcdf(path)
@@ -190,7 +192,7 @@ def _from_netcdf(
 
 
 _KEPT = ("time", "pressure", "force", "contraction", "set_pressure")
-_OWN_CONTRACTION = "contraction is given, and the file has its own"
+_OWN_CONTRACTION = "contraction is given, but the file has its own"
 _RATE_REMEDY = "give sample_rate (command line: --sample-rate '1000 Hz'), or a column time_s, time_ms or time_min"
 
 
@@ -214,16 +216,16 @@ def read_recording(
     Parameters
     ----------
     contraction
-        Contraction of the test [-], where the file has neither contractions nor lengths.
+        Contraction of the test [-], if the file has neither contractions nor lengths.
     sample_rate
         Sample rate [Hz] of a file without times.
     on_corrupt
-        As for `read_dataset`. Samples that are left out leave a gap in time.
+        As for `read_dataset`. Omitted samples leave a gap in time.
 
     Raises
     ------
     DatasetError, RangeError
-        As `read_dataset`, which has the warnings too.
+        As `read_dataset`, with the same warnings.
     """
     ratios_and_rates = {"contraction": contraction, "sample_rate": sample_rate}
     _check_arguments(force_sign, initial_length=initial_length, slack_force=slack_force, **ratios_and_rates)
@@ -249,11 +251,11 @@ def read_recording(
         if step is None or not np.isfinite(step):
             file.problems.append(Problem("no column for time, and no sample rate", remedy=_RATE_REMEDY))
         else:
-            # by row number: a row that is left out keeps its time
+            # by row number: omitted rows keep their time
             rows = np.asarray(file.lines, np.float64)
             data["time"] = (rows - (rows[0] if len(rows) else 0)) * step
     elif sample_rate is not None and "time" in data:
-        file.problems.append(Problem("sample_rate is given, and the file has times", remedy="leave sample_rate out"))
+        file.problems.append(Problem("sample_rate is given, but the file has times", remedy="leave sample_rate out"))
     if contraction is not None and "contraction" in data:
         file.problems.append(Problem(_OWN_CONTRACTION, remedy="leave contraction out"))
     data, found = file.settle(path, data, on_corrupt)

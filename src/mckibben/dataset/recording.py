@@ -38,9 +38,8 @@ from mckibben.units import bar, kPa, percent
 class Recording:
     """Samples of a test in the order of time, made by `of` or `read_recording`.
 
-    Points are extracted by `plateaus`, where pressure and contraction were constant, or by `isometric`, where a muscle
-    of a fixed length was filled and vented. A `DatasetError` lists variables that are missing, or of the wrong shape,
-    unit or range.
+    `plateaus` extracts points where pressure and contraction were constant, `isometric` where a muscle of fixed length
+    was filled and vented. A `DatasetError` lists variables that are missing, or of the wrong shape, unit or range.
 
     Attributes
     ----------
@@ -156,30 +155,30 @@ class Recording:
         ----------
         pressure_tolerance, contraction_tolerance, force_tolerance
             A segment is steady while means over a twentieth of `dwell` stay within this [Pa], [-], [N] of its middle.
-            The force, which may creep, is looked at only where a tolerance is given.
+            The force, which may creep, is checked only if its tolerance is given.
         dwell
-            A segment is steady for at least so long [s].
+            Minimum duration of a steady segment [s].
         settle
-            Its beginning that is left out of the means [s], besides a twentieth of `dwell` at either end.
+            Initial part of a segment excluded from the means [s], in addition to a twentieth of `dwell` at either end.
         level_tolerance
-            Plateau pressures that follow each other closer than this [Pa] belong to one level, whose mean (in whole
-            kPa) is the set pressure of them all; unless the record has set pressures.
+            Plateau pressures closer to each other than this [Pa] belong to one level, whose mean (in whole kPa) is
+            their set pressure, if the recording has no set pressures.
         gap
-            Samples further apart than this [s] are not joined; 10 times the usual interval unless given.
+            Samples further apart than this [s] are not joined. Default: 10 times the usual interval.
 
         Returns
         -------
         ExtractedPoints
-            The dataset has ``force_spread`` and ``time`` (the middle of each segment). ``direction`` is that of the
-            last motion before a plateau; where the length did not change, ``phase`` says whether the muscle was filled
-            or vented. Unless the recording has a slack force, it and the offset of the load cell are found from the
+            The dataset has ``force_spread`` and ``time`` (the middle of each segment). ``direction`` is the direction
+            of the last motion before a plateau; where the length did not change, ``phase`` says whether the muscle was
+            filled or vented. If the recording has no slack force, it and the load cell's offset are estimated from the
             points, as by `read_dataset`.
 
         Raises
         ------
         RangeError
-            If an argument has no meaning, the contraction is not known, or nothing was steady for so long; the error
-            says what was left out and why.
+            If an argument is invalid, the contraction is unknown, or no segment was steady for long enough; the error
+            lists the samples left out, with reasons.
         """
         check_positive("plateaus", "Pa", pressure_tolerance=pressure_tolerance, level_tolerance=level_tolerance)
         check_positive("plateaus", contraction_tolerance=contraction_tolerance)
@@ -198,7 +197,9 @@ class Recording:
         forward = np.diff(time)
         forward = forward[forward > 0]
         if not len(forward):
-            raise RangeError("the time of the recording does not pass", remedy="give its sample rate when reading it")
+            raise RangeError(
+                "the time of the recording does not advance", remedy="give its sample rate when reading it"
+            )
         interval = float(np.median(forward))
         signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
         if force_tolerance is not None:
@@ -211,10 +212,10 @@ class Recording:
         firsts = zip(first, last, strict=True)
         begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
         begins, ends = np.maximum(begins, first + found.edge), last - found.edge
-        # from the first to the last sample, and an interval: each stands for one
+        # first to last sample plus one interval: each sample stands for one
         whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
         for a, b in zip(first[~whole], last[~whole], strict=True):
-            account.assign_reason(slice(a, b), "steady too shortly")
+            account.assign_reason(slice(a, b), "steady for too short a time")
         for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
             account.assign_reason(slice(a, b), "settling")
             account.assign_reason(slice(c, d), "at the end of a plateau")
@@ -239,7 +240,7 @@ class Recording:
         account.assign_reason(at, "used")
 
         def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            middle = values[begins]  # subtracted, so that sums of many samples keep their digits
+            middle = values[begins]  # subtracted to preserve precision in sums of many samples
             return middle + np.bincount(owner, values[at] - middle[owner]) / samples
 
         p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
@@ -286,25 +287,23 @@ class Recording:
     ) -> ExtractedPoints:
         """Points at given pressures of a recording at a fixed length, separately for each filling and venting.
 
-        At each level the force is that of a least-squares line through the samples with a pressure near it; nothing
-        needs to be steady. A level that is passed faster than the range of the pressure in 2 s is a transient of
-        the valve, and no point.
+        At each level the force is given by a least-squares line through the samples near that pressure; nothing needs
+        to be steady. A level passed faster than the range of the pressure in 2 s is a valve transient, not a point.
 
         Parameters
         ----------
         levels, count
-            Pressures [Pa]; `count` evenly spaced ones inside the range of the recording unless given.
+            Pressures [Pa]. Default: `count` evenly spaced pressures inside the range of the recording.
         contraction
-            Contraction of the test [-]; the recorded one unless given.
+            Contraction of the test [-]. Default: the recorded one.
         contraction_tolerance
             Largest deviation of a recorded contraction from its median [-]; samples beyond are left out.
         band
-            Largest deviation of a sample's pressure from its level [Pa]; unless given, half the least distance between
+            Largest deviation of a sample's pressure from its level [Pa]. Default: half the smallest distance between
             levels, and at most a fortieth of their range.
         reversal
-            Pressure has reversed when it is this far [Pa] from its last extreme, 5 % of its range and at least 10 kPa
-            unless given; samples in between belong to neither phase, as there the muscle rests or friction has not
-            reversed yet.
+            Distance from its last extreme [Pa] at which the pressure has reversed. Default: 5 % of its range, at least
+            10 kPa. Samples in between belong to neither phase: the muscle rests, or friction has not reversed yet.
         gap
             As for `plateaus`.
 
@@ -317,8 +316,8 @@ class Recording:
         Raises
         ------
         RangeError
-            If an argument has no meaning, the contraction is not known, no level was passed, or the pressure was
-            raised and lowered in steps, for `plateaus`.
+            If an argument is invalid, the contraction is unknown, no level was passed, or the pressure was changed in
+            steps, for which `plateaus` is intended.
         """
         if reversal is not None:
             check_positive("isometric", "Pa", reversal=reversal)
@@ -396,5 +395,5 @@ class Recording:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `to_netcdf` wrote; raises a `DatasetError` if it is missing or no recording."""
+        """Read a file written by `to_netcdf`; raises a `DatasetError` if it is missing or not a recording."""
         return load_validated(Path(path), cls)

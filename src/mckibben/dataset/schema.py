@@ -114,7 +114,7 @@ def assemble(
     problems += [problem for problem in found if problem is not None]
     counts = {array.shape[1] for array in arrays.values() if array.ndim == 2}
     if not problems and len(counts) > 1:
-        problems.append(Problem("has another number of samples than force_samples", field="pressure_samples"))
+        problems.append(Problem("differs from force_samples in the number of samples", field="pressure_samples"))
     if problems:
         return xr.Dataset(), problems
     return xr.Dataset({name: (schema[name].dims, array) for name, array in arrays.items()}), []
@@ -144,7 +144,7 @@ def _structure(table: xr.Dataset, schema: Mapping[str, Variable]) -> Iterator[Pr
             yield problem
         elif array.size and array.dtype.kind not in ("UOT" if name in WORDS else "fiu"):
             what = " and ".join(WORDS.get(name, ("numbers",)))
-            yield Problem(f"holds something else than {what}", field=name)
+            yield Problem(f"contains values other than {what}", field=name)
         if (unit := array.attrs.get("units", variable.unit)) != variable.unit:
             yield Problem(f"is in {unit!r}", field=name, remedy=f"give it in {variable.unit!r}")
 
@@ -213,10 +213,10 @@ def format_range(values: np.ndarray) -> str:
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
     """Write a table, samples included, atomically and with a checksum at its end.
 
-    The file is made in memory: HDF5 crashes where a disk is full.
+    The file is built in memory: HDF5 crashes on a full disk.
     """
-    # Not compressed: the low bits of samples are noise, so that gzip and lzf make the file smaller by a quarter to a
-    # half, but 5 to 10 times slower to read and 10 times slower to write (5.85 million samples: 47 MB in 20 ms).
+    # Not compressed: the low bits of samples are noise, so that gzip and lzf make the file a quarter to a half smaller,
+    # but 5 to 10 times slower to read and 10 times slower to write (5.85 million samples: 47 MB in 20 ms).
     encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
     content = table.to_netcdf(engine="h5netcdf", encoding=encoding)
     with atomic_write(path, overwrite=True) as sibling:
@@ -241,7 +241,7 @@ Held = TypeVar("Held")
 
 
 def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
-    """Object made of the table of a NetCDF file; errors name the file."""
+    """Object made from the table of a NetCDF file; errors name the file."""
     table = load_netcdf(path)
     try:
         return make(table)
@@ -270,7 +270,7 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
     comments.append(f"# slack_force: {attrs['slack_force']!r} N")
     present = [name for name in CSV_COLUMNS if name in table]
     rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
-    comments.append(f"# preprocessing: {quote(attrs.get('preprocessing', 'none'))}")  # it is not to be done again
+    comments.append(f"# preprocessing: {quote(attrs.get('preprocessing', 'none'))}")  # not to be repeated
     if "repairs" in attrs:
         comments.append(f"# repairs: {quote(attrs['repairs'])}")
     header = ",".join(CSV_COLUMNS[name] for name in present)
@@ -280,12 +280,12 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
 
 
 def quote(text: str) -> str:
-    """Text for the rest of a line, as JSON where it would not be read back unchanged."""
+    """Text for the rest of a line, as JSON if it would not be read back unchanged."""
     return text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
 
 
 def unquote(text: str) -> str:
-    """Inverse of `quote`; a text that only looks quoted is left unchanged."""
+    """Inverse of `quote`; text that only looks quoted is left unchanged."""
     try:
         value = json.loads(text) if text.startswith('"') else text
     except ValueError:
@@ -300,7 +300,7 @@ def _cells(values: np.ndarray) -> list[str]:
 
 
 def text_table(rows: Sequence[Sequence[str]], left: Iterable[int]) -> list[str]:
-    """Lines of a table, the columns `left` aligned to the left and the others to the right."""
+    """Lines of a table, the columns in `left` left-aligned and the others right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     aligned = ["<" if i in left else ">" for i in range(len(widths))]
     return ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, aligned, widths, strict=True)).rstrip() for row in rows]

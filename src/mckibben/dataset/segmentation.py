@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mckibben.units import kPa
 
-_PARTS = 20  # of a dwell: the means that are compared
+_PARTS = 20  # of a dwell: length of the compared means
 
 
 class Segments(NamedTuple):
@@ -33,7 +33,7 @@ def steady_segments(
         return Segments(none, none, np.zeros(count, bool), 0)
     size = max(1, dwell // _PARTS)
     window = -(-dwell // size)
-    edges = np.arange(0, count - size + 1, size)  # the last block takes what is left over
+    edges = np.arange(0, count - size + 1, size)  # the last block takes the remainder
     bounds = np.append(edges, count)
     sizes = np.diff(bounds)
     if len(edges) < window:
@@ -47,7 +47,7 @@ def steady_segments(
         starts &= high - low <= 2 * tolerance
     opens = np.flatnonzero(np.diff(starts, prepend=False, append=False))
     first, last = opens[::2], opens[1::2] + window - 1  # blocks: the first, and the one after the last
-    first = np.maximum(first, np.concatenate([[0], last[:-1]]))  # what two share is the earlier one's
+    first = np.maximum(first, np.concatenate([[0], last[:-1]]))  # shared samples belong to the earlier one
     member = np.zeros(len(edges) + 1, np.int8)
     np.add.at(member, first[last > first], 1)
     np.add.at(member, last[last > first], -1)
@@ -74,7 +74,7 @@ def shorter_dwell(
     interval: float,
     found: int,
 ) -> str:
-    """Longest of the halved dwells with at least three times as many plateaus, as a remedy; "" where there is none."""
+    """Longest of the halved dwells with at least three times as many plateaus, as a remedy; "" if there is none."""
     while (dwell := dwell // 2) >= _SHORTEST:
         more = len(steady_segments(signals, broken, dwell).first)
         if more >= max(FEW, 3 * found):
@@ -85,7 +85,7 @@ def shorter_dwell(
 
 def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
     """Sliding maximum and minimum, shape (n - window + 1,)."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # 50 ms that reading points does not need
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # saves 50 ms when reading points
 
     shift = -(window // 2)
     count = len(values) - window + 1
@@ -109,7 +109,7 @@ def _trimmed(
         total = np.concatenate([[0.0], np.cumsum(values - values.mean())])
         middle = (total[last - quarter] - total[first + quarter]) / (lengths - 2 * quarter) + values.mean()
         within &= np.abs(values[blocks] - np.repeat(middle, lengths)) <= tolerance
-    # of each segment the longest stretch that is within
+    # the longest stretch within tolerance of each segment
     apart = np.ones(len(blocks), bool)
     apart[1:] = (within[1:] != within[:-1]) | (blocks[1:] != blocks[:-1] + 1)
     apart[offsets] = True
@@ -139,7 +139,7 @@ def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray
     return levels, int(count[wide].sum())
 
 
-_OVERSHOOT = 0.5  # of a step: farther beyond its level the pressure was moved there
+_OVERSHOOT = 0.5  # of a step: a larger excursion beyond its level is a deliberate move
 
 
 def approaches(
@@ -151,12 +151,12 @@ def approaches(
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """Direction and phase of each plateau, never across a gap.
 
-    The direction is that of the last motion. The phase is that of the step between the levels, of which an overshoot
-    is a smaller part; without a step, that of the last motion.
+    The direction is that of the last motion. The phase follows from the step between levels, which exceeds any
+    overshoot; without a step, from the last motion.
     """
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))
-    parted = breaks[np.searchsorted(breaks, first, side="right") - 1]  # where the part that a plateau is in begins
+    parted = breaks[np.searchsorted(breaks, first, side="right") - 1]  # start of the part that contains a plateau
     anew = parted >= before
     before = np.maximum(before, parted)
     sides = []
@@ -177,6 +177,6 @@ def approaches(
     direction = np.array(["", "loading", "unloading"], dtype="<U9")[moved]  # from above: it was stretched
     phase = np.where(moved != 0, "", np.array(["", "venting", "filling"], dtype="<U9")[pressed])
     for i in range(1, len(first)):
-        if moved[i] == pressed[i] == 0 and not anew[i]:  # the same plateau, parted by a disturbance
+        if moved[i] == pressed[i] == 0 and not anew[i]:  # the same plateau, interrupted by a disturbance
             direction[i], phase[i] = direction[i - 1], phase[i - 1]
     return direction, phase.astype("<U9")

@@ -41,7 +41,7 @@ class RawColumn:
 
 @dataclass
 class RawTable:
-    """Raw columns of a file, and what was found wrong with it."""
+    """Raw columns of a file, and its problems."""
 
     channels: list[RawColumn] = field(default_factory=list)
     header_line: int | None = None
@@ -67,17 +67,17 @@ class RawTable:
 
 
 def unreadable(path: Path, what: str, error: Exception, remedy: str = "save it again") -> DatasetError:
-    """Error of a file that a library cannot read."""
+    """Error for a file that a library cannot read."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return DatasetError(str(path), [Problem(f"cannot be read as {what}: {text.splitlines()[0]}", remedy=remedy)])
 
 
 def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
-    """Cells of a column as numbers, if all are, else as texts; an empty cell is an empty text."""
+    """Cells of a column as numbers if all are numeric, else as texts; an empty cell is an empty text."""
     if all(isinstance(cell, (int, float, np.integer, np.floating)) and not isinstance(cell, bool) for cell in cells):
         try:
             return np.array(cells, dtype=np.float64)
-        except OverflowError:  # an integer that no float can hold
+        except OverflowError:  # an integer too large for a float
             pass
     return ["" if cell is None else str(cell) for cell in cells]
 
@@ -98,7 +98,7 @@ class DecimalSign:
 def decimal_sign(
     columns: Iterable[Sequence[str] | NDArray[np.float64]], lines: Sequence[int], delimiter: str
 ) -> DecimalSign:
-    """Decimal sign of the first number that has one; in a comma-separated file always the point."""
+    """Decimal sign of the first number that has one; always a point in a comma-separated file."""
     columns = [column for column in columns if not isinstance(column, np.ndarray)]
     if delimiter == "," or not columns:
         return DecimalSign(".")
@@ -119,7 +119,7 @@ def read_numbers(
     may_be_empty: bool = False,
     kind: type[Problem] = Problem,
 ) -> tuple[NDArray[np.float64], list[Problem]]:
-    """Values of a column (NaN where there is no number), and a problem for each cell that is no finite number."""
+    """Values of a column (NaN where there is no number), and a problem for each cell that is not a finite number."""
     if isinstance(cells, np.ndarray):
         wrong = ~np.isfinite(cells) & ~(np.isnan(cells) & may_be_empty)
         found = [
@@ -128,7 +128,7 @@ def read_numbers(
         ]
         return np.where(np.isfinite(cells), cells, np.nan), found
     joined = "\n".join(cells)
-    if set(joined) <= _DIGITS | {decimal.sign}:  # so float() can take nothing that we would not
+    if set(joined) <= _DIGITS | {decimal.sign}:  # so float() accepts nothing that we would refuse
         try:
             values = np.fromiter(map(float, joined.replace(",", ".").split("\n")), np.float64)
         except ValueError:
@@ -151,7 +151,7 @@ def read_numbers(
 
 
 def _without_thousands(text: str, decimal: str) -> str:
-    """The number without thousands separators, where these cannot be taken for a decimal sign."""
+    """The number without thousands separators, if these cannot be mistaken for a decimal sign."""
     match = _THOUSANDS.fullmatch(text)
     if match is None or match[1] == decimal or (match[1] in ".," and text.count(match[1]) == 1 and decimal not in text):
         return text
@@ -159,7 +159,7 @@ def _without_thousands(text: str, decimal: str) -> str:
 
 
 def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
-    """Problem of a cell and its remedy; empty texts where there is none."""
+    """Problem of a cell and its remedy; empty texts if there is none."""
     shown = repr(text if len(text) <= 40 else f"{text[:37]}...")
     other = "," if decimal.sign == "." else "."
     if not text:
@@ -170,9 +170,9 @@ def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
         if decimal.line is None:
             return f"{shown} has a decimal {_NAMES[other]}", f"use a decimal {_NAMES[decimal.sign]}"
         has = f"{shown} has a decimal {_NAMES[other]}, but {place} {decimal.line} a decimal {_NAMES[decimal.sign]}"
-        return has, "use one of them in the whole file"
+        return has, "use one decimal sign in the whole file"
     if _THOUSANDS.fullmatch(text):
-        return f"{shown} may have a thousands separator", "write the number without it"
+        return f"{shown} may contain a thousands separator", "write the number without it"
     if text.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         return f"{shown} is not a finite number", ""
     return f"{shown} is not a number", ""

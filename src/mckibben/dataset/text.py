@@ -18,10 +18,10 @@ from mckibben.dataset.sheet import RawColumn, RawTable
 from mckibben.errors import DatasetError, Problem
 
 _DELIMITERS = (",", ";", "\t")
-_PREAMBLE = 60  # lines in which a header is looked for
+_PREAMBLE = 60  # lines searched for a header
 _MOST_COLUMNS = 4096
-_LONGEST_HEADER = 2**18  # characters of a line in which a header is looked for
-_JOINED = 20  # lines that a cell between quotation marks may have
+_LONGEST_HEADER = 2**18  # characters of a line searched for a header
+_JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]*[\])])?|\S+")
 
@@ -29,7 +29,7 @@ _Known = Callable[[str, str], bool]
 
 
 def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTable:
-    """Columns of a text: header after comments and preamble, perhaps a row of units, then rows."""
+    """Columns of a text: header after comments and preamble, an optional row of units, then rows."""
     stream = io.StringIO(text, newline="")
     comments: dict[str, tuple[int, str]] = {}
     number = 0
@@ -65,7 +65,7 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
 
 
 def _positions(line: str) -> str:
-    """Header of the positions of the columns, from 1, for a line of numbers; else empty."""
+    """Column positions, from 1, as the header for a line of numbers; else empty."""
     for delimiter in (";", "\t", ",", " "):
         cells = _split(line, delimiter)
         if len(cells) > 1 and all(map(_NUMBER.fullmatch, cells)):
@@ -91,7 +91,7 @@ def _header(line: str, stream: io.StringIO, number: int, known: _Known) -> tuple
         if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
             return lines[index:], number + index
         if sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) >= 2:
-            break  # a row: what follows is no header
+            break  # a row: the following lines cannot be a header
     return lines, number
 
 
@@ -115,7 +115,7 @@ def _score(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    """Cells of a line, stripped; none where it cannot be parsed."""
+    """Cells of a line, stripped; none if it cannot be parsed."""
     try:
         return [cell.strip() for cell in _parsed([line], delimiter)[0]]
     except csv.Error:
@@ -123,7 +123,7 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _parsed(lines: Sequence[str], delimiter: str) -> tuple[list[str], int]:
-    """Cells of the row that begins with the first line, and the number of its lines."""
+    """Cells of the row that begins at the first line, and its number of lines."""
     if delimiter == " ":
         return [word.strip('"') for word in _SPACED.findall(lines[0])], 1
     if '"' not in lines[0]:
@@ -133,7 +133,7 @@ def _parsed(lines: Sequence[str], delimiter: str) -> tuple[list[str], int]:
 
 
 def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> list[RawColumn] | None:
-    """Columns of a file with nothing but rows of numbers, read by NumPy; None for any other file."""
+    """Columns of a purely numeric file, read by NumPy; None for any other file."""
     header, under = _split(lines[0], sheet.delimiter), _split("".join(lines[1:2]), sheet.delimiter)
     skipped = 1 + _is_units(under)
     at = stream.tell()
@@ -150,7 +150,7 @@ def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable)
     delimiter = None if sheet.delimiter == " " else sheet.delimiter
     try:
         numbers = np.loadtxt(io.StringIO(body), delimiter=delimiter, ndmin=2)
-    except ValueError:  # an empty cell, or rows of unequal length: they are looked at one by one
+    except ValueError:  # an empty cell, or rows of unequal length: parsed one by one
         return None
     if numbers.shape != (count, len(header)) or not np.isfinite(numbers).all():
         return None
@@ -182,7 +182,7 @@ def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -
     if rows and all(len(row.cells) == len(header) + 1 and row.cells[0].strip().isdigit() for row in rows):
         index = [int(row.cells[0]) for row in rows]
         if np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1:
-            header = ["", *header]  # the numbers of the rows, which some programs write without a name
+            header = ["", *header]  # row numbers, which some programs write without a name
     good: list[_Row] = []
     for row in rows:
         while len(row.cells) > len(header) and not row.cells[-1].strip():
@@ -205,7 +205,7 @@ def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -
 
 
 def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
-    """Rows that are not blank; lines with a quotation mark that is not closed are corrupt, those after them not."""
+    """Non-blank rows; lines with an unclosed quotation mark are corrupt, the lines after them are not."""
     at = width = 0
     while at < len(lines):
         try:
@@ -238,20 +238,20 @@ def _look_at_the_end(text: str, zeros: int, sheet: RawTable) -> None:
     lengths = [channel.lines[-1] for channel in sheet.channels if len(channel.lines)]
     ends = max([*lengths, *(problem.line or 0 for problem in sheet.corrupt)], default=0)
     if zeros:
-        message = f"the file ends in {zeros} zero bytes: it was cut off while it was written"
+        message = f"the file ends in {zeros} zero bytes: it was truncated while being written"
         sheet.corrupt.append(Problem(message, line=last))
     if text.endswith(("\n", "\r")) or ends < last:
         return
     if sheet.corrupt and sheet.corrupt[-1].line == last and not zeros:
         cut = sheet.corrupt[-1]
         if "has" in cut.message and not cut.remedy:
-            sheet.corrupt[-1] = Problem(f"{cut.message}, and no line end: the file was cut off here", line=last)
+            sheet.corrupt[-1] = Problem(f"{cut.message}, and no line end: the file was truncated here", line=last)
     elif sheet.channels and not zeros and (short := _short(text, sheet.delimiter)):
-        sheet.suspect.append(f"line {last} has no line end and {short}; the file may have been cut off in it")
+        sheet.suspect.append(f"line {last} has no line end and {short}; the file may be truncated there")
 
 
 def _short(text: str, delimiter: str) -> str:
-    """Sign of a truncated last number: fewer decimals than all above; empty where there is none."""
+    """Evidence of a truncated last number: fewer decimals than all above; empty if there is none."""
     tail = [
         re.search(r"\.([0-9]+)\s*$" if delimiter == "," else r"[.,]([0-9]+)\s*$", line)
         for line in text.rsplit("\n", 12)[-12:]
@@ -269,7 +269,7 @@ _MARKS = (
     (b"\xff\xfe", "utf-16"),
     (b"\xfe\xff", "utf-16"),
 )
-_BINARY = 0.01  # parts of zero bytes above which a file is no text
+_BINARY = 0.01  # share of zero bytes above which a file is not text
 _PROBED = 4096  # bytes
 
 
@@ -303,7 +303,7 @@ def decode(data: bytes, source: str) -> tuple[str, int]:
     try:
         return whole.decode("utf-8"), len(data) - len(whole)
     except UnicodeDecodeError as error:
-        if error.end == len(whole) and error.reason == "unexpected end of data":  # cut off in a character
+        if error.end == len(whole) and error.reason == "unexpected end of data":  # truncated within a character
             return whole.decode("utf-8", "replace"), len(data) - len(whole)
         return _decoded(whole, "cp1252", source), len(data) - len(whole)
 
@@ -323,7 +323,7 @@ _END = "***End_of_Header***"
 
 
 def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros: int = 0) -> RawTable:
-    """Columns of a file of one segment, with units from ``Y_Unit_Label``; ``X_Value`` may be the time [s]."""
+    """Columns of a single-segment file, with units from ``Y_Unit_Label``; ``X_Value`` may be the time [s]."""
     parts = text.split(_END)
     if len(parts) != 3:
         found = f"has {len(parts) - 2} segments" if len(parts) > 3 else "is a LabVIEW measurement without a segment"
@@ -334,9 +334,9 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
     body = parts[2].partition("\n")[2]
     header, _, rows = body.partition("\n")
     names = header.rstrip("\r\n").split("\t")
-    if names[-1] == "Comment":  # its cells are written only where there is a comment
+    if names[-1] == "Comment":  # its cells are written only if there is a comment
         rows = "".join(_padded(line, len(names)) for line in rows.splitlines(keepends=True))
-    # blank lines in front keep the line numbers
+    # leading blank lines preserve the line numbers
     sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros)
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
@@ -349,7 +349,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
 
 
 def _padded(line: str, cells: int) -> str:
-    """Row padded with the cell of its comment, if that alone is missing."""
+    """Row padded with an empty comment cell, if only that is missing."""
     content = line.rstrip("\r\n")
     missing = cells - 1 - content.count("\t")
     return f"{content}\t{line[len(content) :]}" if missing == 1 and content.strip() else line

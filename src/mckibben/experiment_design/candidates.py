@@ -23,7 +23,7 @@ _SLACK_MARGIN = 3.0  # standard deviations of a point above the slack force
 
 @dataclass(frozen=True)
 class DesignRegion:
-    """States that a rig can set and the muscle permits."""
+    """States that the rig can set and the muscle permits."""
 
     domain: Domain
     contraction_step: float  # resolution of the rig [-]; states are whole multiples
@@ -39,7 +39,7 @@ class DesignRegion:
 
 @dataclass(frozen=True, eq=False)
 class StateGrid:
-    """Grid of states with a mask of those that can be measured."""
+    """Grid of states with a mask of the measurable ones."""
 
     contractions: Floats = field(repr=False)  # [-], ascending
     pressures: Floats = field(repr=False)  # [Pa], ascending
@@ -135,17 +135,17 @@ def design_region(
             notes.append("the specimen has no rated force: the plan stays within the forces of the data")
     else:
         if len(data) == 0:
-            raise RangeError("neither data nor a specimen give the range of states", remedy="name the specimen")
+            raise RangeError("neither data nor specimen give the range of states", remedy="name the specimen")
         domain = box
         highest = float(data.force.max())
         if highest <= attrs["slack_force"]:
             raise RangeError(
-                "no point is taut and the specimen is unknown: the largest permitted force is not known",
+                "no point is taut and the specimen is unknown: the largest permitted force is unknown",
                 remedy="name the specimen",
             )
         notes.append(
             "the specimen is not in the catalog: the plan stays within contractions, pressures and forces of the data"
-            + (" where the limits do not set others" if limits else "")
+            + (" unless the limits override them" if limits else "")
         )
     if limits is not None:
         domain = limits if specimen is None else _intersection(limits, specimen).filled(box)
@@ -171,10 +171,10 @@ class CandidateSet:
     """Every allowed state in every direction and repeat, in this order; the last varies fastest."""
 
     states: StateGrid
-    directions: tuple[str, ...]  # ("",) where they are not distinguished
+    directions: tuple[str, ...]  # ("",) if not distinguished
     repeats: int  # of a point, at most
     rows: Floats = field(repr=False)  # design matrix, (candidates, unknowns)
-    strokes: Indices = field(repr=False)  # (candidates,), one for each pressure, direction and repeat
+    strokes: Indices = field(repr=False)  # (candidates,), one per pressure, direction and repeat
 
     @classmethod
     def of(cls, prior: PriorData, states: StateGrid, directions: tuple[str, ...], repeats: int) -> CandidateSet:

@@ -17,7 +17,7 @@ RANK_TOLERANCE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class IdentifiableSubspace:
-    """Combinations of parameters that the measurable forces depend on."""
+    """Combinations of parameters that affect the measurable forces."""
 
     basis: Floats = field(repr=False)  # (parameters, coordinates): from rows of a design matrix
     scale: Floats = field(repr=False)  # (parameters,): root mean square of each column
@@ -25,7 +25,7 @@ class IdentifiableSubspace:
 
     @classmethod
     def of(cls, rows: Floats) -> IdentifiableSubspace:
-        """Subspace of a design matrix of all that can be measured, shape (candidates, parameters)."""
+        """Subspace of the design matrix of all measurable points, shape (candidates, parameters)."""
         scale = np.sqrt(np.mean(rows**2, axis=0))
         scale[scale == 0] = 1.0
         factor = np.linalg.qr(rows / scale / np.sqrt(len(rows)), mode="r")
@@ -47,7 +47,7 @@ class NoiseModel:
     """Variance components of measured points."""
 
     point: float  # standard deviation sigma of a plateau mean [N]
-    stroke: float = 0.0  # tau of the error that the points of a stroke share [N]
+    stroke: float = 0.0  # tau of the error shared by the points of a stroke [N]
 
     def shared_weight(self, count: Indices) -> Floats:
         """tau^2 / (sigma^2 + m tau^2) of strokes of m points."""
@@ -85,14 +85,14 @@ class DesignCriterion:
         return cls(gradients, d_optimal)
 
     def cost(self, information: Floats) -> float:
-        """Logarithm of the variance: of its mean, or of the geometric mean over the axes of the joint region."""
+        """Logarithm of the mean variance, or of its geometric mean over the axes of the joint region."""
         covariance = self.gradients @ np.linalg.solve(information, self.gradients.T)
         if self.d_optimal:
             return float(np.linalg.slogdet(covariance)[1]) / len(covariance)
         return float(np.log(np.trace(covariance) / len(covariance)))
 
     def costs_with(self, information: Floats, rows: Floats) -> Floats:
-        """Cost after one more point of unit variance, for each of the rows (rank-one update); shape (rows,)."""
+        """Cost after adding a point of unit variance, per row (rank-one update); shape (rows,)."""
         inverse = np.linalg.inv(information)
         seen = rows @ inverse
         leverage = 1 + np.einsum("ni,ni->n", seen, rows)
@@ -135,7 +135,7 @@ def estimate_noise(rows: Floats, residuals: Floats, strokes: Indices | None) -> 
 
 @dataclass(frozen=True, eq=False)
 class ErrorEstimator:
-    """Standard errors from information; infinite where the points determine nothing: the prior matters."""
+    """Standard errors from information; infinite where only the prior determines the value."""
 
     information: Floats = field(repr=False)  # of the prior data, (coordinates,) * 2
     prior: Floats = field(repr=False)  # a weak multiple of the identity
@@ -168,7 +168,7 @@ _MAX_PASSES = 50
 
 @dataclass(frozen=True, eq=False)
 class ExchangeProblem:
-    """Choice of points out of candidates."""
+    """Selection of points from candidates."""
 
     rows: Floats = field(repr=False)  # (candidates, coordinates)
     strokes: Indices = field(repr=False)  # (candidates,), new ones
@@ -199,7 +199,7 @@ class ExchangeProblem:
 
 
 def exchange(problem: ExchangeProblem, count: int) -> list[int]:
-    """Greedy choice followed by exchanges until none improves (Fedorov); candidates in the order of their gain."""
+    """Greedy selection followed by exchanges until none improves (Fedorov); candidates in order of gain."""
     chosen: list[int] = []
     for _ in range(count):
         chosen.append(problem.best(chosen)[0])

@@ -1,4 +1,4 @@
-"""Plan of the next test: from prior data to the design of measurement points."""
+"""Planning of the next test: from prior data to the design of measurement points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DIRECTIONS = ("loading", "unloading")
 _PRIOR = 100.0  # largest forces: prior standard deviation of each coordinate
 _ROUNDING = 1e-10  # of the information of one point: a weaker prior would be lost in rounding
 _MAX_POINTS = 200
-_SENSITIVITY = 1e-9  # a quantity that changes by less per newton depends on no parameter
+_SENSITIVITY = 1e-9  # a quantity that changes by less per newton does not depend on any parameter
 _UNIDENTIFIABLE = 1e-6
 
 
@@ -64,23 +64,23 @@ def plan(
     quantity
         `Coefficients`, `Force`, `JointStiffness` or `JointTorque`.
     law_type
-        Kind of law; by default that of the fit.
+        Kind of law. Default: that of the fit.
     limits
-        Contractions and pressures to measure within; by default those of the specimen, or of the data.
+        Limits of contraction and pressure. Default: those of the specimen, or of the data.
     specimen
-        Range, rating and length of the muscle; by default that of the catalog by the name in the data.
+        Range, rating and length of the muscle. Default: the catalog entry named in the data.
     contraction_step, pressure_step
-        Resolution of the rig [-], [Pa]. By default 1 mm (0.5 % of an unknown length), and 0.25 bar.
+        Resolution of the rig [-], [Pa]. Default: 1 mm (0.5 % of an unknown length), and 0.25 bar.
     directions
-        Directions that the rig can measure in.
+        Directions in which the rig can measure.
     repeats
-        How often a point may be planned, each time on another pass.
+        Maximum repetitions of a point, each on a separate pass.
     friction
-        Whether the gap between the directions is an unknown; by default where directions are recorded.
+        Whether the gap between the directions is an unknown. Default: if directions are recorded.
     noise, stroke_error
-        Standard deviation of a point, and of the error shared by a stroke [N]; by default estimated from residuals.
+        Standard deviation of a point, and of the error shared by a stroke [N]. Default: estimated from residuals.
     guess
-        Law to linearise about where the data determine none; by default fitted to a manufacturer's chart.
+        Law to linearise about if the data do not determine one. Default: fitted to a manufacturer's chart.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def _gain(before: float, after: float) -> float:
 
 def _gain_note(errors: list[float], values: Floats) -> list[str]:
     if math.isinf(errors[-1]):
-        return ["the quantity stays undetermined with these points: plan more of them"]
+        return ["the quantity remains undetermined with these points: plan more points"]
     if math.isfinite(errors[0]) and errors[-1] > 0.99 * errors[0]:
         return ["the gain is small: these points reduce the standard error by less than 1 %"]
     if len(values) == 1 and math.isfinite(errors[0]) and errors[0] > abs(values[0]):
@@ -203,7 +203,7 @@ def _overload_note(force: list[float], errors: Floats, force_max: float) -> list
     if not over:
         return []
     return [
-        f"the force may exceed {force_max:.0f} N at point{'s' * (len(over) > 1)} {', '.join(over)}, by the present "
+        f"the force may exceed {force_max:.0f} N at point{'s' * (len(over) > 1)} {', '.join(over)}, given the present "
         "uncertainty: approach slowly"
     ]
 
@@ -234,7 +234,7 @@ def _check_identifiable(
     prior: PriorData,
     directions: tuple[str, ...],
 ) -> None:
-    """Raise for a quantity whose error no measurement reduces."""
+    """Raise an error for a quantity whose error no measurement reduces."""
     if not np.abs(gradients / subspace.scale).max() > _SENSITIVITY:
         raise IdentificationError(
             f"{quantity}: nothing to gain, it does not depend on the law's parameters there (both muscles slack, or "
@@ -248,7 +248,7 @@ def _check_identifiable(
         raise IdentificationError(
             f"{quantity} is not identifiable within the limits: {', '.join(tied)} can change together without changing "
             "any measurable force",
-            remedy=f"measure in the other direction than {directions[0]} too, or plan without friction"
+            remedy=f"measure in the direction opposite to {directions[0]} too, or plan without friction"
             if one_direction
-            else "take a law with fewer parameters, or wider limits",
+            else "use a law with fewer parameters, or wider limits",
         )

@@ -23,14 +23,14 @@ _DEFAULT_NOISE = 0.01  # of the highest force, without a fit
 
 
 def initial_guess(law_type: type[ForceLaw], points: IsobaricDataset, given: ForceLaw | None) -> tuple[ForceLaw, str]:
-    """The law to linearise about without a fit, scaled to the taut points, and its origin."""
+    """The law to linearise about if there is no fit, scaled to the taut points, and its origin."""
     if given is not None:
         if type(given) is not law_type:
             raise ParameterError(
-                f"the guess is a {type(given).__name__}, the plan is for {law_type.__name__}",
-                remedy="give a guess of that kind, or plan for its kind",
+                f"the guess is a {type(given).__name__}, but the plan is for {law_type.__name__}",
+                remedy="give a guess of that kind, or plan for the kind of the guess",
             )
-        law, origin = given, "the guess given"
+        law, origin = given, "the given guess"
     else:
         try:
             law = identify(law_type, catalog.dataset(_CHART)).law
@@ -102,7 +102,7 @@ class PriorData:
             law, residuals = fit.law, fit.require_regression().solution.residuals
         if any(p.penalised for p in type(law).parameters()):
             raise ParameterError(
-                f"{type(law).__name__} has deviations that a prior determines beside the points: they have no design",
+                f"{type(law).__name__} has deviations with a prior: points cannot be planned for them",
                 remedy="plan for ExponentialLaw, which it extends",
             )
         modelled = bool(len(points.directions)) if friction is None else friction

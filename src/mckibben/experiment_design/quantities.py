@@ -40,7 +40,7 @@ class QuantityOfInterest(abc.ABC):
 
     @abc.abstractmethod
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
-        """Linearise about a law; `states` are those that can be measured."""
+        """Linearise about a law; `states` are the measurable ones."""
 
     @abc.abstractmethod
     def unit(self, law_type: type[ForceLaw]) -> str:
@@ -49,7 +49,7 @@ class QuantityOfInterest(abc.ABC):
 
 @dataclass(frozen=True)
 class Coefficients(QuantityOfInterest):
-    """Parameters of the law, all by default: c-optimal for one, D-optimal for several (independent of their units)."""
+    """Parameters of the law (default: all): c-optimal for one, D-optimal for several (independent of their units)."""
 
     names: tuple[str, ...] = ()
 
@@ -80,7 +80,7 @@ class Coefficients(QuantityOfInterest):
 
 @dataclass(frozen=True)
 class Force(QuantityOfInterest):
-    """Force of the law, in the mean over the taut part of a region (V-optimal); default: all that can be measured."""
+    """Mean force of the law over the taut part of a region (V-optimal); default: all measurable states."""
 
     region: Domain | None = None
 
@@ -172,7 +172,7 @@ class _JointQuantity(QuantityOfInterest):
 class JointTorque(_JointQuantity):
     """Torque of a joint whose muscles both follow the law, at angles [rad] and pressures of muscles 1 and 2 [Pa].
 
-    For several angles the mean variance counts.
+    The criterion for several angles is the mean variance.
     """
 
     _row = 0
@@ -203,14 +203,14 @@ def parse_quantity_of_interest(
     law_type
         Law with the coefficients.
     joint
-        Returns the joint, called if one is needed.
+        Function that returns the joint, called only if needed.
 
     Raises
     ------
     ParameterError
-        If the text has another form.
+        If the text has a different form.
     UnitError
-        If a quantity after "at" has another unit.
+        If a quantity after "at" has a unit of another dimension.
 
     Examples
     --------

@@ -19,17 +19,17 @@ from mckibben.muscle import ForceLaw
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, factor, percent
 
-_SAME_PLACE = 0.1 * percent  # contractions nearer than this are one place
+_SAME_PLACE = 0.1 * percent  # contractions closer than this count as one position
 _UNCERTAIN = 2.0  # standard errors of the force, relative to the noise of a point
 _LISTED = 6
 
 
 @dataclass(frozen=True)
 class PlannedPoint:
-    """One point to measure: state [Pa], [-], direction ("" where any will do), pass from 0, force by the law [N].
+    """One point to measure: state [Pa], [-], direction ("" for any), pass from 0, force by the law [N].
 
-    `standard_error` [SI] is that of the quantity once this point and those before it are measured, infinite while
-    undetermined; `gain` its relative reduction by this point, 0 to 1.
+    `standard_error` [SI] is the error of the quantity after measuring this and all previous points, infinite while
+    undetermined; `gain` is its relative reduction by this point, 0 to 1.
     """
 
     pressure: float
@@ -57,8 +57,8 @@ class ErrorMap:
 class ExperimentPlan:
     """Result of `plan`.
 
-    Standard errors [SI] are those expected of a fit to all points, linearised in the parameters; infinite where
-    undetermined. For several values they are the root of the mean variance, for several coefficients the geometric mean
+    Standard errors [SI] are expected for a fit to all points, linearised in the parameters; infinite where
+    undetermined. For several values they are the root of the mean variance; for several coefficients the geometric mean
     over the axes of their joint confidence region, of which only ratios are meaningful.
 
     Attributes
@@ -66,10 +66,10 @@ class ExperimentPlan:
     law
         Law about which the quantity is linearised: fitted or guessed.
     points
-        In the order of their gain.
+        In order of gain.
     error_now, error_after, error_even
-        Standard error of the quantity with the prior data, with the plan, and with the best of the evenly spaced
-        designs of as many points (NaN where there is none).
+        Standard error of the quantity with the prior data, with the plan, and with the best evenly spaced design of
+        equal size (NaN if there is none).
     even_points
         That design: pressure [Pa], contraction [-], direction and repeat of each.
     value
@@ -77,13 +77,13 @@ class ExperimentPlan:
     parameter_errors
         Standard error of each parameter, now and after, in SI.
     half_width
-        Of the friction [N], by the fit; None if it is not an unknown or not determined.
+        Half width of the friction [N] from the fit; None if it is not an unknown or not determined.
     diagnostics, notes
         Limits of the prior data, and assumptions of the plan.
     measured
         Prior data, slack points included.
     target_states
-        Shape (states, 2): contraction [-] and pressure [Pa] of the muscle that the quantity depends on.
+        Shape (states, 2): contraction [-] and pressure [Pa] of the muscle at which the quantity is evaluated.
     """
 
     quantity: QuantityOfInterest
@@ -105,7 +105,7 @@ class ExperimentPlan:
 
     @property
     def unit(self) -> str:
-        """Unit of the standard error; empty where only ratios are meaningful."""
+        """Unit of the standard error; empty if only ratios are meaningful."""
         return self.quantity.unit(type(self.law))
 
     def summary(self) -> str:
@@ -114,7 +114,7 @@ class ExperimentPlan:
         no_even = np.isnan(self.error_even)
         if self.unit:
             value = "" if self.value is None else f" {self.value / factor(self.unit):.4g} {self.unit},"
-            even = "" if no_even else f", after as many evenly spaced ones {self._error(self.error_even)}"
+            even = "" if no_even else f", after equally many evenly spaced ones {self._error(self.error_even)}"
             now, after = self._error(self.error_now), self._error(self.error_after)
             return f"{self.quantity}:{value} standard error now {now}; after these {count} {after}{even}"
         if not np.isfinite(self.error_now):
@@ -153,7 +153,7 @@ class ExperimentPlan:
         return "\n".join([*lines, "", self.summary(), *self.sentences()])
 
     def sentences(self) -> list[str]:
-        """Notes and diagnostics, one a line."""
+        """Notes and diagnostics, one per line."""
         return [*(f"note: {note}" for note in self.notes), *(f"diagnostic: {one}" for one in self.diagnostics)]
 
     def records(self) -> dict[str, Any]:
@@ -192,7 +192,7 @@ class ExperimentPlan:
         }
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the points in the order of a test; with a column ``force_N`` of measured forces it is a data file."""
+        """Write the points in test order; add a column ``force_N`` of measured forces to make it a data file."""
         ordered = sorted(range(len(self.points)), key=lambda i: _rig_order(self.points[i]))
         lines = ["pressure_bar,contraction_percent,direction,repeat,expected_N,rank"]
         for i in ordered:
@@ -208,9 +208,9 @@ class ExperimentPlan:
         if np.isnan(self.error_even):
             return "determined"
         if not np.isfinite(self.error_even):
-            return "determined, after as many evenly spaced ones not"
+            return "determined, but not after equally many evenly spaced ones"
         ratio = self.error_after / self.error_even
-        return f"determined, {ratio:.2f} of the standard errors with as many evenly spaced ones"
+        return f"determined, with {ratio:.2f} of the standard errors of equally many evenly spaced ones"
 
     def _relative_error(self, error: float) -> str:
         if self.unit or not np.isfinite(error):
@@ -227,12 +227,12 @@ def _rig_order(point: PlannedPoint) -> tuple[Any, ...]:
 
 
 def _contraction(value: float) -> str:
-    """A contraction in percent, rounded to what a rig resolves."""
+    """A contraction in percent, rounded to the resolution of a rig."""
     return f"{round(value / percent, 3) + 0.0:.4g}"
 
 
 def diagnostics(prior: PriorData, free: Floats, errors: Floats, maps: ErrorMap) -> tuple[str, ...]:
-    """Sentences on what the prior data leave open; `free`: combinations of unknowns that change no force."""
+    """Sentences on the limits of the prior data; `free`: combinations of unknowns that do not change any force."""
     values = np.array(
         [*(float(getattr(prior.law, name)) for name in prior.parameters), *[prior.half_width] * prior.friction]
     )
@@ -252,7 +252,7 @@ def _parameter_diagnostics(names: list[str], free: Floats, values: Floats, error
         listed = ", ".join(name for name, part in zip(names, tied, strict=True) if part)
         rank = free.shape[1]
         found.append(
-            f"not identifiable: {rank} combination{'s' if rank > 1 else ''} of {listed} change no measured force"
+            f"not identifiable: {rank} combination{'s' if rank > 1 else ''} of {listed} affect no measured force"
         )
     with np.errstate(invalid="ignore"):
         vague = np.isfinite(errors) & (errors > np.abs(values)) & ~tied
@@ -282,7 +282,7 @@ def _force_diagnostics(states: StateGrid, errors: Floats, noise: float) -> list[
 
 
 def _coverage_diagnostics(points: IsobaricDataset, measured: IsobaricDataset, states: StateGrid) -> list[str]:
-    """Ends of the range, slack pressures, directions, repeats and times that were not measured."""
+    """Missing ends of the range, slack pressures, and missing directions, repeats and times."""
     found = []
     slack = [p for p in measured.pressures if measured.slack[measured.levels == p].all()]
     if slack:
@@ -307,7 +307,7 @@ def _coverage_diagnostics(points: IsobaricDataset, measured: IsobaricDataset, st
 
 
 def _range_diagnostics(points: IsobaricDataset, states: StateGrid) -> list[str]:
-    """Measurable range beyond that of the points."""
+    """Measurable range beyond the points."""
     rows, columns = states.places.T
     found = []
     step = max(float(np.diff(states.contractions[:2]).sum()), _SAME_PLACE)

@@ -1,6 +1,6 @@
 """Controllers and models for other programs.
 
-What needs another package is in a module of its own: `casadi`, `gym`, `mujoco`.
+Modules that need another package: `casadi`, `gym`, `mujoco`.
 """
 
 from mckibben.export.controller import ControllerModule, controller_module

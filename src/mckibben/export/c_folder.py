@@ -1,4 +1,4 @@
-"""A controller as C99."""
+"""Export of a controller as C99."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mckibben.export.controller import controller_module
 from mckibben.export.targets import Exported
 from mckibben.scenario import Scenario
 
-_TOLERANCES = "1e-9", "1e-4"  # in 64 and 32 bits, of a command, relative to the largest one
+_TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relative to the largest one
 
 
 def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False) -> Exported:
@@ -56,5 +56,5 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
 
 
 def filled(template: str, values: dict[str, str]) -> str:
-    """Text of a template."""
+    """Text of a filled-in template."""
     return Template((files("mckibben.export") / "templates" / template).read_text()).substitute(values)

@@ -15,9 +15,9 @@ from mckibben.scenario import Scenario
 
 
 class CasadiPlant(NamedTuple):
-    """CasADi functions of a plant by name, the elements of its state vector, and what they do not contain.
+    """CasADi functions of a plant by name, the elements of its state vector, and the omitted parts.
 
-    ``torque``, ``stiffness`` and ``tensions`` are of (angle, pressures); ``rate`` and ``step`` of (state, commands). SI
+    ``torque``, ``stiffness`` and ``tensions`` take (angle, pressures); ``rate`` and ``step`` take (state, commands). SI
     units, gauge pressures.
     """
 
@@ -32,14 +32,14 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
     Parameters
     ----------
     scenario
-        Scenario, or a plant alone; `control_period` [s] and `substeps` of ``step`` are then options.
+        Scenario, or only a plant; then give `control_period` [s] and `substeps` of ``step``.
     parameters
-        Numbers of the plant that stay symbolic, in one more argument, such as ``load.mass2``.
+        Plant parameters that stay symbolic, in an additional argument, such as ``load.mass2``.
 
     Raises
     ------
     ExportError
-        If CasADi is missing, or for what cannot be written.
+        If CasADi is missing, or a part of the plant cannot be expressed.
     ParameterError
         If there is no such parameter.
 
@@ -64,9 +64,9 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
 
 
 def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:
-    """A function of a module as a CasADi function of a column vector for each argument.
+    """A function of a module as a CasADi function of one column vector per argument.
 
-    `parameters` stay symbolic, in one more argument; all others have the values of the module.
+    `parameters` stay symbolic, in an additional argument; all others have the values of the module.
     """
     casadi = _casadi()
     function = find_function(module.functions, name)
@@ -87,7 +87,7 @@ def _parameter(module: SourceModule, name: str) -> str:
     """Name of the input of a scalar parameter."""
     members = {member.path.removeprefix(module.prefix): member for member in module.members if not member.shape}
     if name not in members:
-        remedy = f"choose of {', '.join(members)}"
+        remedy = f"choose from {', '.join(members)}"
         raise ParameterError(f"there is no parameter {name!r}", field="parameters", value=name, remedy=remedy)
     return element_names("parameters", [members[name]])[0]
 

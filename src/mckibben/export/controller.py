@@ -1,4 +1,4 @@
-"""The program of a controller: its functions, and a recorded run to check them with."""
+"""Program of a controller: its functions, and a recorded run for checking them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ UNITS = {
 
 
 class ControllerModule(NamedTuple):
-    """Source of a controller, units of its members, a recorded run, and what the source does not contain."""
+    """Source of a controller, units of its members, a recorded run, and the parts omitted from the source."""
 
     module: SourceModule
     units: dict[str, str]
@@ -66,7 +66,7 @@ class ControllerFunctions(NamedTuple):
 
 
 def controller_functions(scenario: Scenario) -> ControllerFunctions:
-    """First step and steps of the controller of a scenario; all its real numbers are parameters."""
+    """First and subsequent steps of a scenario's controller; all its real numbers are parameters."""
     plant, controller = scenario.plant().with_period(scenario.control_period), scenario.control()
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
     initial = plant.complete_state(initial)
@@ -93,10 +93,10 @@ def controller_functions(scenario: Scenario) -> ControllerFunctions:
 
 
 def controller_module(scenario: Scenario, name: str = "controller", most_periods: int = 10_000) -> ControllerModule:
-    """SourceModule of the controller of a scenario: its first step, its steps, and the laws and limits of its model.
+    """Source module of a scenario's controller: first step, subsequent steps, and the laws and limits of its model.
 
-    All its real numbers are parameters that can be changed; numbers of hidden neurons, seeds and other integers are
-    not. Raises `ExportError` for what cannot be written in another language.
+    All its real numbers are adjustable parameters; numbers of hidden neurons, seeds and other integers are fixed.
+    Raises `ExportError` for parts that cannot be expressed in another language.
     """
     source = controller_functions(scenario)
     module, left_out = controller_program(source, name)
@@ -118,7 +118,7 @@ def controller_module(scenario: Scenario, name: str = "controller", most_periods
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
-    """First step, steps and model of a controller, and what cannot be written."""
+    """First step, subsequent steps and model of a controller, and the parts that cannot be exported."""
     module = SourceModule(name, source.parameters, "controller.")
     given = {"setpoint": source.setpoint, "measurement": source.measurement}
     module.add("init", "first state, from the first measurement", source.init, {"measurement": source.measurement})
@@ -129,7 +129,7 @@ def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceMo
 
 
 def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[str]:
-    """Functions of the controller's model of the joint; returns what cannot be written."""
+    """Add functions of the controller's joint model; return the parts that cannot be exported."""
     number = np.zeros(())
     for muscle in ("muscle1", "muscle2"):
 
@@ -169,7 +169,7 @@ def _recorded(
         return (following, state), (*setpoint, measurement.angle, *measurement.pressures, *commands)
 
     start = initial, controller.init(plant.sample(initial, 0.0)[1])
-    with batched_program():  # quicker to compile, by a third
+    with batched_program():  # compiles a third faster
         return lax.scan(next_period, start, setpoints)[1]
 
 
@@ -179,7 +179,7 @@ def is_real(leaf: Any) -> bool:
 
 
 def units_of(tree: Any, prefix: str) -> dict[str, str]:
-    """Units of the leaves of a tree by their paths, from the metadata of the fields."""
+    """Units of the leaves of a tree by path, from the metadata of the fields."""
     return {f"{prefix}.{path}": unit for path, unit in _units(tree, "") if unit}
 
 

@@ -37,7 +37,7 @@ OBSERVATION = {
 """Elements of an observation, and their units."""
 LIMITS = {"angle": np.pi, "velocity": 100.0, "pressure1": 20.0, "pressure2": 20.0, "reference_angle": np.pi,
           "reference_stiffness": 1e4}  # fmt: skip
-"""Largest magnitudes of an observation; larger ones are given as these."""
+"""Largest magnitudes of an observation; larger values are clipped."""
 
 
 class RewardTerms(NamedTuple):
@@ -46,12 +46,12 @@ class RewardTerms(NamedTuple):
     .. math:: \frac{1}{1 + (e_\theta / s_\theta)^2 + (e_K / s_K)^2} - c \dot V
 
     with the errors of the true angle and isobaric stiffness from their references, and the flow of air into the muscles
-    [L/s, at atmospheric pressure]. The first part is between 0 and 1, so that an episode that ends early loses.
+    [L/s, at atmospheric pressure]. The first term is between 0 and 1, so ending an episode early reduces the return.
 
     Attributes
     ----------
     angle_scale, stiffness_scale
-        Errors [rad], [N*m/rad] that halve the reward; infinite for what does not count.
+        Errors [rad], [N*m/rad] that halve the reward; infinite to ignore an error.
     air_price
         c [s/L]; needs the volume of the muscles.
     """
@@ -62,7 +62,7 @@ class RewardTerms(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Numbers of a step: control period [s], commands [Pa] at the actions -1 and 1, and the reward."""
+    """Settings of a step: control period [s], commands [Pa] at the actions -1 and 1, and the reward."""
 
     period: Any
     low: Any
@@ -71,7 +71,7 @@ class Settings(NamedTuple):
 
 
 class Plants(NamedTuple):
-    """Plants with their references and starts, one a row; what does not vary has no rows."""
+    """Plants with their references and starts, one per row; leaves that do not vary have no rows."""
 
     varying: SimulationProblem
     fixed: SimulationProblem
@@ -106,7 +106,7 @@ class EpisodeStep(NamedTuple):
 
 
 def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
-    """Plants of a scenario, its parameters varied as by ``load.mass2=+-50 %``; those without a start are left out."""
+    """Plants of a scenario with varied parameters, such as ``load.mass2=+-50 %``; those without a start are dropped."""
     table = {}
     if random_plant:
         table = sample(parse_sweeps(random_plant, scenario), "random", count, seed)
@@ -158,7 +158,7 @@ def begin(problem: SimulationProblem, start: PlantState, period: Array) -> tuple
 def advance(
     problem: SimulationProblem, episode: Episode, action: Array, settings: Settings, substeps: int, repeat: int
 ) -> tuple[Episode, EpisodeStep]:
-    """So many control periods under an action of -1 to 1 for each muscle; the reward is their mean."""
+    """Advance by several control periods under an action of -1 to 1 per muscle; the reward is their mean."""
     plant, (period, low, high, terms) = problem.plant, settings
     wanted = low + (high - low) * (action + 1) / 2
     commands = plant.clip_commands((wanted[0], wanted[1]))
@@ -189,7 +189,7 @@ def advance(
 
 
 class _FlatEpisodes:
-    """`begin` and `advance` with an array for an episode, and one for an `EpisodeStep`."""
+    """`begin` and `advance` with episode and `EpisodeStep` packed as arrays."""
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
         self._layout = FlatTree.like(jax.eval_shape(lambda: begin(*plants.row(0), settings.period)[0]))
@@ -202,19 +202,19 @@ class _FlatEpisodes:
         return self._layout.pack(episode, jnp), jnp.concatenate([observation, jnp.zeros(len(EpisodeStep._fields) - 1)])
 
     def advance(self, problem: SimulationProblem, episode: Array, action: Array) -> tuple[Array, Array]:
-        """Go on with an episode."""
+        """Advance an episode."""
         at, step = advance(problem, self._layout.unpack(episode), action, self._settings, *self._counts)
         return self._layout.pack(at, jnp), jnp.concatenate([step.observation, jnp.stack(step[1:], dtype=float)])
 
 
 def _step(values: Any) -> EpisodeStep:
-    """`EpisodeStep` from an array with its numbers along the last axis."""
+    """`EpisodeStep` from an array with its elements along the last axis."""
     values = np.asarray(values)
     return EpisodeStep(values[..., : len(OBSERVATION)], *np.moveaxis(values[..., len(OBSERVATION) :], -1, 0))
 
 
 class SingleProgram:
-    """Compiled episodes of one joint, whose numbers are arguments."""
+    """Compiled episodes of one joint, whose parameters are arguments."""
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
         flat, self._plants = _FlatEpisodes(plants, settings, substeps, repeat), plants
@@ -237,13 +237,13 @@ class SingleProgram:
         return _step(values)
 
     def advance(self, action: Any) -> EpisodeStep:
-        """Go on with the episode."""
+        """Advance the episode."""
         self._episode, values = self._following(self._numbers, self._episode, np.asarray(action, float))
         return _step(values)
 
 
 class ManyProgram:
-    """Compiled episodes of many joints at once; those that are over begin anew. Each has a column of the arrays."""
+    """Compiled episodes of many joints, one per array column; finished episodes restart."""
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
         flat = _FlatEpisodes(plants, settings, substeps, repeat)
@@ -262,18 +262,18 @@ class ManyProgram:
         self._begin, self._advance = (jax.jit(one, compiler_options=options) for one in (begin, advance))
 
     def begin(self, rows: Any) -> EpisodeStep:
-        """Begin all episodes, with the plants of some rows."""
+        """Begin all episodes with the plants of the given rows."""
         self._episodes, values = self._begin(rows)
         return _step(np.asarray(values).T)
 
     def advance(self, rows: Any, actions: Any, over: Any) -> EpisodeStep:
-        """Go on; episodes that are over begin with the plants of the given rows, whatever their action is."""
+        """Advance; finished episodes restart with the plants of the given rows and ignore their action."""
         self._episodes, values = self._advance(rows, self._episodes, np.asarray(actions, float), over)
         return _step(np.asarray(values).T)
 
 
 def _content(plant: JointPlant, state: PlantState) -> Array:
-    """Air in both muscles as volumes at atmospheric pressure [L]; zero where a volume is unknown."""
+    """Air in both muscles as volumes at atmospheric pressure [L]; zero if a volume is unknown."""
     muscles = plant.joint.muscle1, plant.joint.muscle2
     if not all(muscle.specimen.has_volume for muscle in muscles):
         return jnp.zeros(2)

@@ -1,4 +1,4 @@
-"""Evaluation of a graph with the operations of a library, such as NumPy or CasADi, or with text."""
+"""Evaluation of a graph with the operations of a library, such as NumPy or CasADi, or as text."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Va
 from mckibben.codegen.source_module import Function, Member, SourceModule, element
 from mckibben.errors import ExportError
 
-_OF_INTEGERS = {"and", "or", "xor", "not", "div"}  # which mean something else there
+_OF_INTEGERS = {"and", "or", "xor", "not", "div"}  # operators that have another meaning there
 Operations = Mapping[str, Callable[..., Any]]
-"""By their names in `codegen.graph.FOLDED`; those of integers that truncate or are bitwise end in ``_integer``."""
+"""Operations by name as in `codegen.graph.FOLDED`; truncating or bitwise integer operations end in ``_integer``."""
 
 
 def evaluate(
     module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, Any]
 ) -> dict[str, list[Any]]:
-    """Results of a function, element by element, for its inputs and parameters by their names in the graph.
+    """Results of a function, element by element, for inputs and parameters by their names in the graph.
 
-    Parameters that are not given have the values with which the module was made. Loops are written out.
+    Parameters default to the module's values. Loops are unrolled.
     """
     results = [value for values in function.values.values() for value in values]
     evaluation = _Evaluation(operations, _defaults(module) | dict(inputs), needed(results))
@@ -34,12 +34,12 @@ def _defaults(module: SourceModule) -> dict[str, Any]:
 
 
 def element_names(structure: str, members: Sequence[Member]) -> list[str]:
-    """Names of the inputs that stand for the elements of a structure."""
+    """Names of the inputs for the elements of a structure."""
     return [element(structure, member, number) for member in members for number in range(member.size)]
 
 
 class _Evaluation:
-    """Values of a graph that are known so far."""
+    """Values of a graph computed so far."""
 
     def __init__(self, operations: Operations, inputs: Mapping[str, Any], wanted: set[int]) -> None:
         self._operations, self._inputs, self._wanted = operations, inputs, wanted
@@ -89,7 +89,7 @@ class _Evaluation:
             name = f"{name}_integer"
         if name not in self._operations:
             raise ExportError(
-                f"there is no operation {name} to write it with", field=name, remedy="use another option of this part"
+                f"the operation {name} is not available", field=name, remedy="use another option of this component"
             )
         return self._operations[name](*arguments)
 
@@ -100,9 +100,9 @@ class _Evaluation:
             return
         if loop.going is not None:
             raise ExportError(
-                "a loop that ends by a condition cannot be written out",
+                "a loop that ends on a condition cannot be unrolled",
                 field="while",
-                remedy="use another option of this part, such as rigid tendons",
+                remedy="use another option of this component, such as rigid tendons",
             )
         for one in carried:
             self._known[id(one)] = self.value(one.initial)
@@ -120,7 +120,7 @@ class _Evaluation:
 
 
 def find_function(functions: Sequence[Function], name: str) -> Function:
-    """The function of a name."""
+    """Function by name."""
     for one in functions:
         if one.name == name:
             return one

@@ -25,12 +25,12 @@ from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, vari
 from mckibben.export.model_description import NOMINAL, build_description, model_description
 
 _PLATFORM = {2: "linux64", 3: "x86_64-linux"}  # folder of the binary
-_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in the archive, so that equal FMUs are equal files
+_DATE = (1980, 1, 1, 0, 0, 0)  # date of the files in the archive, so that equal FMUs are identical files
 _LONGEST = 300.0  # s, of a compilation
 
 
 def fmu(unit: FunctionalUnit, scenario: str, version: int = 2) -> tuple[bytes, list[str]]:
-    """Content of an FMU of a version of FMI, and what it does not have."""
+    """Content of an FMU for a version of FMI, and the omitted parts."""
     name = unit.module.name
     variables, fixed = variables_of(unit)
     comment = f"{unit.title}\nWritten by mckibben {mckibben.__version__}; the scenario is in resources/scenario.yaml."
@@ -59,7 +59,7 @@ def fmu(unit: FunctionalUnit, scenario: str, version: int = 2) -> tuple[bytes, l
         contents[f"binaries/{_PLATFORM[version]}/{name}.so"] = binary
     left_out = [missing] if missing else []
     if fixed:
-        left_out.append(f"{name}: parameters that are not finite, which cannot be changed: {', '.join(fixed)}")
+        left_out.append(f"{name}: parameters that are not finite and cannot be changed: {', '.join(fixed)}")
     return _archive(contents), left_out
 
 
@@ -119,7 +119,7 @@ def _values(unit: FunctionalUnit, variables: Sequence[ScalarVariable]) -> dict[s
 
 
 def _call(module: SourceModule, function: Function) -> str:
-    """A call of a function with the structures of an instance."""
+    """Call of a function with the structures of an instance."""
     given = [(name, one) for name, one in function.arguments.items() if name != "state"]
     given += [(name, one) for name, one in function.results.items() if name != "state"]
     arguments = ["&self->model", *(name if is_scalar(one) else f"&self->{name}" for name, one in given)]
@@ -127,11 +127,11 @@ def _call(module: SourceModule, function: Function) -> str:
 
 
 def _binary(given: Mapping[str, str], sources: Sequence[str], version: int) -> tuple[bytes, str]:
-    """Shared library for Linux, or why there is none."""
+    """Shared library for Linux, or the reason why there is none."""
     compiler = shlex.split(os.environ.get("CC", "")) or [shutil.which("cc") or ""]
     if (platform.system(), platform.machine()) != ("Linux", "x86_64") or not shutil.which(compiler[0]):
         where = _PLATFORM[version]
-        return b"", f"binary: there is no C compiler for {where} here; most programs compile the sources themselves"
+        return b"", f"binary: no C compiler for {where} found; most programs compile the sources themselves"
     with tempfile.TemporaryDirectory() as folder:
         for path, text in given.items():
             (Path(folder) / path).write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A program with what an FMU adds to it, and its variables."""
+"""Program of an FMU, and its variables."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from mckibben.errors import ExportError
 
 @dataclass(frozen=True)
 class FunctionalUnit:
-    """A program with what an FMU adds to it.
+    """Program of an FMU with the additional data that an FMU needs.
 
-    Its functions are `init`, of `start` and `inputs`, members of `start` being those of the state; `evaluate`, of state
-    and inputs, with `results`; `differentiate`, of the same, with the `rates` of members of the state; `advance`, of
-    state, inputs and `duration` [s]; and `project`, after a step of an integrator. All but `evaluate` may be missing.
+    Its functions are `init` (`start`, whose members are those of the state, and `inputs`); `evaluate` (state and inputs
+    to `results`); `differentiate` (the same to `rates` of members of the state); `advance` (state, inputs and
+    `duration` [s]); and `project`, called after an integrator step. All except `evaluate` are optional.
     """
 
     module: SourceModule
     title: str
     longest: float  # step [s] of `advance`
-    start: Mapping[str, float]  # by the path of a state or input
+    start: Mapping[str, float]  # by path of a state or input
     units: Mapping[str, str]  # of variables, by structure and path
-    names: Mapping[str, str] = field(default_factory=dict)  # of states in place of their paths
-    fixed: tuple[str, ...] = ()  # parameters that are none of the FMU
+    names: Mapping[str, str] = field(default_factory=dict)  # of states, instead of their paths
+    fixed: tuple[str, ...] = ()  # parameters not exposed by the FMU
     sampled: bool = False  # whether a step is a whole number of periods `longest`
     model_exchange: bool = False
 
 
 class ScalarVariable(NamedTuple):
-    """A number of an FMU; its index in the list of all is its value reference."""
+    """A scalar variable of an FMU; its index in the list of all is its value reference."""
 
     name: str
     place: str  # in the C structure
@@ -44,7 +44,7 @@ class ScalarVariable(NamedTuple):
 
 
 def variables_of(unit: FunctionalUnit) -> tuple[list[ScalarVariable], list[str]]:
-    """Variables of an FMU, and the names of parameters that are none, as no description may hold what is not finite."""
+    """Variables of an FMU, and the names of non-finite parameters, which a description cannot contain."""
     variables, fixed = list[ScalarVariable](), list[str]()
     for one in _variables(unit):
         if one.start is None or math.isfinite(one.start):
@@ -99,6 +99,6 @@ def _elements(module: SourceModule, structure: str, members: Any) -> Iterator[tu
 
 
 def _named(path: str, number: int | None) -> str:
-    """A structured name from a path, such as muscles[1].creep[1]."""
+    """Structured name from a path, such as muscles[1].creep[1]."""
     text = path if number is None else f"{path}.{number}"
     return re.sub(r"\.(\d+)", lambda match: f"[{int(match[1]) + 1}]", text)

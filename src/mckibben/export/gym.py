@@ -1,4 +1,4 @@
-"""Gymnasium environments: a joint that follows references of angle and stiffness, single and many at once.
+"""Gymnasium environments, single and vectorised: a joint that follows references of angle and stiffness.
 
 Importing this module registers ``mckibben/Joint-v0``; ``gymnasium.make("mckibben.export.gym:mckibben/Joint-v0",
 scenario="scenario.yaml")`` imports it by itself.
@@ -36,7 +36,7 @@ DEFAULT_REWARD = RewardTerms()
 
 
 class _Joint:
-    """Part of both environments: plants, spaces, and the numbers of a step."""
+    """Common part of both environments: plants, spaces, and settings of a step."""
 
     def __init__(
         self,
@@ -81,18 +81,18 @@ class _Joint:
             "observation_units": OBSERVATION,
             "action_ranges": {f"command{i}": (one[0] / unit, one[1] / unit, shown) for i, one in enumerate(ranges, 1)},
             "step": repeat * self.scenario.control_period,  # s
-            "left_out": ("controller of the scenario", "its reference beyond the present period"),
+            "left_out": ("controller of the scenario", "its reference beyond the current period"),
         }
 
 
 class JointEnv(gymnasium.Env[Floats, Floats]):
-    """A joint under the commands of an agent, for the length of a scenario, whose controller is not used.
+    """A joint controlled by an agent for the duration of a scenario, whose controller is ignored.
 
-    A step is `repeat` control periods. Actions of -1 to 1 stand for commands from the lowest to the highest pressure of
-    each muscle, or for openings where commands are `direct`; ``metadata["action_ranges"]`` has both in their unit.
-    Observations are those of the sensors: angle [rad], velocity [rad/s] (the change of the measured angle over the last
+    A step is `repeat` control periods. Actions of -1 to 1 map to commands from the lowest to the highest pressure of
+    each muscle, or to valve openings if commands are `direct`; ``metadata["action_ranges"]`` has both in their unit.
+    Observations are sensor values: angle [rad], velocity [rad/s] (the change of the measured angle over the last
     control period), gauge pressures [bar]; and the references of angle [rad] and stiffness [N*m/rad]. An episode is
-    terminated where the angle error exceeds 90 deg, and truncated at the end of the scenario. `info` has the true
+    terminated if the angle error exceeds 90 deg, and truncated at the end of the scenario. `info` has the true
     stiffness [N*m/rad] and the air used in the step [L].
 
     Parameters
@@ -100,10 +100,10 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
     scenario
         Scenario, or its file.
     random_plant
-        Texts as of ``mckibben sweep``, such as ``load.mass2=+-50 %``: an episode has one of `plants` plants, drawn with
-        `plants_seed`. Parameters of the reference, of sensors and of disturbances may vary as well.
+        Variations as for ``mckibben sweep``, such as ``load.mass2=+-50 %``: an episode uses one of `plants` plants,
+        drawn with `plants_seed`. Parameters of the reference, of sensors and of disturbances may vary as well.
     repeat
-        Control periods a step.
+        Control periods per step.
     reward
         Terms of the reward, see `RewardTerms`.
 
@@ -112,7 +112,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
     ScenarioError, ParameterError
         For mistakes in scenario and parameters.
     ExportError
-        If no plant has a start, or the reward needs a volume that is unknown.
+        If no plant has a start, or the reward needs an unknown volume.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -135,7 +135,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
-        """Begin an episode with one of the plants; `options` may name its number, ``{"plant": 3}``."""
+        """Begin an episode with one of the plants; `options` may select it, ``{"plant": 3}``."""
         super().reset(seed=seed)
         given = (options or {}).get("plant")
         row = self.np_random.integers(self.joint.plants.rows) if given is None else given
@@ -143,7 +143,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         return self._program.begin(int(row)).observation.astype(np.float32), {"plant": int(row)}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """Hold commands for a step."""
+        """Apply commands for a step."""
         step = self._program.advance(action)
         self._steps += 1
         info = {"stiffness": float(step.stiffness), "air": float(step.air)}
@@ -152,12 +152,12 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
 
 
 class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
-    """Many `JointEnv` in one compiled program; an episode that is over begins anew at the next step.
+    """Many `JointEnv` in one compiled program; a finished episode restarts at the next step.
 
     Parameters
     ----------
     num_envs
-        Number of joints. All others are those of `JointEnv`.
+        Number of joints. All other parameters are as for `JointEnv`.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Hold the commands of all joints for a step."""
+        """Apply the commands of all joints for a step."""
         if self._over.any():
             self._rows = np.where(self._over, self._draw(), self._rows)
         step = self._program.advance(self._rows, actions, self._over)

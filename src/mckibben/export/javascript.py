@@ -1,4 +1,4 @@
-"""A controller as JavaScript."""
+"""Export of a controller as JavaScript."""
 
 from __future__ import annotations
 
@@ -21,6 +21,6 @@ def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:
         f"  {name}.init(self, measurement); // once, from the first measurement\n"
         f"  const {{commands}} = {name}.step(self, setpoint, measurement); // every {period}\n"
         "measurement: {angle, pressures_0, pressures_1}, setpoint: {angle, stiffness}; rad, Pa (gauge), N*m/rad.\n"
-        f"After a change of self.parameters call {name}.prepare(self)."
+        f"After changing self.parameters call {name}.prepare(self)."
     )
     return Exported({f"{name}.js": write_js(module, comment), "scenario.yaml": scenario.dumps(folder=folder)}, left_out)

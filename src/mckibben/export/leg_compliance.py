@@ -2,8 +2,8 @@
 
 The force of a soft constraint is (k_ref r - b_ref v - a) / (A + R) at a depth r, with R = w (1 - d)/d, where w is a
 mobility at the model's zero posture, and A and a are mobility and acceleration without the constraint (MuJoCo's
-documentation, Computation, "Solver parameters"). With a small impedance d, R outweighs A, and the force is that of a
-spring and a damper, whatever the posture.
+documentation, Computation, "Solver parameters"). With a small impedance d, R outweighs A, and the constraint acts as a
+spring and a damper in any posture.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mckibben.leg import Leg, LegPlant, LegState
 from mckibben.leg.dynamics import Posture, Velocity, foot_mobility, frames, joint_mobility
 
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
-"""Speeds [m/s], [rad/s] at which the restitution is that of the plant."""
+"""Speeds [m/s], [rad/s] at which the restitution equals that of the plant."""
 _IMPEDANCE = 1e-3
 FRICTION_RATIO = 1000.0
 """Ratio of normal to tangential R (impratio); at 1, friction would raise the normal force in MuJoCo's cone."""
@@ -42,7 +42,7 @@ class Compliance(NamedTuple):
 
 
 def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
-    """Compliance of the "ground", of its "friction", and of the stops of each joint that moves, by its name."""
+    """Compliance of the "ground", of its "friction", and of the stops of each moving joint, by name."""
     leg, ground = plant.leg, plant.ground
     zero = start.posture._replace(
         x=jnp.zeros(()), z=jnp.zeros(()), pitch=jnp.zeros(()), angles=leg.held([0.0] * len(leg.joints))

@@ -1,6 +1,6 @@
 """A leg for MuJoCo, in its plane, or in space with a side-swing joint: MJCF, and the plugin for its muscles.
 
-Of the plane, x is forwards and z up: what turns forwards turns about -y. A side-swing joint turns about x.
+In the plane, x is forwards and z is up: forward rotation is about -y. A side-swing joint rotates about x.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant.air_valve import AirState
 
 _LIGHT = 1e-9
-"""Mass [kg] and inertia [kg*m^2] of a body that has none: MuJoCo moves no body without."""
+"""Mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass."""
 
 
 class LegModel(NamedTuple):
-    """MJCF, the module of the plugin's forces, its muscles and their names, and what is left out."""
+    """MJCF, the module of the plugin's forces, its muscles and their names, and the omitted parts."""
 
     xml: str
     module: SourceModule
@@ -52,7 +52,7 @@ class LegModel(NamedTuple):
 
 
 class _Frame:
-    """A body of MJCF on its way: what is in it, and how it hangs on the one above."""
+    """An MJCF body under construction: its contents, and its attachment to the parent body."""
 
     def __init__(self, name: str, joint: LegJoint | None = None, origin: float = 0.0, side: bool = False) -> None:
         self.name, self.joint, self.origin, self.side = name, joint, origin, side
@@ -60,13 +60,13 @@ class _Frame:
 
     @property
     def rest(self) -> float:
-        """Angle [rad] on the body above at the angle 0 of the joint, or where it is locked; forwards, or to +y."""
+        """Angle [rad] to the parent body at joint angle 0, or at the locked angle; forwards, or to +y."""
         joint = self.joint
         assert joint is not None
         return float(joint.link_angle) + joint.sign * float(joint.locked or 0.0)
 
     def opened(self, limit: Compliance | None) -> str:
-        """Text of its beginning, with the joint."""
+        """Opening text of the body, with its joint."""
         assert self.joint is not None
         turned = f"{self.rest!r} 0 0" if self.side else f"0 {-self.rest!r} 0"
         text = f'<body name={_name(self.name)} pos="0 0 {-self.origin!r}" euler="{turned}">'
@@ -84,7 +84,7 @@ class _Frame:
 
 
 class _Driven(NamedTuple):
-    """A muscle in MJCF: its tendon, or the joint that it turns, and the functions that find it in a plant."""
+    """A muscle in MJCF: its tendon or the joint that it drives, and the functions that select it from a plant."""
 
     name: str
     tendon: str
@@ -107,20 +107,20 @@ def leg_model(
     Parameters
     ----------
     plant
-        The leg; with `Leg.side_swing` the model is one in space.
+        The leg; with `Leg.side_swing` the model is spatial.
     name
         Of the model and its plugin.
     timestep
         [s]
     start
-        The keyframe "start"; else all angles as near 0 as they can be, without pressure, the foot on the ground.
+        The keyframe "start". Default: all angles as close to 0 as possible, without pressure, the foot on the ground.
     side_pressures
         Gauge pressures [Pa] of the muscles of the side-swing joint at the start.
 
     Raises
     ------
     ExportError
-        For what MuJoCo cannot hold.
+        For parts that MuJoCo cannot express.
     """
     leg = plant.leg
     check_valve(plant.valve)
@@ -140,20 +140,20 @@ def leg_model(
         f"stops of the joints: likewise, at {LIMIT_SPEED:g} rad/s",
     ]
     if side is not None:
-        left_out.append("inertia of the bodies in space: about each axis that in the plane")
+        left_out.append("inertia of the bodies in space: the planar inertia about each axis")
     xml = _mjcf(plant, module.name, timestep, bodies, driven, functions, found, start)
     return LegModel(xml, module, tuple(x.summary for x in functions), tuple(x.name for x in driven), tuple(left_out))
 
 
 class LegScene(NamedTuple):
-    """MJCF of a leg without forces of muscles, and the sites of the straight parts of each muscle that has some."""
+    """MJCF of a leg without muscle forces, and the sites of the straight parts of the muscles."""
 
     xml: str
     parts: dict[str, tuple[tuple[str, str], ...]]
 
 
 def leg_scene(plant: LegPlant, start: LegState) -> LegScene:
-    """A leg to be shown in MuJoCo, moved by its coordinates; without a plugin."""
+    """A leg for display in MuJoCo, moved by its coordinates; without a plugin."""
     bodies = _bodies(plant)
     driven, _ = _muscles(plant, [*plant.leg.joints, *filter(None, [plant.leg.side_swing])], bodies)
     xml = _mjcf(plant, "leg", 1e-3, bodies, driven, [], compliance(plant, start), start)
@@ -165,14 +165,14 @@ def leg_files(
 ) -> Exported:
     """The model of a leg, and the plugin for its muscles; arguments as for `leg_model`."""
     model = leg_model(plant, name, timestep, start)
-    left_out = ("controller: data.ctrl is yours", *model.left_out)
+    left_out = ("controller: set data.ctrl yourself", *model.left_out)
     return Exported(plugin_files(model.module, model.muscles, model.xml, title, left_out), left_out)
 
 
 def export_leg(
     scenario: LegScenario, out: str | os.PathLike[str], *, name: str = "leg", overwrite: bool = False
 ) -> Exported:
-    """Write the leg of a scenario for MuJoCo into a folder, in the posture of its touchdown or squat."""
+    """Write the leg of a scenario for MuJoCo to a folder, in its touchdown or squat posture."""
     check_name(name)
     plant = scenario.plant()
     angles: dict[str, float] = {}
@@ -191,7 +191,7 @@ def _name(name: str) -> str:
 
 
 def _bodies(plant: LegPlant) -> list[_Frame]:
-    """Trunk, the body between the hips where there is a side-swing joint, and links, with their masses and shapes."""
+    """Trunk, the body between the hips if there is a side-swing joint, and links, with their masses and shapes."""
     leg = plant.leg
     trunk = _Frame("trunk")
     trunk.inside.append(_inertial(leg.trunk.mass, leg.trunk.centre, leg.trunk.inertia))
@@ -220,13 +220,13 @@ def _inertial(mass: Any, height: Any, inertia: Any) -> str:
 
 
 def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> tuple[list[_Driven], list[str]]:
-    """All muscles that MuJoCo can move, with their sites put into the bodies; and what is left out."""
+    """All muscles that MuJoCo can move, with their sites added to the bodies, and the omitted parts."""
     leg = plant.leg
     found, left_out = [], []
     places = {frame.joint.name: number for number, frame in enumerate(bodies) if frame.joint is not None}
 
     def attach(path: str, joint: LegJoint, moved: Transmission) -> tuple[str, str]:
-        """Names of the sites of a straight path over a joint, which are put into its bodies."""
+        """Add the sites of a straight path over a joint to its bodies; return their names."""
         child = bodies[places[joint.name]]
         parent = bodies[places[joint.name] - 1]
         names = f"{path} fixed", f"{path} moving"
@@ -257,7 +257,7 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
                 tendon = f"<fixed name={_name(name)}>{coupled(moved, joint)[0]}</fixed>"
             else:
                 tendon = ""
-                left_out.append(f"tendon of {name}: MuJoCo has none with such a path; its torque turns the joint")
+                left_out.append(f"tendon of {name}: path not supported by MuJoCo; its torque acts on the joint")
             target = f"tendon={_name(name)}" if tendon else f"joint={_name(joint.name)}"
             own = (joint.muscles.muscle1, joint.muscles.muscle2)[number]
             found.append(
@@ -288,7 +288,7 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
 
 
 def anchors(joint: LegJoint, moved: Transmission) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Points (forwards, up) [m] of a straight path from a joint, at the body above it, and at its link hanging down."""
+    """Points (forwards, up) [m] of a straight path relative to a joint, on its parent body and on its hanging link."""
     (x, z), (across, up) = ((joint.sign * x, y) for x, y in moved.points)
     sine, cosine = math.sin(float(joint.link_angle)), math.cos(float(joint.link_angle))
     return (x, z), (across * cosine + up * sine, up * cosine - across * sine)
@@ -302,7 +302,7 @@ def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
 
 
 def _pair_of(plant: LegPlant, index: int) -> Any:
-    """Muscles of a joint; those of the side-swing joint come after all others."""
+    """Muscles of a joint; the side-swing muscles come after all others."""
     leg = plant.leg
     joint = leg.joints[index] if index < len(leg.joints) else leg.side_swing
     assert joint is not None
@@ -334,7 +334,7 @@ def _beyond(offset: float) -> Callable[[LegPlant, Any], Any]:
 def _functions(
     plant: LegPlant, name: str, driven: list[_Driven], start: LegState, side_pressures: tuple[float, float]
 ) -> tuple[SourceModule, list[MuscleFunctions]]:
-    """The module of the plugin, and the functions of each muscle that are in it."""
+    """The module of the plugin, and its functions of each muscle."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
     valves = start.air.valves if isinstance(start.air, AirState) else ((),) * len(start.pressures)
@@ -362,7 +362,7 @@ _TRUNK = {
     "free": '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>'
     '<joint name="pitch" type="hinge" axis="0 -1 0"/>',
 }
-"""Joints of the trunk in each of its freedoms."""
+"""Joints of the trunk for each degree of freedom."""
 
 
 def coordinates(plant: LegPlant, of: Any) -> list[Any]:

@@ -39,10 +39,10 @@ _GRAVITY = 9.81  # m/s^2
 
 
 class Transmission(NamedTuple):
-    """Transmission of a muscle: sites and tendon of MJCF, and path [m] beyond the length of the tendon.
+    """Transmission of a muscle: sites and tendon of MJCF, and path length [m] in excess of the tendon.
 
-    The tendon is between two points [m], or has a coefficient [m/rad] of the angle.
-    Without a tendon the muscle turns the joint itself: its length is the angle, its force a torque.
+    The tendon connects two points [m], or has a coefficient [m/rad] of the angle.
+    Without a tendon the muscle drives the joint itself: its length is the angle, its force a torque.
     """
 
     fixed_sites: str = ""
@@ -95,7 +95,7 @@ def _two_sites(number: int, fixed: tuple[Any, Any], moving: tuple[Any, Any], con
 
 
 class JointModel(NamedTuple):
-    """MJCF, the module of the plugin's forces, its muscles, and what is left out."""
+    """MJCF, the module of the plugin's forces, its muscles, and the omitted parts."""
 
     xml: str
     module: SourceModule
@@ -112,10 +112,10 @@ def joint_model(
     moved = transmissions(plant.joint.geometry)
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += [] if plant.command_delay is None else ["delay of the commands"]
-    left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo's has its own"]
+    left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo has its own model"]
     for number, one in enumerate(moved, 1):
         if not one.tendon:
-            left_out.append(f"tendon of muscle {number}: MuJoCo has none with such a path; its torque turns the joint")
+            left_out.append(f"tendon of muscle {number}: path not supported by MuJoCo; its torque acts on the joint")
     plant = dataclasses.replace(plant, command_delay=None)
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
     module, muscles, acts = muscle_module(plant, moved, start, name)
@@ -125,7 +125,7 @@ def joint_model(
 
 
 def check_valve(valve: ValveModel) -> None:
-    """Raise for a valve that the plugin cannot have."""
+    """Raise an error for a valve that the plugin does not support."""
     if isinstance(valve, SwitchingValves):
         raise cannot("valve", "valves that switch between steps", "give it a FlowValve")
     if isinstance(valve, AirValve) and valve.reservoir_volume is not None:
@@ -133,7 +133,7 @@ def check_valve(valve: ValveModel) -> None:
 
 
 def check_tendon(joint: AntagonisticJoint) -> None:
-    """Raise for springs in series with the muscles."""
+    """Raise an error for springs in series with the muscles."""
     if not isinstance(joint.tendon, RigidTendon):
         raise cannot("tendon", "springs in series with the muscles", "give the joint rigid tendons")
 
@@ -151,7 +151,7 @@ def muscle_module(
 
 
 def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState) -> MuscleFunctions:
-    """Functions of one of both muscles."""
+    """Functions of one muscle."""
 
     def path(plant: JointPlant, length: Any) -> Any:
         return length + float(moved.offset) if moved.tendon else plant.joint.geometry.path_lengths(length)[index]
@@ -164,7 +164,7 @@ def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState) -
 
 
 class MassPoint(NamedTuple):
-    """Mass [kg] that hangs along -y at the angle 0, its distance [m], inertia about itself, and what was chosen."""
+    """Mass [kg] hanging along -y at angle 0, its distance [m], its own inertia, and a note on assumed values."""
 
     mass: float
     distance: float
@@ -173,16 +173,16 @@ class MassPoint(NamedTuple):
 
 
 def mass_point(load: Load) -> MassPoint:
-    """A body with the inertia and the torque of gravity of a load."""
+    """A body with the inertia and the gravity torque of a load."""
     inertia, moment, gravity = float(load.total_inertia), float(load.gravity_moment), gravity_of(load)
     angles = np.linspace(-1, 1, 5)
     hanging = moment * np.sin(float(load.hanging_angle) - angles)
     if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
-        raise cannot("load", "a load with another torque than gravity's", "give a PendulumLoad or a GeneralLoad")
+        raise cannot("load", "a load with a torque other than gravity", "give a PendulumLoad or a GeneralLoad")
     mass, chosen = known_mass(load), ()
     if mass is None:
         mass = 2 * moment**2 / (inertia * gravity**2) or 1.0
-        chosen = (f"mass of the load: {mass:.4g} kg is chosen, as only its inertia and torque are known",)
+        chosen = (f"mass of the load: {mass:.4g} kg is assumed, as only its inertia and torque are known",)
     distance = moment / (mass * gravity) if gravity else 0.0
     return MassPoint(mass, distance, max(inertia - mass * distance**2, 1e-12 * inertia), chosen)
 
@@ -193,7 +193,7 @@ def gravity_of(load: Load) -> float:
 
 
 def known_mass(load: Load) -> float | None:
-    """Mass [kg] of a load, where it is known."""
+    """Mass [kg] of a load, if known."""
     if hasattr(load, "mass1"):
         return float(load.mass1 + load.mass2) or None
     return float(load.mass) if hasattr(load, "mass") else None
@@ -206,14 +206,14 @@ def command_range(valve: ValveModel, muscle: Muscle) -> tuple[float, float]:
 
 
 def numbers_text(numbers: Any) -> str:
-    """Numbers of an attribute of MJCF."""
+    """Numbers of an MJCF attribute as text."""
     return " ".join(repr(float(one)) for one in numbers)
 
 
 def plugin_actuator(
     module: str, number: int, name: str, target: str, dynamics: str, limits: tuple[float, float]
 ) -> str:
-    """Actuator of a muscle; one without a range of commands, such as a return spring, has no limits."""
+    """Actuator of a muscle; without a command range, as for a return spring, it has no limits."""
     limited = f'"true" ctrlrange="{numbers_text(limits)}"' if limits[0] < limits[1] else '"false"'
     return (
         f'<plugin name={quoteattr(name)} {target} plugin="mckibben.{module}" {dynamics} ctrllimited={limited}>'
@@ -222,7 +222,7 @@ def plugin_actuator(
 
 
 def keyframe(**numbers: Any) -> str:
-    """The state at the start, from numbers by the names of MuJoCo; of none, nothing is written."""
+    """Keyframe of the initial state, from numbers by MuJoCo's names; empty ones are not written."""
     given = " ".join(f'{key}="{numbers_text(one)}"' for key, one in numbers.items() if len(one))
     return f'<key name="start" {given}/>'
 
@@ -313,7 +313,7 @@ def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.substeps
     model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))
-    left_out = ("controller and reference of the scenario: data.ctrl is yours", *model.left_out)
+    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *model.left_out)
     files = plugin_files(
         model.module, model.muscles, model.xml, f"the joint of the scenario {scenario.name!r}", left_out
     )
@@ -321,5 +321,5 @@ def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
 
 
 def cannot(field: str, what: str, remedy: str) -> ExportError:
-    """The error for what MuJoCo has not."""
-    return ExportError(f"MuJoCo cannot hold {what}", field=field, remedy=remedy)
+    """Error for a part that MuJoCo does not support."""
+    return ExportError(f"MuJoCo does not support {what}", field=field, remedy=remedy)

@@ -51,7 +51,7 @@ def model_description(
 
 
 def build_description(name: str, sources: Sequence[str]) -> str:
-    """Text of sources/buildDescription.xml, which FMI 3.0 has in place of a list in modelDescription.xml."""
+    """Text of sources/buildDescription.xml, which FMI 3.0 uses instead of a list in modelDescription.xml."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=name)
     listed = ET.SubElement(configuration, "SourceFileSet", language="C99")
@@ -66,7 +66,7 @@ def _text(root: ET.Element) -> str:
 
 
 def _add_interfaces(root: ET.Element, unit: FunctionalUnit, sources: Sequence[str], version: int) -> None:
-    """Model exchange and co-simulation, and what they can do."""
+    """Interfaces for model exchange and co-simulation, with their capabilities."""
     state = "state" if version == 2 else "State"
     common = {"modelIdentifier": unit.module.name, f"canGetAndSetFMU{state}": "true", f"canSerializeFMU{state}": "true"}
     stepping = {"canHandleVariableCommunicationStepSize": str(not unit.sampled).lower()}
@@ -87,7 +87,7 @@ def _add_interfaces(root: ET.Element, unit: FunctionalUnit, sources: Sequence[st
 
 
 def _add_units(root: ET.Element, variables: Sequence[ScalarVariable]) -> None:
-    """Units of the variables in those of SI, and those to show."""
+    """Units of the variables in terms of SI, and display units."""
     units = dict.fromkeys(one.unit for one in variables if one.unit)
     if units:
         definitions = ET.SubElement(root, "UnitDefinitions")
@@ -130,7 +130,7 @@ def _add_variable(
 
 
 def _add_structure(parent: ET.Element, variables: Sequence[ScalarVariable], version: int) -> None:
-    """Outputs, derivatives, and what is computed in the beginning."""
+    """Outputs, derivatives and initial unknowns."""
     numbered = list(enumerate(variables))
     outputs = [number for number, one in numbered if one.kind == "s" or (one.kind == "o" and one.rate_of is None)]
     rates = [number for number, one in numbered if one.rate_of is not None]

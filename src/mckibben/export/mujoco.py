@@ -11,11 +11,11 @@ from typing import Any
 
 from mckibben.errors import ExportError
 
-_LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo has one plugin of a name in a process, until its end
+_LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo keeps one plugin per name for the lifetime of the process
 
 
 def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
-    """The `mujoco.MjModel` of a folder that `mckibben export --to mjcf` wrote; builds its plugin at first.
+    """The `mujoco.MjModel` of a folder written by `mckibben export --to mjcf`; builds the plugin on first use.
 
     Raises
     ------
@@ -31,9 +31,9 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
         mujoco.mj_loadPluginLibrary(str(library))
         _LOADED[name] = library
     if _LOADED[name] != library:
-        remedy = "export one of both with another --name, and give it here"
+        remedy = "export one of them with another --name, and load that one"
         raise ExportError(
-            f"a plugin mckibben.{name} is loaded already, of {_LOADED[name].parent}",
+            f"a plugin mckibben.{name} is already loaded from {_LOADED[name].parent}",
             field="name",
             value=name,
             remedy=remedy,
@@ -51,7 +51,7 @@ def import_mujoco() -> Any:
 
 
 def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:
-    """Compile a plugin against the MuJoCo of a folder."""
+    """Compile a plugin against the MuJoCo in a folder."""
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:
         raise ExportError("there is no C compiler", field="CC", remedy="install one, or set CC to its name")

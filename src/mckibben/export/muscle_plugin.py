@@ -1,4 +1,4 @@
-"""The engine plugin of MuJoCo for muscles: their functions as C, and the C around these."""
+"""MuJoCo engine plugin for muscles: their functions as C, and the surrounding C code."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mckibben.realtime.compiled_step import FlatTree
 
 
 class Activations(NamedTuple):
-    """Activations of an actuator: arms of the creep [N], state of the valve, pressure [Pa] but for an ideal valve."""
+    """Activations of an actuator: creep arms [N], valve state, and pressure [Pa] unless the valve is ideal."""
 
     creep: Any
     valve: Any
@@ -31,7 +31,7 @@ class Activations(NamedTuple):
 
 
 class PluginMuscle(NamedTuple):
-    """Numbers of activations and anchors, whether they slip, and whether MuJoCo's own filter is the valve."""
+    """Numbers of activations and anchors, whether they slip, and whether MuJoCo's own filter models the valve."""
 
     activations: int
     anchors: int
@@ -39,7 +39,7 @@ class PluginMuscle(NamedTuple):
     filtered: bool
 
     def dynamics(self, valve: Any) -> str:
-        """Attributes of its actuator in MJCF."""
+        """Attributes of the actuator in MJCF."""
         if not self.activations:
             return ""
         lag = f'dynprm="{float(valve.time_constant)!r}"' if self.filtered else ""
@@ -47,7 +47,7 @@ class PluginMuscle(NamedTuple):
 
 
 class MuscleFunctions:
-    """Functions of one muscle of a plant: force, rates of its activations, and what slips after a step.
+    """Functions of one muscle of a plant: force, rates of its activations, and slip after a step.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class MuscleFunctions:
     number
         Number of the muscle, from 1.
     muscle_of, path_of
-        The muscle of a plant with its tendon, and its path [m] at a length that MuJoCo knows.
+        Functions for the plant's muscle with its tendon, and for its path [m] at MuJoCo's length.
     start
         State, pressure [Pa], and state of the valve at the start.
     """
@@ -107,7 +107,7 @@ class MuscleFunctions:
         if activations > filtered:
             module.add(f"rates{number}", f"rates of the activations of muscle {number}", rates, held)
         if slips:
-            module.add(f"settled{number}", f"muscle {number} after a step; no force changes by it", settled, held)
+            module.add(f"settled{number}", f"muscle {number} after a step; the force does not change", settled, held)
         if anchors:
             module.add(f"unset{number}", f"unstressed anchors of muscle {number}", unset, {argument: given})
 
@@ -161,7 +161,7 @@ class MuscleFunctions:
 
 
 def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
-    """C of the plugin around the functions of its muscles."""
+    """C code of the plugin around the functions of its muscles."""
     values = {"name": name, "plugin": f"mckibben.{name}", "count": str(len(muscles))}
     parts, rows = [], []
     for number, (activations, anchors, slips, filtered) in enumerate(muscles, 1):
@@ -209,7 +209,7 @@ def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
 def plugin_files(
     module: SourceModule, muscles: Sequence[PluginMuscle], xml: str, title: str, left_out: Sequence[str]
 ) -> dict[str, str]:
-    """Contents of the files of a model: MJCF, the plugin, and how to use them."""
+    """Contents of the files of a model: MJCF, the plugin, and instructions."""
     name = module.name
     comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
     sources = write_c(module, comment.replace("*/", "* /"), single=False)

@@ -1,4 +1,4 @@
-"""A joint for OpenSim: muscles at constant pressures as forces that are expressions of the lengths of their paths."""
+"""A joint for OpenSim: muscles at constant pressures as forces given by expressions of their path lengths."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from mckibben.plant import IdealValve, JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar
 
-_LONGEST = 40  # characters of an expression that is not given a name
-_MOST = 100_000  # characters with all names written out, as OpenSim does: a million took it 20 s to read
+_LONGEST = 40  # characters of an expression without a name
+_MOST = 100_000  # characters with all names expanded, as OpenSim does: a million took 20 s to read
 
 
 class OsimModel(NamedTuple):
-    """Text of an .osim file, the expressions of both muscles, and what is left out.
+    """Text of an .osim file, the expressions of both muscles, and the omitted parts.
 
-    An expression is of the stretch ``s`` [m] of the path beyond `rest` [m], and gives the tension [N]; or of the
-    coordinate ``q`` [rad], and gives the torque [N*m], where OpenSim has no such path.
+    An expression gives the tension [N] as a function of the stretch ``s`` [m] of the path beyond `rest` [m] or, if
+    OpenSim does not support the path, the torque [N*m] as a function of the coordinate ``q`` [rad].
     """
 
     text: str
@@ -66,14 +66,14 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
         except ExportError as error:
             parts = f"{type(muscle.law).__name__}, {type(joint.geometry).__name__}"
             raise ExportError(
-                f"OpenSim cannot hold the force of muscle {number} ({parts}) as an expression: {error.message}",
+                f"OpenSim cannot express the force of muscle {number} ({parts}): {error.message}",
                 field=f"muscle{number}",
                 value=parts,
-                remedy="take a law that gives the force in closed form, and paths without tables",
+                remedy="use a law with a closed-form force, and paths without tables",
             ) from None
         rests.append(rest)
         if rest is None:
-            left_out.append(f"path of muscle {number}: OpenSim has none such; its torque turns the joint")
+            left_out.append(f"path of muscle {number}: not supported by OpenSim; its torque acts on the joint")
         forces.append(_force(number, moved, rest, expressions[-1], float(pressure)))
     point = mass_point(plant.load)
     text = _osim(plant, name, point, "".join(forces))
@@ -81,7 +81,7 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
 
 
 class _Condition(NamedTuple):
-    """A condition as an expression that is 1 or 0; of a comparison what is below what."""
+    """A condition as an expression that is 1 or 0; for a comparison, its lower and upper side."""
 
     share: str
     below: str = ""
@@ -89,9 +89,9 @@ class _Condition(NamedTuple):
 
 
 class _Expression(dict[str, Callable[..., Any]]):
-    """Operations that write an expression for OpenSim; numbers are computed at once.
+    """Operations that write an expression for OpenSim; constants are folded.
 
-    What is long is given a name, and defined after the expression.
+    Long subexpressions are named and defined after the expression.
     """
 
     _SAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "floor",
@@ -114,9 +114,9 @@ class _Expression(dict[str, Callable[..., Any]]):
         for text, name in [*self._names.items(), (str(result), "")]:
             sizes[name] = len(text) + sum(sizes[one] for one in re.findall(r"\bv\d+", text))
         if sizes[""] > _MOST:
-            raise ExportError(f"written out it has {sizes['']} characters, more than {_MOST}", field="expression")
+            raise ExportError(f"expanded, it has {sizes['']} characters, more than {_MOST}", field="expression")
         definitions = [f"{name}={text}" for text, name in self._names.items()]
-        return ";".join([str(result), *reversed(definitions)])  # what is used comes after its use
+        return ";".join([str(result), *reversed(definitions)])  # definitions follow their use
 
     def _folded(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def operation(*arguments: Any) -> Any:
@@ -150,7 +150,7 @@ class _Expression(dict[str, Callable[..., Any]]):
         if not isinstance(condition, _Condition):
             return yes if condition else no
         share, below, above = condition
-        if above == _number(0.0) and yes == 0.0 and no == below:  # what keeps a muscle from pushing
+        if above == _number(0.0) and yes == 0.0 and no == below:  # keeps a muscle from pushing
             return self._named(f"max(0,{no})")
         return self._named(f"({share}*{_number(yes)}+(1-{share})*{_number(no)})")
 
@@ -190,7 +190,7 @@ def _force(number: int, moved: Transmission, rest: float | None, expression: str
 
 
 def _osim(plant: JointPlant, name: str, point: MassPoint, forces: str) -> str:
-    """The document; gravity is turned by the hanging angle, as the limb hangs along -y at the angle 0."""
+    """The document; gravity is rotated by the hanging angle, as the limb hangs along -y at angle 0."""
     hanging, gravity = float(plant.load.hanging_angle), gravity_of(plant.load)
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!-- Written by mckibben {mckibben.__version__}. -->
@@ -224,7 +224,7 @@ def _osim(plant: JointPlant, name: str, point: MassPoint, forces: str) -> str:
 
 
 def osim_files(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The joint of a scenario at the pressures of its start."""
+    """The joint of a scenario at its initial pressures."""
     plant = scenario.plant()
     pressure1, pressure2 = (float(one) for one in scenario.initial(plant).pressures)
     model = osim_model(plant, (pressure1, pressure2), name)

@@ -1,4 +1,4 @@
-"""The program of a plant: torque, stiffness and tensions of its joint, the rate of its state, and a control period."""
+"""Program of a plant: torque, stiffness and tensions of its joint, the rate of its state, and a control period."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Commands = tuple[Any, Any]
 
 
 class PlantModule(NamedTuple):
-    """Source of a plant, its state at rest at 0 rad without pressure, and what the source does not contain."""
+    """Source of a plant, its state at rest at 0 rad without pressure, and the parts omitted from the source."""
 
     module: SourceModule
     state: PlantState
@@ -31,11 +31,11 @@ class PlantModule(NamedTuple):
 def plant_module(
     plant: JointPlant, control_period: float | None = None, substeps: int = 4, name: str = "plant"
 ) -> PlantModule:
-    """SourceModule of a plant without sensors and disturbances.
+    """Source module of a plant without sensors and disturbances.
 
     Functions: `torque`, `stiffness`, `tensions` of the muscles' laws at an angle and pressures; `rate` of the state;
-    with a control period [s] `step`, the state after one. All its real numbers are parameters. Raises `ExportError` for
-    what cannot be lowered.
+    with a control period [s], `step`, the state after one period. All real numbers are parameters. Raises `ExportError`
+    for parts that cannot be lowered.
     """
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += [] if plant.command_delay is None else ["delay of the commands"]
@@ -71,9 +71,9 @@ def plant_module(
     module.add("tensions", "tension [N] of each muscle", tensions, static)
     moving = {"state": state, "commands": pair}
     if plant.slips:
-        left_out.append("rate: friction and creep slip after each integration step; step has them")
+        left_out.append("rate: friction and creep slip after each integration step; step includes them")
     elif isinstance(plant.valve, SwitchingValves):
-        left_out.append("rate: the valves switch at integration steps; step has them")
+        left_out.append("rate: the valves switch at integration steps; step includes them")
     else:
         module.add("rate", "time derivative of the state under commands", rate, moving)
     if control_period is not None:

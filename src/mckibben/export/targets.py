@@ -1,4 +1,4 @@
-"""The formats of `mckibben export`: each a function from a scenario to files."""
+"""Formats of `mckibben export`, each a function from a scenario to files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mckibben.storage.files import atomic_write, check_free, make_folder
 
 
 class Exported(NamedTuple):
-    """Contents of files by their paths, and what the format cannot hold."""
+    """Contents of files by path, and the parts that the format cannot express."""
 
     files: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
@@ -31,8 +31,8 @@ TARGETS = {
     "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint and muscles for MuJoCo, with the C of a plugin", ()),
     "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures", ()),
 }
-"""Function of each format, ``(scenario, name, folder, **options) -> Exported``, what it is, and its options."""
-_NAMES = {"fmu": "plant", "fmu-muscle": "muscle", "mjcf": "joint", "osim": "joint"}  # of what is not a controller
+"""Function of each format, ``(scenario, name, folder, **options) -> Exported``, its description and options."""
+_NAMES = {"fmu": "plant", "fmu-muscle": "muscle", "mjcf": "joint", "osim": "joint"}  # except for controllers
 
 
 def export(
@@ -52,22 +52,22 @@ def export(
     target
         One of `TARGETS`.
     name
-        Of the program or model in the format, an identifier; else ``controller``, ``plant``, ``joint`` or ``muscle``.
+        Name of the program or model, an identifier. Default: ``controller``, ``plant``, ``joint`` or ``muscle``.
     single
-        Numbers of 32 bits in place of 64, of the format ``c``.
+        32-bit instead of 64-bit numbers, for the format ``c``.
     fmi
-        Version of the standard of an FMU, 2 (unless given) or 3.
+        FMI version of an FMU, 2 (default) or 3.
 
     Raises
     ------
     ExportError
-        For what cannot be written, before anything is.
+        For parts that cannot be exported, before any file is written.
     FileError
-        If there are such files, unless they may be overwritten.
+        If the files exist, unless they may be overwritten.
     """
     if target not in TARGETS:
         raise ParameterError(
-            f"{quoted(target)} is no format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
+            f"{quoted(target)} is not a format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
         )
     if fmi not in (None, 2, 3):
         raise ParameterError(f"FMI {fmi:g} cannot be written", field="fmi", value=fmi, remedy="give 2 or 3")
@@ -87,22 +87,22 @@ def export(
     return made
 
 
-_TAKEN = frozenset(  # by the standard headers, and by the program that replays a run
+_TAKEN = frozenset(  # names reserved by the standard headers and by the replay program
     "main replay NAN INFINITY NULL acos asin atan atan2 ceil copysign cos cosh exp expm1 fabs floor fmax fmin fmod "
     "isfinite isinf isnan log log1p pow rint round signbit sin sinh sqrt tan tanh trunc".split()
 )
 
 
 def check_name(name: str) -> str:
-    """The name of a program or model; `ParameterError` unless it is an identifier of C that is free."""
+    """Check the name of a program or model; `ParameterError` unless it is an unreserved C identifier."""
     if identifier(name) != name or name in _TAKEN:
         remedy = "give an identifier of C, such as knee"
-        raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
+        raise ParameterError(f"{quoted(name)} is not a valid program name", field="name", value=name, remedy=remedy)
     return name
 
 
 def write_exported(made: Exported, out: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the files of an export to a folder; `FileError` if there are such files, unless they may be overwritten."""
+    """Write the files of an export to a folder; `FileError` if they exist, unless they may be overwritten."""
     folder = Path(out)
     make_folder(folder)
     if not overwrite:

@@ -1,4 +1,4 @@
-"""From measured points to a force law and its friction: least squares, uncertainty, errors at unseen points."""
+"""Identification of force laws and friction from measured points: least squares, uncertainty, cross-validation."""
 
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.creep import CreepFit, identify_creep

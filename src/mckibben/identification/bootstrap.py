@@ -1,7 +1,7 @@
 """Block bootstrap: refits to whole repeats, strokes or pressures drawn with replacement.
 
-A refit weights each point by how often its block was drawn, so nothing is compiled anew. It starts at the fit to all
-points and at the other local minima over the shape, and keeps the best.
+A refit weights each point by how often its block was drawn, so nothing is recompiled. It starts from the fit to all
+points and from the other local minima over the shape parameters, and keeps the best.
 
 References
 ----------
@@ -34,14 +34,14 @@ from mckibben.identification.uncertainty import (
 )
 from mckibben.muscle import ForceLaw
 
-_FEWEST_BLOCKS = 8  # with fewer, the draws are too few and too alike
+_FEWEST_BLOCKS = 8  # with fewer, the draws are too few and too similar
 _MOST_FAILED = 0.1
 _OTHER_MINIMA = 4
-_APART = 1e-3  # in the unit cube: nearer positions are one minimum
-_BETTER = 1e-6  # relative cost by which another minimum has to be better than that of the fit
+_APART = 1e-3  # in the unit cube: closer positions count as one minimum
+_BETTER = 1e-6  # relative improvement in cost required of another minimum
 _CENTRAL = (0.15865525393145707, 0.8413447460685429)  # one standard deviation to each side of a normal distribution
 _HEAVY_TAILS = 2.0  # standard deviation over half the central range: 1 for normal draws, 1.5 for t with 3 degrees
-_ENOUGH = 50  # draws from which tails can be told
+_ENOUGH = 50  # fewest draws to judge the tails
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +51,12 @@ class Bootstrap:
     Attributes
     ----------
     law, at_bound
-        Fit to all points, and its parameters at a bound, shape (parameters,): these have no errors and no intervals.
+        Fit to all points, and mask of its parameters at a bound, shape (parameters,), which have no errors or
+        intervals.
     draws
         Shape (refits, parameters), in SI, in the order of the law's parameters.
     failed
-        Number of draws that did not determine the law, and were repeated.
+        Number of draws that did not determine the law and were repeated.
     """
 
     law: ForceLaw
@@ -69,7 +70,7 @@ class Bootstrap:
     def standard_errors(self) -> dict[str, float]:
         """By parameter, in SI: half the central 68 % range of the draws, times sqrt(G/(G - 1)) for G blocks.
 
-        For normal draws that is their standard deviation; a few outliers hardly affect it. NaN at a bound.
+        For normal draws this is their standard deviation; a few outliers hardly affect it. NaN at a bound.
         """
         errors = np.where(self.at_bound, np.nan, self._deviation(self.draws))
         return dict(zip(self._names, errors.tolist(), strict=True))
@@ -88,7 +89,7 @@ class Bootstrap:
         if not heavy:
             return ()
         return (
-            "the draws have heavy tails: their standard deviation is far above the standard error given, for "
+            "the draws have heavy tails: their standard deviation is far above the stated standard error, for "
             f"{', '.join(heavy)}; look at the draws, and rely on intervals or a profile",
         )
 
@@ -128,13 +129,13 @@ class Bootstrap:
 
 
 def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None = None) -> Bootstrap:
-    """Refit a law, by a `Fit`, to blocks of its points drawn with replacement.
+    """Refit the law of a `Fit` to blocks of its points drawn with replacement.
 
     Parameters
     ----------
     by
-        Kind of block. Unless given, repeats of the test if there are at least eight; else strokes, where directions,
-        phases or repeats are known; else pressures.
+        Kind of block. Default: repeats of the test if there are at least eight; else strokes, where directions, phases
+        or repeats are known; else pressures.
 
     Raises
     ------
@@ -144,7 +145,9 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
         If there are fewer than two refits.
     """
     if refits < 2:
-        raise RangeError(f"{refits} refits have no distribution", value=refits, lower=2, remedy="take some hundreds")
+        raise RangeError(
+            f"{refits} refits do not give a distribution", value=refits, lower=2, remedy="use several hundred"
+        )
     regression = fit.require_regression()
     by, labels = _blocks(regression, by)
     blocks = int(labels.max()) + 1
@@ -172,7 +175,7 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
 
 def _starts(regression: Regression) -> list[Floats]:
     """Position of the fit in the unit cube, then other local minima, best first."""
-    from scipy.ndimage import minimum_filter  # 0.1 s, which no import of the package should wait for
+    from scipy.ndimage import minimum_filter  # takes 0.1 s to import
 
     problem, starts = regression.problem, [regression.solution.position]
     axes = len(starts[0])
@@ -191,7 +194,7 @@ def _starts(regression: Regression) -> list[Floats]:
 
 
 def _refit(problem: FitProblem, starts: list[Floats]) -> Solution:
-    """Best solution from several starts; of equally good ones the first."""
+    """Best solution from several starts; the first of equally good ones."""
     best, *others = sorted((solve(problem, start) for start in starts), key=lambda found: not found.converged)
     for other in others:
         if other.converged and other.cost < (1 - _BETTER) * best.cost:

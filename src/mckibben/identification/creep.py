@@ -20,28 +20,28 @@ from mckibben.units import percent, show
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CreepFit:
-    """Creep in the samples of plateaus, or its absence; `identify_creep` makes it.
+    """Creep in the samples of plateaus, or its absence; returned by `identify_creep`.
 
     Attributes
     ----------
     creep
-        Creep model of one Maxwell element; `NoCreep` where the data show none.
+        Creep model with one Maxwell element; `NoCreep` if the data show no creep.
     significance
-        Relaxation rate in standard errors; significant from 3 on. Negative: the force goes on in the direction of the
+        Relaxation rate in standard errors; significant from 3 on. Negative: the force continues in the direction of the
         move.
     rate, rate_error
-        Mean rate of the force against the direction of the move before, and its standard error [N/s].
+        Mean rate of the force against the direction of the preceding move, and its standard error [N/s].
     standard_errors, correlation
         Cluster-robust, of ``stiffness`` [N/m] and ``time_constant`` [s]; NaN where not determined.
     time_constant_interval
-        Profile interval of 95 % [s]; 0 or infinite where the data set no bound.
+        95 % profile interval [s]; 0 or infinite where the data impose no bound.
     relative_stiffness
         Stiffness of the element per median stiffness of the muscle [-].
     initial_force, mean_force
-        Shape (points,), in the order of the dataset: force in the element at the first sample, and its mean over the
-        samples, the part of creep in a plateau mean [N].
+        Shape (points,), in dataset order: force in the element at the first sample, and its mean over the samples,
+        which is the contribution of creep to a plateau mean [N].
     common_rate
-        Rate common to both directions, as of a drifting sensor [N/s].
+        Rate common to both directions, such as sensor drift [N/s].
     interval
         Sampling interval [s].
     points_used, warnings, dataset
@@ -77,7 +77,7 @@ class CreepFit:
         return self.initial_force[:, None] * np.exp(-times / self.creep.time_constant)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Plateau means of the identified dataset without creep; an `IdentificationError` for another one."""
+        """Plateau means of the identified dataset without creep; `IdentificationError` for any other dataset."""
         means = dataset.plateau_means()
         if len(means) != len(self.mean_force):
             raise IdentificationError(
@@ -118,30 +118,30 @@ class CreepFit:
 _SIGNIFICANT = 3.0  # standard errors
 _FEWEST_SAMPLES = 3
 _FEWEST_PLATEAUS = 10  # in each direction
-_SLIP = 0.25  # of the force: where more relaxes, the element may have slipped
+_SLIP = 0.25  # of the force: if more relaxes, the element may have slipped
 _ROUNDS = 2
-_WIDE = 2.5  # ratio of the ends of the interval of a time constant above which it is not determined
+_WIDE = 2.5  # ratio of the ends of its interval above which a time constant is not determined
 _QUICK, _SLOW = 0.1, 3.0  # range of time constants, in dwells and in durations of the longest path
-_REGULATOR = 0.2  # of the drift of the force: a larger part explained by the pressure's is reported
+_REGULATOR = 0.2  # of the force drift: a larger part explained by pressure drift is reported
 
 
 def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, speed: float) -> CreepFit:
-    r"""Identify creep from the samples within plateaus as a Maxwell element beside a law that need not be known.
+    r"""Identify creep from the samples within plateaus as a Maxwell element in parallel with an arbitrary, unknown law.
 
-    Significance is tested by the mean slopes of the force within plateaus after stretching and after shortening: creep
-    relaxes against the direction of the move, law and friction are constant, a sensor drifts equally after both. The
+    Significance is tested on the mean slopes of the force within plateaus after stretching and after shortening: creep
+    relaxes against the direction of the move, law and friction are constant, and sensor drift is equal after both. The
     element is then fitted along all loading paths: the samples of plateau j, less their mean, are
 
     .. math:: x_j e^{-t/\tau} + v t, \qquad x_j = e^{-t_\mathrm{dwell}/\tau} k\, g_j(\tau)
 
-    with a common rate v. The deflection :math:`g_j` after the move to a plateau follows from all moves before it at
-    that pressure, before which the element is relaxed. A slack muscle has no deflection.
+    with a common rate v. The deflection :math:`g_j` after the move to a plateau follows from all previous moves at that
+    pressure, starting from a relaxed element. A slack muscle has no deflection.
 
     Parameters
     ----------
     dataset
-        Raw samples of the force, directions, initial length, and nominal pressures where measured ones scatter, in the
-        order of the test or with times, those of the first samples.
+        Raw samples of the force, directions, initial length, and nominal pressures if measured ones scatter, in the
+        order of the test or with the times of the first samples.
     interval, dwell
         Sampling interval, and time from the end of a move to the first sample [s].
     speed
@@ -150,7 +150,7 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
     Raises
     ------
     IdentificationError
-        If there are no samples, too few plateaus, one direction alone, or times that do not agree with the speed.
+        If there are no samples, too few plateaus, only one direction, or times that contradict the speed.
     RangeError
         If `interval`, `dwell` or `speed` is not positive.
 
@@ -204,7 +204,9 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
     for _ in range(_ROUNDS):  # without the points at which the element may have slipped
         relaxing = np.abs(element.stiffness_and_rate(tau, used)[0] * paths.deflection(tau))
         within = taut & (relaxing < _SLIP * means.force)
-        if within.sum() < taut.sum() / 2:  # the element is a guess, as where its time constant is not determined
+        if (
+            within.sum() < taut.sum() / 2
+        ):  # the element is uncertain, for example if its time constant is not determined
             break
         _check_directions(paths, within)
         used = within
@@ -212,7 +214,7 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
     stiffness, common = element.stiffness_and_rate(tau, used)
     if not stiffness > 0:
         raise IdentificationError(
-            "the force drifts as with creep, but not along the loading paths of the test",
+            "the force drifts as in creep, but not along the loading paths of the test",
             remedy="check dwell, speed and the order of the rows",
         )
     errors, correlation, inflation = element.uncertainty(tau, used)
@@ -242,7 +244,7 @@ def _samples(dataset: IsobaricDataset) -> NDArray:
     if "force_samples" not in dataset.table or dataset.table.sizes["sample"] < _FEWEST_SAMPLES:
         raise IdentificationError(
             "the dataset has no raw samples of the force: plateau means do not show relaxation",
-            remedy=f"keep at least {_FEWEST_SAMPLES} samples a plateau (NetCDF keeps them, CSV does not)",
+            remedy=f"keep at least {_FEWEST_SAMPLES} samples per plateau (NetCDF keeps them, CSV does not)",
         )
     return dataset.table["force_samples"].to_numpy()
 
@@ -269,10 +271,10 @@ def _drift(slopes: Floats, paths: TimedLoadingPaths, used: Bools) -> tuple[float
 
 
 def _insignificant(element: MaxwellElementFit, used: Bools, found: CreepFit, span: float, dwell: float) -> list[str]:
-    """Warnings where there is no significant creep."""
+    """Warnings if there is no significant creep."""
     bound = element.stiffness_and_rate(span, used)[0] + _SIGNIFICANT * element.stiffness_error(span, used)
     onwards = (
-        f"the force goes on in the direction of the move ({-found.rate:.2g} N/s), which is no relaxation; check the "
+        f"the force continues in the direction of the move ({-found.rate:.2g} N/s), which is not relaxation; check the "
         "pressure regulator, and when samples begin"
     )
     detectable = (
@@ -311,7 +313,7 @@ def _pressure_warning(
 ) -> list[str]:
     """Warning of a pressure that drifts within plateaus with the direction of the move."""
     if "pressure_samples" not in dataset.table:
-        return ["without samples of the pressure, a slow pressure regulator cannot be told from creep"]
+        return ["without pressure samples, a slow pressure regulator cannot be distinguished from creep"]
     slopes = RelaxationCurves.of(dataset.table["pressure_samples"].to_numpy(), interval).slopes
     drift, error, _ = _drift(slopes, paths, used)
     pressurised = used & (means.pressure > 0)
@@ -322,5 +324,5 @@ def _pressure_warning(
         return []
     return [
         f"the pressure drifts too, by {drift:.3g} Pa/s against the direction of the move, which explains some "
-        f"{equivalent:.2g} N/s of the {rate:.2g} N/s: that part is the regulator's, not creep"
+        f"{equivalent:.2g} N/s of the {rate:.2g} N/s: that part is due to the regulator, not creep"
     ]

@@ -57,7 +57,7 @@ class DatasetSummary:
 
 
 def domain_of(points: IsobaricDataset) -> Domain:
-    """Range of contractions and pressure levels of some points; of measured pressures that are not at their levels."""
+    """Range of contractions and pressure levels of the points; measured pressures replace levels that they miss."""
     contraction, pressure = points.contraction, points.pressure if off_levels(points) else points.levels
     return Domain(float(contraction.min()), float(contraction.max()), float(pressure.min()), float(pressure.max()))
 
@@ -66,7 +66,7 @@ _OFF_LEVEL = 0.05  # of the range of levels
 
 
 def off_levels(points: IsobaricDataset) -> float:
-    """Largest distance [Pa] of a measured pressure from its level; 0 where it is small beside their range."""
+    """Largest distance [Pa] of a measured pressure from its level; 0 if small compared to their range."""
     farthest = float(np.abs(points.levels - points.pressure).max())
     return farthest if farthest > _OFF_LEVEL * float(np.ptp(points.levels)) else 0.0
 
@@ -76,7 +76,7 @@ _ROUNDING = 1e-9  # of the largest force
 
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """First violation, on a grid, of a defined force that falls with contraction and rises with pressure."""
+    """First violation on a grid of a force that exists, falls with contraction and rises with pressure."""
     box = law.domain if domain is None else domain
     contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
     pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
@@ -108,13 +108,13 @@ class Fit:
     rmse, max_error
         Root mean square and largest absolute residual [N].
     leave_one_pressure_out
-        Cross-validation errors; None where they cannot be had, as a warning explains.
+        Cross-validation errors; None if unavailable, as a warning explains.
     warnings, dataset
         Reasons not to rely on the results, and summary of the data.
     residuals
         Shape (points_used,): measured minus fitted force [N] of the taut points; None if read from a file.
     robust
-        Cluster-robust standard errors, on which the intervals rest; None with too few groups, as a warning explains.
+        Cluster-robust standard errors, the basis of the intervals; None with too few groups, as a warning explains.
     regression
         Points and least-squares solution; None if read from a file.
     """
@@ -146,7 +146,7 @@ class Fit:
 
     @property
     def robust_covariance(self) -> Floats:
-        """Covariance with the robust standard errors, if there are any; 0 for parameters at a bound."""
+        """Covariance with the robust standard errors, if available; 0 for parameters at a bound."""
         errors = np.array([self._errors(None)[0][name] for name in self.estimates])
         return np.nan_to_num(self.correlations * np.outer(errors, errors))
 
@@ -156,13 +156,13 @@ class Fit:
         Parameters
         ----------
         by
-            Points that may share an error; unless given, those of a stroke, or of a pressure where strokes are not
-            known. ``Grouping.POINT`` gives the classical intervals.
+            Groups of points that may share an error. Default: strokes, or pressures if strokes are unknown.
+            ``Grouping.POINT`` gives the classical intervals.
 
         Raises
         ------
         IdentificationError
-            If there are no such groups, or the fit was read from a file that does not hold the errors asked for.
+            If there are no such groups, or the fit was read from a file that does not hold the requested errors.
         """
         errors, freedom = self._errors(by)
         return {
@@ -188,7 +188,7 @@ class Fit:
         Raises
         ------
         IdentificationError
-            As `intervals`; and if the fit was read from a file, which does not hold the points.
+            As `intervals`; also if the fit was read from a file, which does not hold the points.
         """
         check_level(level)
         regression = self.require_regression()
@@ -221,7 +221,7 @@ class Fit:
         return found.standard_errors, found.degrees_of_freedom
 
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
-        """Pairs of parameters with the largest absolute correlation, largest first; without penalised ones."""
+        """Pairs of parameters with the largest absolute correlation, in descending order; penalised ones excluded."""
         free = [not p.penalised for p in type(self.law).parameters()]
         names = [name for name, one in zip(self.estimates, free, strict=True) if one]
         return correlated_pairs(names, self.correlations[np.ix_(free, free)])[:count]
@@ -298,14 +298,14 @@ class Fit:
         return html_table(repr(self), header, rows, (self._error_note(), *self.warnings))
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write all but the residuals to a file that `from_yaml` reads back exactly."""
+        """Write everything except the residuals to a file that `from_yaml` reads back exactly."""
         from mckibben.identification.storage import write_fit
 
         write_fit(self, Path(path))
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> Fit:
-        """Read a file that `to_yaml` wrote; raises a `ScenarioError` with every problem and its line."""
+        """Read a file written by `to_yaml`; raises a `ScenarioError` with every problem and its line."""
         from mckibben.identification.storage import read_fit
 
         return read_fit(Path(path))

@@ -32,10 +32,10 @@ from mckibben.units import percent, show
 
 _STRONG_CORRELATION = 0.999
 _FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
-_ISOLATED = 12.0  # median differences of residuals of points in sequence: farther from both, a point is an outlier
-_FEW_OUTLIERS = 0.02  # share of the points: more are no single wrong numbers
+_ISOLATED = 12.0  # median differences between successive residuals: a point farther from both neighbours is an outlier
+_FEW_OUTLIERS = 0.02  # share of the points: more cannot be isolated errors
 _FEWEST_STEPS = 20
-_CONTRACTION_NOISE = 0.1 * percent  # beyond the validity of a law that is measurement noise
+_CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
 
 def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
@@ -49,7 +49,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     law_type
         Class of the law, such as `ExponentialLaw`.
     domain
-        Domain of the law; by default the contractions and pressure levels of the points used.
+        Domain of the law. Default: the contractions and pressure levels of the points used.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     """
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
         raise IdentificationError(
-            f"identify takes a class of law and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
+            f"identify takes a law class and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
             remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
         )
     means = dataset.plateau_means()
@@ -74,7 +74,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     smooth = law_type in SMOOTH_LAWS
     _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
     points = _within_validity(law_type, taut)
-    if len(points.pressures) == 1:  # the scatter about it says nothing of the pressure
+    if len(points.pressures) == 1:  # the scatter about it says nothing about the pressure
         points = IsobaricDataset(points.table.assign(pressure=("point", points.levels)))
     refit, simpler = None, ""
     if smooth:
@@ -102,13 +102,13 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     warnings = [f"the law is Eq. 2 alone: {simpler}"] if simpler else []
     warnings += _bound_warnings(law_type, solution, at_bound)
     warnings += [
-        f"{a} and {b} are correlated by {correlation:+.5f}: the data determine a combination of them, each alone badly"
+        f"{a} and {b} are correlated by {correlation:+.5f}: the data determine a combination of them, each poorly"
         for a, b, correlation in correlated_pairs(problem.names, found.correlations)
         if abs(correlation) > _STRONG_CORRELATION and problem.prior is None
     ]
     if off := off_levels(points):
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
-        warnings.append(f"{text}: the domain is that of the measured pressures")
+        warnings.append(f"{text}: the domain is the range of the measured pressures")
     warnings += _friction_warnings(points, residuals, grouping)
     warnings += _outlier_warnings(points, residuals)
     warnings += regression.warnings
@@ -140,12 +140,12 @@ def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) 
             f"{needed - 1} parameters of {law_type.__name__}",
             value=len(points),
             lower=needed,
-            remedy=f"measure at least {needed}, or take a law with fewer parameters",
+            remedy=f"measure at least {needed}, or use a law with fewer parameters",
         )
 
 
 def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> IsobaricDataset:
-    """Move points beyond the law's range of contraction by no more than noise to its limit; refuse others."""
+    """Move points outside the law's contraction range by no more than noise to its limit; refuse others."""
     valid = law_type.formula_domain
     contraction = np.clip(points.contraction, float(valid.contraction_min), float(valid.contraction_max))
     near = np.abs(contraction - points.contraction) <= _CONTRACTION_NOISE
@@ -155,7 +155,7 @@ def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> Isoba
         raise IdentificationError(
             f"{law_type.__name__} is not valid at {np.count_nonzero(beyond)} of the {len(points)} taut points: it is "
             f"made for {valid.bounds()}",
-            remedy="leave these points out, or take another law",
+            remedy="leave these points out, or use another law",
         )
     if np.array_equal(contraction, points.contraction):
         return points
@@ -167,7 +167,7 @@ def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, 
     names = [name for name, out in zip(problem.names, at_bound, strict=True) if not out]
     number = condition_number(free)
     if at_bound.any() and number < CONDITION_LIMIT:
-        # A shape that nothing determines may end at a bound: then it is not determined amid its range either.
+        # An undetermined shape parameter may end at a bound: then it is not determined inside its range either.
         middle = project(problem, np.full_like(solution.position, 0.5))
         amid = problem.response(middle.values)[1]
         if np.isfinite(middle.cost) and not condition_number(amid) < CONDITION_LIMIT:
@@ -180,7 +180,7 @@ def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, 
             f"(condition number {number:.1e})",
             value=number,
             upper=CONDITION_LIMIT,
-            remedy="measure at more pressures and contractions, or take a law with fewer parameters",
+            remedy="measure at more pressures and contractions, or use a law with fewer parameters",
         )
     if not solution.converged:
         raise IdentificationError(
@@ -215,7 +215,7 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
         if gap < _FRICTION * rms:
             continue
         consequence = (
-            "the classical standard errors are not valid; those by stroke count each pass as one error"
+            "the classical standard errors are not valid; standard errors by stroke treat each pass as one error"
             if grouping is Grouping.STROKE
             else "the standard errors are not valid"
         )
@@ -227,7 +227,7 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
 
 
 def _outlier_warnings(points: IsobaricDataset, residuals: Floats) -> list[str]:
-    """Warnings of single points whose residual is far from those of the points measured before and after them."""
+    """Warnings of single points whose residual is far from the residuals of the points measured before and after."""
     steps = np.diff(residuals)
     scatter = float(np.median(np.abs(steps))) if len(steps) >= _FEWEST_STEPS else math.inf
     before, after = steps[:-1], -steps[1:]
@@ -240,7 +240,7 @@ def _outlier_warnings(points: IsobaricDataset, residuals: Floats) -> list[str]:
     where = f"{show(force, 'N', 4)} at {show(pressure, 'bar', 4)} and {contraction / percent:.4g} %"
     many = f"{len(found)} points are" if len(found) > 1 else "a point is"
     return [
-        f"{many} far off those measured before and after, the farthest by {apart[worst]:.3g} N: {where}; check the "
+        f"{many} far from the neighbouring measurements, the farthest by {apart[worst]:.3g} N: {where}; check the "
         "file, as one wrong number can change the law"
     ]
 
@@ -280,7 +280,7 @@ class ResidualCorrelation:
 
     @property
     def pattern(self) -> str:
-        r"""Directions of significant correlation as text; empty where there is none.
+        r"""Directions of significant correlation as text; empty if none.
 
         Significant is twice the standard deviation for independent residuals, :math:`1/\sqrt{pairs}`.
         """
@@ -296,7 +296,7 @@ class ResidualCorrelation:
 
 
 def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:
-    """Residuals [N] less the mean of each direction and phase, which is friction and no error of a static law."""
+    """Residuals [N] less the mean of each direction and phase, which is friction, not an error of a static law."""
     rest = np.array(residuals, float)
     for name in ("direction", "phase"):
         if name in points.table:

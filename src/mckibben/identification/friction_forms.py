@@ -37,8 +37,8 @@ class FrictionForm(enum.Enum):
     PRESSURE, TENSION
         Maxwell-slip friction whose half width is linear in the pressure, or in the law's tension.
     VISCOUS, DRY_AND_VISCOUS
-        Proportional to the rate of the length; the same beside a constant half width. They need times at which the
-        speed varies.
+        Proportional to the rate of the length; viscous in parallel with a constant half width. Both need times at which
+        the speed varies.
     """
 
     COULOMB = "coulomb"
@@ -97,7 +97,7 @@ def least_squares(
     model: PathDependentModel, start: Mapping[str, float], free: tuple[str, ...], *, max_nfev: int = 200
 ) -> PathSolution:
     """Bounded least squares from a start; the drift amplitudes are always free."""
-    from scipy.optimize import least_squares as bounded  # 0.3 s, which no import of the package should wait for
+    from scipy.optimize import least_squares as bounded  # takes 0.3 s to import
 
     count = len(free)
     lower, upper = model.bounds(free)
@@ -134,7 +134,7 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
             f"the points do not determine {', '.join(loose)} (condition number {number:.1e})",
             value=number,
             upper=CONDITION_LIMIT,
-            remedy="measure at more pressures and contractions, take a law with fewer parameters, or give a known one",
+            remedy="measure at more pressures and contractions, use a law with fewer parameters, or give a known one",
         )
     if not found.converged:
         raise IdentificationError(
@@ -145,14 +145,14 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
     return dataclasses.replace(found, errors=known.standard_errors, correlations=known.correlations)
 
 
-_FEWEST_LEVELS = 4  # more are enough groups
-_DRIFT_LEVEL = 0.01  # probability of a drift where there is none
+_FEWEST_LEVELS = 4  # with more, there are enough groups
+_DRIFT_LEVEL = 0.01  # probability of a false detection of drift
 
 
 def with_drift(
     model: PathDependentModel, bases: Sequence[DriftBasis], start: Mapping[str, float], free: tuple[str, ...]
 ) -> tuple[PathDependentModel, PathSolution]:
-    """Solution with the significant drift of least Bayesian information criterion, or without."""
+    """Solution with the significant drift of lowest Bayesian information criterion, or without drift."""
     answers: list[tuple[float, PathDependentModel, PathSolution]] = []
     count = int(np.count_nonzero(model.used))
     zero = np.zeros(len(model.used), bool)
@@ -170,7 +170,7 @@ def with_drift(
 
 
 def _significant(model: PathDependentModel, found: PathSolution, zero: Bools) -> bool:
-    """Test of a drift: F test of the forces at zero tension, or t test of a line that the taut points show."""
+    """Test for drift: F test of the forces at zero tension, or t test of a line through the taut points."""
     from scipy.special import fdtrc, stdtr
 
     if not model.drift.has_offset:
@@ -201,7 +201,7 @@ def drift_rate(model: PathDependentModel, found: PathSolution) -> tuple[float, f
 
 
 def _errors(jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors | IndependentErrors:
-    """Errors robust to what is common to a path, unless one path alone determines a parameter."""
+    """Standard errors robust to errors common to a path, unless one path alone determines a parameter."""
     robust = ClusterRobustErrors.of(jacobian, residuals, labels)
     return IndependentErrors.of(jacobian, residuals) if robust.decisive else robust
 
@@ -213,10 +213,10 @@ class FormComparison:
     Attributes
     ----------
     rmse
-        Error [N] at the loops of a pressure (of a path with fewer than three pressures) that were left out of the fit,
-        to first order in the parameters, by form; the drift is that of all loops.
+        Error [N] at the loops of a pressure (of a path with fewer than three pressures) left out of the fit, to first
+        order in the parameters, by form; the drift is estimated from all loops.
     chosen
-        Form with the fewest parameters whose error is within 5 % or one standard error of the least.
+        Form with the fewest parameters whose error is within 5 % or one standard error of the lowest.
     """
 
     rmse: Mapping[FrictionForm, float]
@@ -227,19 +227,19 @@ class FormComparison:
         best = min(self.rmse, key=lambda form: self.rmse[form])
         lines = ["error at held-out loops by form of friction:"]
         for form, rmse in sorted(self.rmse.items(), key=lambda item: item[1]):
-            more = f" ({rmse / self.rmse[best]:.2f} times the least)" if form is not best else ""
+            more = f" ({rmse / self.rmse[best]:.2f} times the lowest)" if form is not best else ""
             lines.append(f"  {form.value:15}  {rmse:.3g} N{more}{', chosen' if form is self.chosen else ''}")
         return "\n".join(lines)
 
 
-_AS_GOOD = 1.05  # times the least error
-_UNDETERMINED = 1e-8  # of the information in a direction outside of a block
+_AS_GOOD = 1.05  # times the lowest error
+_UNDETERMINED = 1e-8  # of the information in a direction outside a block
 
 
 def compare_forms(
     model: PathDependentModel, start: Mapping[str, float], law: tuple[str, ...]
 ) -> tuple[FormComparison, dict[str, float]]:
-    """Compare the forms that the data can tell apart; also the values of the chosen one."""
+    """Compare the forms that the data can distinguish; also return the values of the chosen one."""
     levels = model.means.levels[model.used]
     many = len(np.unique(levels)) >= 3
     blocks = levels if many else model.paths.label[model.used]
@@ -271,7 +271,7 @@ def compare_forms(
 
 
 def form_start(model: PathDependentModel, start: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
-    """Start of a fit of a form: what it does not estimate is absent, or reversed within one step."""
+    """Start of a fit of a form: parameters that it does not estimate are zero, or reverse friction within one step."""
     values = {**start, **dict.fromkeys(("growth", "tension_growth", "viscous"), 0.0)}
     if "log_presliding" not in form.free:
         values["log_presliding"] = model.shortest
@@ -305,7 +305,7 @@ def _held_out_squares(found: PathSolution, parameters: int, blocks: Floats | Int
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Significant dependence of the friction that its form lacks.
+    """Significant dependence of the friction that its form does not include.
 
     Attributes
     ----------
@@ -314,7 +314,7 @@ class LackOfFit:
     force
         Root mean square [N] of the friction that depends on it.
     p_value
-        Probability of as much where the form is right.
+        Probability of at least this much if the form is right.
     remedy
         Form that has the dependence; None for the contraction.
     """
@@ -326,7 +326,7 @@ class LackOfFit:
 
     def describe(self, form: FrictionForm) -> str:
         """Rejection of a form as text."""
-        offered = f"the form {self.remedy.value!r} has this" if self.remedy else "no form has this"
+        offered = f"the form {self.remedy.value!r} includes this" if self.remedy else "no form includes this"
         return (
             f"the form {form.value!r} of the friction is rejected: {self.force:.2g} N of it depend on the "
             f"{self.quantity} (p = {self.p_value:.1g}); {offered}"
@@ -347,7 +347,7 @@ _REMEDIES = {
 
 
 def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) -> LackOfFit | None:
-    """Score test of the dependences that the form lacks, robust to errors common to a path; `scale` is a force [N]."""
+    """Score test of dependences missing from the form, robust to errors common to a path; `scale` is a force [N]."""
     from scipy.special import stdtr
 
     means, used = model.means, model.used
@@ -386,7 +386,7 @@ def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) ->
 
 
 def systematic_residual(model: PathDependentModel, residuals: Floats) -> float:
-    """Root mean square [N] of the part of the residuals that neighbours along a path have in common."""
+    """Root mean square [N] of the part of the residuals shared by neighbours along a path."""
     pairs = [rows[model.used[rows]] for rows in model.paths.rows]
     first, second = (np.concatenate([residuals[rows[part]] for rows in pairs]) for part in (slice(-1), slice(1, None)))
     return float(np.sqrt(max(np.mean(first * second), 0.0))) if len(first) else 0.0

@@ -61,23 +61,23 @@ class HysteresisFit:
     law
         Static law, midway between loading and unloading; its domain is the range of the points.
     friction
-        Hysteresis, with the parameters that its form has.
+        Hysteresis, with the parameters of its form.
     form, comparison, lack_of_fit
-        Form of the friction; the forms compared by held-out loops, None where the form was given; and what the friction
-        depends on beyond its form, None where nothing is significant.
+        Form of the friction; comparison of the forms by held-out loops, None if the form was given; and significant
+        dependence that the form lacks, None if there is none.
     standard_errors, correlations
-        By parameter, in SI, and in their order: those of the law unless it was given, ``half_width``, ``growth``,
-        ``tension_growth``, ``viscous`` and ``presliding_length``; NaN where the form lacks one, or the data do not
-        determine it.
+        By parameter, in SI, in this order: the law's parameters (unless the law was given), ``half_width``, ``growth``,
+        ``tension_growth``, ``viscous`` and ``presliding_length``; NaN if the form lacks it or the data do not determine
+        it.
     drift
-        Drift of the force sensor; None where it is not significant (1 %).
+        Drift of the force sensor; None if not significant (1 %).
     rmse, max_error
         Root mean square and largest absolute residual [N].
     tension, friction_force, offset, residuals
-        Shape (points,), in the order of the dataset: force of the law, of friction, offset of the sensor, and measured
-        minus modelled force [N]. Slack points count only where there is a drift.
+        Shape (points,), in dataset order: force of the law, of friction, offset of the sensor, and measured minus
+        modelled force [N]. Slack points count only if there is drift.
     points_used, points_slack, warnings, dataset
-        Number of points used, and of slack ones; reasons not to rely on the results; summary of the data.
+        Number of points used and of slack points; reasons not to rely on the results; summary of the data.
     """
 
     law: ForceLaw
@@ -109,9 +109,9 @@ class HysteresisFit:
         return Muscle(specimen, self.law, self.friction)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Plateau means of the identified dataset without friction and drift, for the fit of a static law.
+        """Plateau means of the identified dataset without friction and drift, for fitting a static law.
 
-        Slack points, measured or by the law, are slack in the answer as well.
+        Points that are slack, as measured or by the law, remain slack.
         """
         means = dataset.plateau_means()
         if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
@@ -170,7 +170,7 @@ class HysteresisFit:
 
 _AT_BOUND = 1e-2  # of the logarithm of the presliding length
 _EDGE = 1e-6  # of the range of a shape parameter
-_MISFIT = 0.1  # of half the loop width: larger systematic residuals may pass for friction
+_MISFIT = 0.1  # of half the loop width: larger systematic residuals may be mistaken for friction
 _ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
@@ -185,35 +185,35 @@ def identify_hysteresis(
 ) -> HysteresisFit:
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
 
-    The force at a point is that of the law, that of friction after the loading path to there, and the sensor's offset,
-    all estimated together by least squares. The branch on which the paths begin follows from the first points.
+    The force at a point is the sum of the law, the friction after the loading path up to that point, and the sensor's
+    offset, all estimated together by least squares. The first points determine the branch on which the paths begin.
 
-    Unless the form of the friction is given, the forms that the data can tell apart are compared by their error at
-    held-out loops. A score test, robust to errors common to a loading path, finds what the form lacks.
+    By default, the forms of friction that the data can distinguish are compared by their error at held-out loops. A
+    score test, robust to errors common to a loading path, detects dependences that the form lacks.
 
-    The drift of the sensor is none, a straight line, or linear with a knot for each path with slack points: of those
-    that are significant, the one of least Bayesian information criterion. It needs times; without slack points, or
-    where their forces are clipped at a floor, it is at most a line from 0.
+    The sensor drift is zero, a straight line, or piecewise linear with a knot for each path with slack points: the
+    significant one of lowest Bayesian information criterion. It needs times; without slack points, or if their forces
+    are clipped at a floor, it is at most a line from 0.
 
     Parameters
     ----------
     law
-        Class of the law to fit; or a law (or fit) that is known.
+        Class of the law to fit, or a known law (or fit).
     dataset
-        Directions, initial length, and nominal pressures where measured ones scatter, in the order of the test or with
+        Directions, initial length, and nominal pressures if measured ones scatter, in the order of the test or with
         times.
     drift
-        True to estimate a drift where it is significant.
+        True to estimate the drift if it is significant.
     form
-        Form of the friction; chosen by held-out loops unless given.
+        Form of the friction. Default: chosen by held-out loops.
     elements
         Number of Maxwell-slip elements.
 
     Raises
     ------
     IdentificationError
-        If the points do not determine the hysteresis: one direction alone, rows that are not in the order of a test,
-        too few points, or correlated parameters.
+        If the points do not determine the hysteresis: only one direction, rows not in the order of a test, too few
+        points, or correlated parameters.
 
     Examples
     --------
@@ -253,7 +253,7 @@ def identify_hysteresis(
     _check_count(model, (*of_law, *FrictionForm.CONSTANT.free), bases[-1])
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(paths.step))}
     model, start = _started(model, start)
-    for _ in range(0 if known else _ROUNDS):  # a better start: friction and law in turn
+    for _ in range(0 if known else _ROUNDS):  # a better start: alternate friction and law
         start = least_squares(model, start, ("half_width", "log_presliding"), max_nfev=20).values
         friction = model.components(start)[1]
         corrected = IsobaricDataset(means.table.assign(force=("point", means.force - friction)))
@@ -297,29 +297,29 @@ def identify_hysteresis(
     warnings += [f"{name} is at the bound of its range" for name in found.at_bound]
     lack, rejected = lack_of_fit(model, found, half_gap), form
     if lack is None and form in (FrictionForm.PRESSURE, FrictionForm.TENSION):
-        # What depends on the contraction may pass for a growth, beside which a few paths do not show it.
+        # A dependence on contraction may be mistaken for growth, which hides it if there are few paths.
         rejected = FrictionForm.CONSTANT
         simpler = least_squares(model, form_start(model, found.values, rejected), (*of_law, *rejected.free))
         lack = lack_of_fit(model, simpler, half_gap)
         lack = lack if lack and lack.remedy is None else None
-    instead = "" if rejected is form else f", and {form.value!r} stands for it"
+    instead = "" if rejected is form else f", and {form.value!r} takes its place"
     warnings += [lack.describe(rejected) + instead] if lack else []
     answer = _result(model, found, taut, form, comparison, lack, tuple(warnings))
     systematic = systematic_residual(model, answer.residuals)
     if systematic <= _MISFIT * half_gap:
         return answer
     misfit = (
-        f"{type(model.template).__name__} leaves residuals of {answer.rmse:.3g} N, {systematic:.3g} N of them alike "
-        f"from point to point, beside {half_gap:.3g} N of half the loop width: its misfit may pass for friction or "
-        "drift; take a law that fits better"
+        f"{type(model.template).__name__} leaves residuals of {answer.rmse:.3g} N, {systematic:.3g} N of them shared "
+        f"by neighbouring points, against {half_gap:.3g} N of half the loop width: the misfit may pass for friction "
+        "or drift; use a law that fits better"
     )
     return dataclasses.replace(answer, warnings=(*answer.warnings, misfit))
 
 
 def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
-    """Model that fits best, of paths that start on the branch of their first point's direction, or on the other.
+    """Better-fitting model of two: paths start on the branch of their first point's direction, or on the other.
 
-    Where turning points are measured twice, once for each direction, the muscle rested there, or it overshot.
+    Where turning points are measured twice, once per direction, the muscle either rested there or overshot.
     """
     models = [
         dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, overshot=overshot))
@@ -332,18 +332,18 @@ def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDe
 
 
 def _check_form(model: PathDependentModel, form: FrictionForm, levels: Floats) -> None:
-    """Refuse a form that the data do not determine."""
+    """Reject a form that the data do not determine."""
     if "growth" in form.free and len(levels) < 3:
         raise IdentificationError(
             f"friction of the form {form.value!r} needs three pressures, not {len(levels)}",
             value=len(levels),
             lower=3,
-            remedy="measure at more pressures, or take another form",
+            remedy="measure at more pressures, or choose another form",
         )
     if "viscous" in form.free and model.rate is None:
         raise IdentificationError(
             f"friction of the form {form.value!r} needs times at which the speed varies",
-            remedy="give the times of motions at several speeds, or take another form",
+            remedy="give the times of motions at several speeds, or choose another form",
         )
 
 

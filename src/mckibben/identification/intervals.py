@@ -1,4 +1,4 @@
-"""Confidence and prediction intervals of the parameters and of quantities that depend on them."""
+"""Confidence and prediction intervals of parameters and dependent quantities."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RobustErrors:
 
 
 class Interval(NamedTuple):
-    """Interval in SI units; NaN where it is not known."""
+    """Interval in SI units; NaN if unknown."""
 
     lower: float
     upper: float
@@ -50,7 +50,7 @@ class IntervalEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ForceIntervals:
-    """Intervals of the law's force (confidence), and of one more plateau mean on the same rig (prediction) [N].
+    """Intervals of the law's force (confidence) and of a further plateau mean on the same rig (prediction) [N].
 
     Neither contains the systematic error of a misspecified law: see the warnings and the residuals of the fit.
     """
@@ -63,7 +63,7 @@ def check_level(level: float) -> float:
     """Return the confidence level, or raise a `RangeError` if it is not between 0 and 1."""
     if not 0 < level < 1:
         remedy = "write 0.95 for 95 %" if level >= 1 else ""
-        raise RangeError(f"a level of {level:g} is no probability", value=level, lower=0.0, upper=1.0, remedy=remedy)
+        raise RangeError(f"a level of {level:g} is not a probability", value=level, lower=0.0, upper=1.0, remedy=remedy)
     return level
 
 
@@ -112,7 +112,7 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
 
 
 def law_forces(law: ForceLaw, draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
-    """Force [N] of a law with other parameters in SI, shape (draws, parameters): shape (draws, ...)."""
+    """Force [N], shape (draws, ...), of a law with other parameters in SI, shape (draws, parameters)."""
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
     return np.asarray(_forces(law, np.asarray(draws, np.float64), contraction, pressure))
 

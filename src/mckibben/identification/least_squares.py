@@ -1,7 +1,7 @@
 """Separable nonlinear least squares: design matrix, search over the shape parameters, variable projection.
 
 A force law is linear in some parameters and nonlinear in the others, its shape parameters. For each shape the best
-linear parameters follow from a linear problem; what remains is a problem in the shape alone.
+linear parameters solve a linear problem, which leaves a problem in the shape alone.
 
 References
 ----------
@@ -38,7 +38,7 @@ def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, p
     Parameters
     ----------
     law
-        Force law with values for all parameters; those of the linear ones do not matter.
+        Force law with values for all parameters; the values of linear parameters do not matter.
     contraction, pressure
         Shape (n,): [-], [Pa].
 
@@ -133,8 +133,8 @@ class UnitCube:
 class FitProblem:
     """Weighted least-squares problem of a law; subsets (`kept`) of one dataset share compiled code.
 
-    A `prior` of shape (rows, parameters) adds the residuals ``-prior @ values`` [N], each as uncertain as that of a
-    point: a Gaussian prior about zero. `constants` are fields of the law that are not estimated.
+    A `prior` of shape (rows, parameters) adds the residuals ``-prior @ values`` [N], each as uncertain as a point: a
+    Gaussian prior about zero. `constants` are fields of the law that are not estimated.
     """
 
     law_type: type[ForceLaw]
@@ -148,7 +148,7 @@ class FitProblem:
 
     @classmethod
     def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> FitProblem:
-        """Problem of a dataset, padded with points that do not count so that datasets of similar size share code."""
+        """Problem of a dataset, padded with zero-weight points so that datasets of similar size share code."""
         count = len(points)
         quarter = max(128, (1 << (count - 1).bit_length()) // 4)
         pad = (0, -count % quarter)
@@ -197,7 +197,7 @@ class FitProblem:
         return np.asarray(_columns_and_residuals(self.law_type, values, *points, self.constants))
 
     def with_prior(self, rows: Floats, values: Floats) -> Floats:
-        """Columns and residuals, shape (parameters + 1, n), followed by those of the prior."""
+        """Columns and residuals, shape (parameters + 1, n), followed by the rows of the prior."""
         if self.prior is None:
             return rows
         return np.concatenate([rows, np.vstack([self.prior.T, -self.prior @ values])], axis=1)
@@ -208,7 +208,7 @@ class FitProblem:
         return rows[-1], rows[:-1].T
 
     def at_bound(self, position: Floats) -> Bools:
-        """Parameters at a bound of their range, shape (parameters,); linear ones have none."""
+        """Mask of parameters at a bound of their range, shape (parameters,); linear ones are unbounded."""
         shape = (position < _AT_BOUND) | (position > 1 - _AT_BOUND)
         return np.concatenate([np.zeros(self.linear, bool), shape])
 
@@ -295,7 +295,7 @@ class Projection:
 
 
 def project(problem: FitProblem, position: Floats, guess: Floats | None = None) -> Projection:
-    """Linear parameters at a position of the shape; the projected Jacobian is that at their `guess`."""
+    """Linear parameters at a position of the shape; the projected Jacobian is evaluated at their `guess`."""
     linear, shape = problem.linear, len(position)
     values = np.concatenate([np.zeros(linear) if guess is None else guess, problem.cube.values(position)])
     rows = problem.with_prior(problem.columns_and_residuals(values), values)
@@ -315,7 +315,7 @@ def project(problem: FitProblem, position: Floats, guess: Floats | None = None) 
 
 
 def grid_search(problem: FitProblem) -> Floats:
-    """Position of least cost on a grid over the range of the shape."""
+    """Position of lowest cost on a grid over the range of the shape."""
     return min((project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost).position
 
 
@@ -396,13 +396,13 @@ def _line_search(problem: FitProblem, at: Projection, step: Floats, drift: Float
 
 
 _INSIDE = 1e-9  # the trust region starts off the faces of the cube
-_FACE = 1e-4  # it keeps inside the cube: this near to a face it means the face
+_FACE = 1e-4  # it stays inside the cube: this close to a face counts as on the face
 _MAX_EVALUATIONS = 300
 
 
 def _trust_region(problem: FitProblem, start: Floats, fixed: int | None) -> Solution:
     """Trust region with Kaufman's approximation of the projected Jacobian (BIT 15, 1975, 49-57)."""
-    from scipy.optimize import least_squares  # 0.3 s, and few fits need it
+    from scipy.optimize import least_squares  # takes 0.3 s to import, and few fits need it
 
     free = np.delete(np.arange(len(start)), [] if fixed is None else fixed)
 

@@ -16,21 +16,21 @@ from mckibben.muscle import ForceLaw, MaxwellSlip, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 
 _SAME_LEVEL = 1.0  # Pa
-_FEWEST = 4  # points of a path that show friction
-_MISLABELLED = 0.05  # of the moves may be against their direction: labels at reversals are ambiguous
+_FEWEST = 4  # fewest points of a path that show friction
+_MISLABELLED = 0.05  # share of moves allowed against their direction: labels at reversals are ambiguous
 _REVERSALS = 0.3  # per move; a stroke has a few moves at least
 _SIGNIFICANT = 3.0  # standard errors
-_SPEEDS = 1.3  # ratio of the upper to the lower quartile that tells viscous from dry friction
+_SPEEDS = 1.3  # ratio of the upper to the lower quartile that distinguishes viscous from dry friction
 _CLIPPED = 0.25  # of the slack points at exactly the lowest force
-_REPEATED = 0.01  # of a step: a smaller move is none
-_FAR = 1.0  # m: farther than any presliding length
-_SLACK = 2  # slack points that determine the sensor's zero of a path
+_REPEATED = 0.01  # of a step: a smaller move does not count
+_FAR = 1.0  # m: exceeds any presliding length
+_SLACK = 2  # fewest slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
 
 @dataclass(frozen=True, eq=False)
 class LoadingPaths:
-    """Loading paths of a test: the points at constant pressure, in the order of time."""
+    """Loading paths of a test: the points at constant pressure, in temporal order."""
 
     place: Ints = field(repr=False)
     counts: Ints
@@ -38,24 +38,24 @@ class LoadingPaths:
     length: Floats = field(repr=False)
     step: float
     turns: Floats = field(repr=False)
-    """1 or -1 at a row of loading or unloading that repeats the place of a row of the other direction, else 0."""
+    """1 or -1 at a loading or unloading row at the same position as a row of the other direction, else 0."""
     overshot: bool = False
-    """Whether the muscle went beyond these places and came back, which reverses its friction."""
+    """Whether the muscle overshot these points and came back, which reverses its friction."""
 
     @property
     def travel(self) -> Floats:
-        """Displacement [m] as the friction has it, shape (points, paths)."""
+        """Displacement [m] seen by the friction, shape (points, paths)."""
         return self.displacement + _FAR * self.turns[self.place] if self.overshot else self.displacement
 
     @property
     def displacement(self) -> Floats:
-        """Displacement [m] to each point from the one before, shape (points, paths); 0 at the first."""
+        """Displacement [m] to each point from the previous one, shape (points, paths); 0 at the first."""
         length = self.length[self.place]
         return np.diff(length, axis=0, prepend=length[:1])
 
     @property
     def rows(self) -> list[Ints]:
-        """Rows of each path in the order of time."""
+        """Rows of each path in temporal order."""
         return [self.place[:count, path] for path, count in enumerate(self.counts)]
 
     @property
@@ -97,7 +97,7 @@ class LoadingPaths:
             )
         if "initial_length" not in table.attrs:
             raise IdentificationError(
-                "the initial length is not known: friction depends on displacements, not on contraction",
+                "the initial length is unknown: friction depends on displacements, not on contraction",
                 remedy="give the dataset its initial_length",
             )
         length = table.attrs["initial_length"] * (1 - means.contraction)
@@ -146,9 +146,9 @@ class DriftBasis:
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
-        """No drift, a line, a knot for each path with slack points, which determine the sensor's zero.
+        """No drift, a line, and a knot for each path with slack points, which determine the sensor's zero.
 
-        Slack points that share one lowest force were clipped there, and do not determine it.
+        Slack points that share one lowest force were clipped there and do not determine it.
         """
         none = cls(np.empty((len(means), 0)), np.empty(0), np.empty((0, 0)))
         if "time" not in means.table:
@@ -165,7 +165,7 @@ class DriftBasis:
 
     @property
     def has_offset(self) -> bool:
-        """True if the basis has a constant part, which only slack points determine."""
+        """True if the basis has a constant term, which only slack points determine."""
         return self.points.shape[1] > 1
 
 
@@ -181,7 +181,7 @@ def _hats(time: Floats, knots: Floats) -> Floats:
 
 
 def clipped(means: IsobaricDataset) -> bool:
-    """True if the forces of the slack points end at a floor, as those of a reading that is never negative."""
+    """True if the forces of the slack points end at a floor, as in a reading that is never negative."""
     slack = means.force[means.slack]
     return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, _CLIPPED * len(slack))
 
@@ -216,12 +216,12 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
 
 
 FRICTION = ("half_width", "growth", "tension_growth", "viscous", "log_presliding")
-"""Parameters of the friction in SI, as those of `MaxwellSlip`, with the logarithm of the presliding length [m]."""
+"""Friction parameters in SI, as in `MaxwellSlip`, with the logarithm of the presliding length [m]."""
 
 _TENSION_STEP = 1e-4  # N: of difference quotients
 _RELATIVE_STEP = 1e-6
 _WIDEST = 1e5  # N
-_LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never be fully reversed
+_LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never fully reverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,11 +240,11 @@ class PathDependentModel:
 
     @property
     def law_names(self) -> tuple[str, ...]:
-        """Parameters of the law, linear ones first; penalised ones are held at the fit of the law alone."""
+        """Parameters of the law, linear ones first; penalised ones are fixed at the fit of the law alone."""
         return tuple(p.name for p in type(self.template).parameters() if not p.penalised)
 
     def law(self, values: Mapping[str, float]) -> ForceLaw:
-        """Law with those of its parameters that are among the values."""
+        """Law with the values of its parameters."""
         return dataclasses.replace(self.template, **{name: values[name] for name in self.law_names if name in values})
 
     def friction(self, values: Mapping[str, float]) -> MaxwellSlip:
@@ -262,7 +262,7 @@ class PathDependentModel:
 
     @property
     def shortest(self) -> float:
-        """Logarithm of the presliding length [m] at which friction reverses within one step: shorter ones are alike."""
+        """Logarithm of the presliding length [m] that reverses within one step: shorter ones are equivalent."""
         share, stiffness = polygon(self.elements)
         return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
 
@@ -286,7 +286,7 @@ class PathDependentModel:
     def band_side(self, values: Mapping[str, float]) -> Floats:
         """Friction of a taut muscle relative to its half width at each row, from -1 to 1, shape (rows,)."""
         unit = {**dict.fromkeys(FRICTION, 0.0), "half_width": 1.0}
-        # The stiffness of the elements follows from half width and presliding length.
+        # Half width and presliding length determine the stiffness of the elements.
         unit["log_presliding"] = values["log_presliding"]
         return self._friction(np.full((len(self.means), 1), _WIDEST), [unit])[:, 0]
 
@@ -296,7 +296,7 @@ class PathDependentModel:
         return (tension + friction + self.drift.points @ offsets - self.means.force)[self.used]
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> Floats:
-        """Derivative of the modelled force at the points used by the named parameters and the drift amplitudes."""
+        """Derivative of the modelled force with respect to the named parameters and drift amplitudes."""
         tension = self._tension(values)
         of_law = [name for name in names if name in self.law_names]
         columns = design_matrix(self.law(values), of_law, self.means.contraction, self.means.pressure)

@@ -4,7 +4,7 @@ r"""Bayesian posterior of a law's parameters, sampled by NUTS.
 
 The errors :math:`e_i` are Gaussian with standard deviation :math:`\sigma`, or Student t with unknown degrees of
 freedom, which is robust to outliers; the random effects :math:`u_g` of groups of points are optional. Priors: flat for
-linear parameters, that of the fit for the deviations of `SmoothLaw`, uniform in the unit cube (logarithmic where a
+linear parameters, the prior of the fit for the deviations of `SmoothLaw`, uniform in the unit cube (logarithmic where a
 range is positive) for the shape, 1/sigma for sigma, half-normal of twice the residual standard deviation for tau,
 Gamma(2, 0.1) for the degrees of freedom. With Gaussian errors and a law linear in its parameters the posterior is the
 classical t distribution.
@@ -42,7 +42,7 @@ _FEWEST_EFFECTIVE = 100
 
 
 class Noise(enum.Enum):
-    """Distribution of the errors of plateau means; for Student t outliers weigh less."""
+    """Error distribution of plateau means; Student t gives outliers less weight."""
 
     GAUSSIAN = "gaussian"
     STUDENT = "student"
@@ -105,12 +105,12 @@ def posterior(
     chains: int = 2,
     seed: int = 0,
 ) -> Posterior:
-    """Sample the posterior of the parameters of a `Fit`, where the chains start; they run one after the other.
+    """Sample the posterior of the parameters of a `Fit`; the chains start at the fit and run one after the other.
 
     Parameters
     ----------
     by
-        Grouping of the random effects, such as `Grouping.STROKE`; none unless given.
+        Grouping of the random effects, such as `Grouping.STROKE`. Default: none.
     draws, warmup
         Draws of each chain, and discarded adaptation steps before them.
 
@@ -135,7 +135,7 @@ def posterior(
         )
         raise IdentificationError(
             f"{at_bound} of {type(fit.law).__name__} is at its bound: the posterior would concentrate there",
-            remedy="take a law that the data determine, or measure where the force depends on the parameter",
+            remedy="use a law that the data determine, or measure where the force depends on the parameter",
         )
 
     if by is Grouping.POINT:
@@ -248,7 +248,7 @@ def _model(law_type: type[ForceLaw], noise: Noise, grouped: bool) -> Callable[..
 
 
 def _log_likelihood(law_type: type[ForceLaw], noise: Noise) -> Callable[..., Any]:
-    """Compiled log-likelihood: the sampler evaluates its model outside of compiled code, too."""
+    """Compiled log-likelihood: the sampler also evaluates its model outside compiled code."""
     import jax
     import jax.numpy as jnp
     from numpyro import distributions as dist  # pyright: ignore[reportMissingImports]

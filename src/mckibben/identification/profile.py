@@ -7,8 +7,8 @@ signed root
 
 and the interval is where :math:`|\tau|` is below the quantile of t (its square is the F test with 1 degree of freedom).
 Where points may share an error, :math:`\tau` is divided by the ratio of the cluster-robust to the classical standard
-error, and t has the degrees of freedom of the former. A Wald interval, so many standard errors to each side, assumes
-that the force is linear in the parameter; the profile does not.
+error, and t has the degrees of freedom of the former. A Wald interval, a multiple of the standard error to each side,
+assumes that the force is linear in the parameter; the profile does not.
 
 References
 ----------
@@ -31,7 +31,7 @@ from mckibben.identification.uncertainty import CONDITION_LIMIT, Floats, Groupin
 from mckibben.units import show
 
 _CURVE_POINTS = 41
-_MINIMA_STEPS = 48  # over the range in which other minima are searched
+_MINIMA_STEPS = 48  # over the range searched for other minima
 _MARGIN = 0.3  # of the interval, shown beyond its ends
 
 
@@ -44,11 +44,11 @@ class Profile:
     interval
         Profile interval in SI; an end is infinite where the data do not bound the parameter within its range.
     wald
-        Interval of so many standard errors to each side; NaN at a bound.
+        Wald interval; NaN at a bound.
     values, root, threshold
         Ascending values of the parameter in SI and the signed root tau there, shape (m,); critical value of tau.
     reasons
-        Why the interval is open or not reliable.
+        Reasons why the interval is open or unreliable.
     """
 
     name: str
@@ -92,9 +92,11 @@ def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = N
     if index is None:
         known = ", ".join(p.name for p in shape)
         raise ParameterError(
-            f"{name!r} is no shape parameter of {type(fit.law).__name__}",
+            f"{name!r} is not a shape parameter of {type(fit.law).__name__}",
             value=name,
-            remedy=f"profile one of {known}" if known else "the law is linear in all: Fit.intervals is exact",
+            remedy=f"profile one of {known}"
+            if known
+            else "the law is linear in all parameters: Fit.intervals is exact",
         )
     curve = _Curve(fit, index, by)
     threshold = float(t_quantile(level, curve.freedom))
@@ -105,7 +107,7 @@ def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = N
     minima = curve.other_minima(low, high, threshold)
     if minima:
         at = ", ".join(show(curve.value(u), shape[index].shown, 4) for u in minima)
-        reasons.append(f"outside the interval, {name} near {at} fits the data as well: a local minimum")
+        reasons.append(f"outside the interval, {name} near {at} fits the data equally well: a local minimum")
     margin = _MARGIN * max(high - low, 1e-6)
     positions = np.linspace(max(low - margin, 0.0), min(high + margin, 1.0), _CURVE_POINTS)
     positions = np.unique(np.append(positions, curve.start))
@@ -185,8 +187,8 @@ class _Curve:
         return float(np.sign(u - self.start) * np.sqrt(worse / self.variance) / self.ratio) if worse else 0.0
 
     def end(self, side: int, threshold: float) -> tuple[float | None, list[str]]:
-        """Coordinate where the root passes the threshold; None, and the reason, if the range ends first."""
-        from scipy.optimize import brentq  # 0.1 s, which no import of the package should wait for
+        """Coordinate where the root crosses the threshold; None, and the reason, if the range ends first."""
+        from scipy.optimize import brentq  # takes 0.1 s to import
 
         bound = 1.0 if side > 0 else 0.0
         inside, step = self.start, self.width
@@ -204,7 +206,7 @@ class _Curve:
         ]
 
     def other_minima(self, low: float, high: float, threshold: float) -> list[float]:
-        """Local minima outside of an interval where the root is below the threshold."""
+        """Local minima outside an interval where the root is below the threshold."""
         from scipy.optimize import minimize_scalar
 
         places = np.arange(_MINIMA_STEPS + 1) / _MINIMA_STEPS

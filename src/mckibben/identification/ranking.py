@@ -31,30 +31,30 @@ from mckibben.units import show
 
 _RECORDED = ("direction", "phase", "repeat")
 EXTRAPOLATION = "highest pressure"
-"""Kind of block that is shown and does not count for the order."""
+"""Kind of block that is shown but does not count for the order."""
 BLOCKS = ("pressure", "contraction", *_RECORDED, EXTRAPOLATION)
 """Kinds of cross-validation blocks."""
 
 _STRONG = 0.999  # correlation of two parameters
-_AS_GOOD = 1.5  # times the least error
+_AS_GOOD = 1.5  # times the lowest error
 _SUPPORTED = 2.0  # difference of AICc up to which a model has substantial support (Burnham and Anderson 2002, sec. 2.6)
 
 
 @dataclass(frozen=True)
 class RankedLaw:
-    """Entry of a ranking: a law by the name of its class.
+    """Entry of a ranking: a law, named by its class.
 
     Attributes
     ----------
     fit, refused
-        Fit to all taut points; None where it was refused, for that reason.
+        Fit to all taut points, or None and the reason if the law was refused.
     cross_validation
-        Errors by kind of block as far as recorded: "pressure", "contraction" (inner blocks only), "direction", "phase",
+        Errors by available kind of block: "pressure", "contraction" (inner blocks only), "direction", "phase",
         "repeat", and "highest pressure"; without the mean difference between the directions, which is friction.
     aicc
         Corrected Akaike information criterion; NaN with too few points.
     flags
-        Reasons not to take the law for this muscle, such as a parameter at its bound.
+        Reasons against the law for this muscle, such as a parameter at its bound.
     remarks
         Correlated parameters, and blocks without which the law is not determined.
     """
@@ -106,10 +106,9 @@ class RankedLaw:
 class Ranking:
     """Laws by cross-validation error, the best first and the refused last.
 
-    The order is that of the geometric mean of the RMSE at blocks of pressure, of contraction, and of direction, phase
-    and repeat where they are recorded: each kind counts the same. The error at the highest pressure, predicted from all
-    others, is shown and does not count.
-    A law that is not determined without some block comes after those that are; without any blocks AICc decides.
+    Ordered by the geometric mean of the RMSE at blocks of pressure, contraction, and, where recorded, direction, phase
+    and repeat, with equal weight. The error at the highest pressure, predicted from all others, is shown but does not
+    count. Laws that are not determined without some block come last; without any blocks AICc decides.
 
     Attributes
     ----------
@@ -126,9 +125,9 @@ class Ranking:
 
     @property
     def best(self) -> RankedLaw:
-        """First entry without a flag, if it is nearly as good as the very first; else the very first.
+        """First entry without a flag, if it is nearly as good as the first; else the first.
 
-        Nearly is 1.5 times its error, or, without cross-validation, an AICc at most 2 above its own.
+        Nearly means at most 1.5 times its error or, without cross-validation, an AICc at most 2 higher.
 
         Raises
         ------
@@ -194,8 +193,8 @@ def rank(
 ) -> Ranking:
     """Fit laws to a dataset and rank them by their cross-validation errors.
 
-    A law that the points do not determine is listed with the reason; `progress` is called with the current law and the
-    fraction done, 0 to 1; in notebooks there is a progress bar.
+    Laws that the points do not determine are listed with the reason. `progress` is called with the current law and the
+    fraction done, 0 to 1; notebooks show a progress bar.
 
     Raises
     ------
@@ -246,14 +245,14 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
     blocks["contraction"] = contraction_blocks(points)
     if not blocks["contraction"].any():
         del blocks["contraction"]
-        missing["contraction"] = "there are less than three contractions"
+        missing["contraction"] = "there are fewer than three contractions"
     for name in _RECORDED:
         labels = points.table[name].to_numpy() if name in points.table else np.empty(0, "<U1")
         count = np.count_nonzero(np.unique(labels) != "") if labels.dtype.kind == "U" else len(np.unique(labels))
         if count == 0:
             missing[name] = f"no {name} is recorded"
         elif count == 1 or count > MOST_BLOCKS:
-            missing[name] = f"there is one {name} only" if count == 1 else f"there are {count} of them"
+            missing[name] = f"there is only one {name}" if count == 1 else f"there are {count} of them"
         else:
             blocks[name] = labels
     return blocks, missing
@@ -281,7 +280,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
             residuals = without_direction_means(found.residuals, regression.points)
             cross_validation[name] = CrossValidation(residuals, found.by_block)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
-    misspecified = bounds and regression.problem.prior is None  # with deviations a bound is none of the law's form
+    misspecified = bounds and regression.problem.prior is None  # deviations make a bound harmless
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []
     if reason := unphysical(fit.law):
         flags.append(reason)

@@ -1,4 +1,4 @@
-"""Regression behind a fit: error models, cross-validation and force intervals, computed when they are asked for."""
+"""Regression of a fit: error models, cross-validation and force intervals, computed on demand."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from mckibben.identification.uncertainty import (
 from mckibben.units import percent
 
 MOST_BLOCKS = 200
-_QUANTILES = 8  # blocks of points whose pressures are all different
+_QUANTILES = 8  # number of blocks if all pressures differ
 _IN_QUANTILE = 5  # points at least
 
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points of no block."""
+    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points outside all blocks."""
 
     residuals: Floats = field(repr=False)
     by_block: Mapping[float | str, float]
@@ -54,7 +54,7 @@ class CrossValidation:
 
 
 class NotIdentifiableError(Exception):
-    """Raised where the points outside of a block do not determine the law."""
+    """Raised if the points outside a block do not determine the law."""
 
     def __init__(self, block: float | str, reason: str) -> None:
         super().__init__(reason)
@@ -62,11 +62,11 @@ class NotIdentifiableError(Exception):
 
 
 def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
-    """Pressure level [Pa] of each point, or the median of its quantile; None and the reason where there are none."""
+    """Pressure level [Pa] of each point, or the median of its quantile; None and the reason if unavailable."""
     levels = points.levels
     count = len(np.unique(levels))
     if count < 2:
-        return None, "there is one pressure only"
+        return None, "there is only one pressure"
     if 2 * count <= len(points) and count <= MOST_BLOCKS:
         return levels, ""
     if (groups := group_pressures(levels)) is not None and groups.any():
@@ -80,13 +80,13 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
 
 
 _CONTRACTION_BLOCKS = 8
-_RESOLUTION = 1e-3  # nearer contractions are one
+_RESOLUTION = 1e-3  # closer contractions count as one
 
 
 def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
-    """Label of the block of contractions of each point; "" in the outermost blocks, which would be extrapolated.
+    """Label of the contraction block of each point; "" in the outermost blocks, which would require extrapolation.
 
-    A block is one contraction, or some neighbours where there are more than eight.
+    A block is one contraction, or several neighbours if there are more than eight.
     """
     rounded = np.round(points.contraction / _RESOLUTION).astype(int)
     values, number, counts = np.unique(rounded, return_inverse=True, return_counts=True)
@@ -103,13 +103,13 @@ def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
 
 
 Refit = Callable[[Bools], Solution]
-"""Method of identification: solution for the points kept."""
+"""Identification method: solution for the kept points."""
 
 
 def cross_validate(
     problem: FitProblem, full: Solution, blocks: ArrayLike, refit: Refit | None = None
 ) -> CrossValidation:
-    """Fit the law, shape included, to all blocks but one, and predict that one; for each block."""
+    """Predict each block from a fit of the law, shape included, to all other blocks."""
     blocks = np.asarray(blocks)
     residuals = np.full(len(blocks), np.nan)
     by_block: dict[float | str, float] = {}
@@ -125,14 +125,14 @@ def cross_validate(
         everything = solution.problem.subset(np.ones(len(blocks), bool))
         residuals[out] = everything.columns_and_residuals(solution.values)[-1, : len(blocks)][out]
         if not np.isfinite(residuals[out]).all():
-            raise NotIdentifiableError(block, "the law has no force there")
+            raise NotIdentifiableError(block, "the law's force is undefined there")
         by_block[block] = float(np.sqrt(np.mean(residuals[out] ** 2)))
     return CrossValidation(residuals, by_block)
 
 
 _SENSITIVITY_POINTS = 100  # at which the uncertainty of the force is compared
 _FEWEST_GROUPS = 5
-_FAR_SMALLER = 0.5  # with the right law, 12 of 1000 data sets of 5 groups are below; with 10 none of 3000
+_FAR_SMALLER = 0.5  # with the right law, 12 of 1000 datasets of 5 groups fall below; with 10 groups, none of 3000
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,14 +147,14 @@ class Regression:
 
     @property
     def free(self) -> Ints:
-        """Indices of the parameters that are not at a bound."""
+        """Indices of the parameters not at a bound."""
         return np.flatnonzero(~self.at_bound)
 
     @cached_property
     def default_grouping(self) -> tuple[Grouping, str]:
-        """Grouping by where was measured, never by the residuals, which would invalidate the intervals."""
+        """Grouping by measurement conditions, never by the residuals, which would invalidate the intervals."""
         if self.at_bound.all():
-            return Grouping.POINT, "all parameters are at a bound, so that none has an error"
+            return Grouping.POINT, "all parameters are at a bound, so none has an error"
         by = finest_grouping(self.points)
         labels = group_labels(self.points, by)
         count = int(labels.max()) + 1
@@ -162,7 +162,7 @@ class Regression:
             return Grouping.POINT, f"{by.counted(count)} are too few to estimate a common error"
         if 2 * count > len(labels):
             return Grouping.POINT, (
-                f"the {len(labels)} points are at {by.counted(count)}, hardly two at each; "
+                f"the {len(labels)} points are at {by.counted(count)}, hardly two each; "
                 "record the set pressure of each point where the measured one differs"
             )
         if self._cluster_robust(by).decisive:
@@ -170,7 +170,7 @@ class Regression:
         return by, ""
 
     def cross_validated(self, kind: str, blocks: ArrayLike) -> CrossValidation:
-        """`cross_validate`, computed once for each kind of block, such as "pressure"."""
+        """`cross_validate`, computed once per kind of block, such as "pressure"."""
         if kind not in self._cross_validations:
             self._cross_validations[kind] = cross_validate(self.problem, self.solution, blocks, self.refit)
         return self._cross_validations[kind]
@@ -190,18 +190,18 @@ class Regression:
             return ()
         return (
             f"by {by.value}, the standard error of the force is {np.sqrt(grouped / independent):.2g} times that for "
-            f"independent points: the residuals are alike from {by.value} to {by.value}, so the law is probably "
+            f"independent points: the residuals are similar from {by.value} to {by.value}, so the law is probably "
             "misspecified, and the intervals do not contain its systematic error",
         )
 
     def error_model(self, by: Grouping | None = None) -> ErrorModel:
-        """Error model of the free parameters for a grouping of the points; the default one unless given."""
+        """Error model of the free parameters for a grouping of the points (default: `default_grouping`)."""
         by = self.default_grouping[0] if by is None else by
         if by is Grouping.POINT:
             return self._independent
         model = self._cluster_robust(by)
         if len(model.scores) < 2 or model.decisive:
-            why = "one of them alone determines a parameter" if model.decisive else "they are less than two"
+            why = "one of them alone determines a parameter" if model.decisive else "there are fewer than two"
             raise IdentificationError(
                 f"no errors can be given for {by.counted(len(model.scores))}: {why}",
                 value=len(model.scores),

@@ -15,7 +15,7 @@ from mckibben.identification.loading_path import LoadingPaths
 from mckibben.identification.uncertainty import Bools, Floats, Ints
 from mckibben.muscle.creep import retained_fraction
 
-_BLOCKS = 16  # to which the samples of a plateau are averaged: an exponential is smooth
+_BLOCKS = 16  # blocks to which the samples of a plateau are averaged: an exponential is smooth
 _CLOCK_ERROR = 0.05  # s, of the times of points
 
 
@@ -34,7 +34,7 @@ class TimedLoadingPaths:
         """Paths of plateau means, with dwell and duration of the samples [s], and speed of the moves [m/s]."""
         if len(means.directions) < 2:
             raise IdentificationError(
-                "the dataset has not both directions: sensor drift cannot be told from creep",
+                "the dataset lacks one direction: sensor drift cannot be distinguished from creep",
                 remedy="measure while stretching and while shortening, and give the direction of each point",
             )
         paths = LoadingPaths.of(means)
@@ -48,7 +48,7 @@ class TimedLoadingPaths:
             lacking = float((before - elapsed)[real].max(initial=-math.inf))
             if lacking > _CLOCK_ERROR:
                 raise IdentificationError(
-                    f"move, wait and samples take {lacking:.3g} s longer than there is between two points",
+                    f"move, wait and samples take {lacking:.3g} s longer than the time between two points",
                     value=lacking,
                     unit="s",
                     remedy="check interval, dwell, speed and the times of the points",
@@ -147,7 +147,7 @@ class MaxwellElementFit:
 
     def time_constant(self, used: Bools, lower: float, upper: float) -> float:
         """Least-squares time constant [s]: from a grid, then refined."""
-        from scipy.optimize import minimize_scalar  # 0.1 s, which no import of the package should wait for
+        from scipy.optimize import minimize_scalar  # takes 0.1 s to import
 
         grid = np.linspace(math.log(lower), math.log(upper), _GRID)
         at = int(np.argmin([self.cost(math.exp(log_tau), used) for log_tau in grid]))
@@ -175,7 +175,7 @@ class MaxwellElementFit:
     def time_constant_interval(
         self, tau: float, used: Bools, lower: float, upper: float, inflation: float
     ) -> tuple[float, float]:
-        """Profile interval of 95 % of the time constant; 0 or infinite where the data set no bound."""
+        """95 % profile interval of the time constant; 0 or infinite where the data impose no bound."""
         from scipy.optimize import brentq
 
         least = self.cost(tau, used)

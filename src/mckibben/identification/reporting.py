@@ -1,4 +1,4 @@
-"""Results of fits in the units of publications: as plain data and as text."""
+"""Fit results in the units of publications, as plain data and as text."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class UncertaintyReport:
     def of(
         cls, fit: Fit, *, level: float = 0.95, profiles: bool = False, refits: int = 0, seed: int = 0
     ) -> UncertaintyReport:
-        """Compute profiles, and a bootstrap of so many refits (none at 0)."""
+        """Compute profiles, and a bootstrap of the given number of refits (none at 0)."""
         check_level(level)
         shape = type(fit.law).shape_parameters if profiles else ()
         found = tuple(profile(fit, p.name, level=level) for p in shape)

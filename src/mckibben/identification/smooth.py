@@ -1,14 +1,14 @@
-r"""Identification of `SmoothLaw`: scales of the deviations by restricted maximum likelihood, and when there are any.
+r"""Identification of `SmoothLaw`: selection and scales of the deviations by restricted maximum likelihood.
 
 The deviation :math:`s_j` has the prior :math:`N(0, (\gamma_j \sigma)^2 S^{-1})` with
 :math:`c^T S c = \int s''^2 dv`: it is smooth, and of unknown size. At the decay of Eq. 2 the restricted likelihood of
 the scales :math:`\gamma_j`, with :math:`\sigma` profiled and the parameters of Eq. 2 (its decay linearised) integrated
-out, follows from one QR factorisation. A scale is kept if it raises the logarithm of the likelihood by 1 or more
-(Akaike). With the scales the prior is a set of rows of the least-squares problem, in which the decay is refined.
+out, follows from one QR factorisation. A scale is kept if it raises the log-likelihood by 1 or more (Akaike). With the
+scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
 
-The law is Eq. 2 itself unless its deviations lower the corrected Akaike criterion (with their effective parameters:
-few points support few) and the errors at pressures left out, do not raise those at inner contractions left out by more
-than a twentieth, both with the scales held, and are physical where Eq. 2 is.
+The result is Eq. 2 itself unless the deviations lower both the corrected Akaike criterion (with effective parameters:
+few points support few) and the errors at left-out pressures, raise the errors at left-out inner contractions by at most
+a twentieth, both with the scales fixed, and are physical where Eq. 2 is.
 
 References
 ----------
@@ -36,20 +36,20 @@ from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.smooth import DEGREE
 
 SMOOTH_LAWS = (SmoothLaw, SmoothAffineLaw)
-"""Laws of this method; each falls back to those after it, and to Eq. 2."""
+"""Laws of this method; each falls back to the following ones, and to Eq. 2."""
 _MARGIN = 1.0  # window beyond the contractions measured, in half ranges of them
 _STARTS = (0.0, 5.0)  # logarithm of the scales
-_BOUNDS = (-4.0, 14.0)  # at the lower one a deviation is negligible beside the noise
+_BOUNDS = (-4.0, 14.0)  # at the lower one a deviation is negligible compared to the noise
 _GAIN = 1.0  # in the logarithm of the restricted likelihood, by scale
-_WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at blocks left out, as a part of that of Eq. 2
-_LEAST = 4  # points for each parameter of Eq. 2
+_WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at left-out blocks, relative to Eq. 2
+_LEAST = 4  # points per parameter of Eq. 2
 _ROUNDING = 1e-9  # of the largest force
 
 
 def fit_smooth(law_type: type[ForceLaw], points: IsobaricDataset, kept: Bools, start: Floats) -> tuple[Solution, str]:
-    """Fit the law to the kept points, or a simpler one that they support better, and the reason.
+    """Fit the law to the kept points, or a simpler law that they support better; also return the reason.
 
-    Eq. 2 is searched from a start, as its own refits are, so that they are the same where it is the result.
+    The search for Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
     """
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
     base, used = solve(eq2, start), points.select(kept)
@@ -100,7 +100,7 @@ def _roughness_root() -> NDArray[Any]:
 
 
 def _scales(fixed: Floats, deviations: NDArray[Any], residuals: Floats, orders: int) -> Floats | None:
-    """Scales of the deviations over the noise; None if that of the highest order, or each, is not supported."""
+    """Scales of the deviations relative to the noise; None if the highest order is, or all are, unsupported."""
     from scipy.optimize import minimize
 
     count, free = deviations.shape[1], len(residuals) - fixed.shape[1]
@@ -143,14 +143,14 @@ def _objection(found: Solution, base: Solution, used: IsobaricDataset) -> str:
         ours, theirs = (_left_out(one, labels) for one in (found, base))
         both = np.isfinite(ours) & np.isfinite(theirs)
         if np.linalg.norm(ours[both]) > _WORSE[kind] * np.linalg.norm(theirs[both]):
-            return f"with deviations the errors at {kind}s left out are larger"
+            return f"with deviations the errors at left-out {kind}s are larger"
     domain = domain_of(used)
     wrong, before = (unphysical(one.problem.law(one.values), domain) for one in (found, base))
     return f"with deviations {wrong}" if wrong and not before else ""
 
 
 def _left_out(solution: Solution, labels: NDArray[Any]) -> Floats:
-    """Residuals of each block without its points in the fit, linearised; NaN where the others do not determine it."""
+    """Linearised leave-one-block-out residuals; NaN where the other blocks do not determine the fit."""
     residuals, jacobian = solution.augmented
     q = np.linalg.qr(jacobian)[0]
     found = np.full(len(labels), np.nan)

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-# Numbers in a block: so few that OpenBLAS does not wake threads, which beside XLA cost 100 times the work.
+# Block size, small enough that OpenBLAS starts no threads, which in addition to XLA's cost 100 times the work.
 _BLOCK = 6144
 
 
@@ -52,7 +52,7 @@ CONDITION_LIMIT = 1e10
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Classical standard errors and correlations (NaN at a bound), and s [N] of a plateau mean about the law."""
+    """Classical standard errors and correlations (NaN at a bound), and scatter s [N] about the law."""
 
     standard_errors: Floats
     correlations: Floats
@@ -60,7 +60,7 @@ class Uncertainty:
 
 
 def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> Uncertainty:
-    """Uncertainty of the parameters not at a bound, of a Jacobian (points, parameters) and residuals [N]."""
+    """Uncertainty of the parameters not at a bound, from a Jacobian (points, parameters) and residuals [N]."""
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
@@ -77,7 +77,7 @@ def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> Uncerta
 
 
 def correlated_pairs(names: Sequence[str], correlations: Floats) -> list[tuple[str, str, float]]:
-    """Pairs of parameters and their known correlations, largest absolute one first."""
+    """Pairs of parameters and their known correlations, in descending order of magnitude."""
     pairs = [(*pair, float(correlations[pair])) for pair in itertools.combinations(range(len(names)), 2)]
     known = [(names[i], names[j], value) for i, j, value in pairs if np.isfinite(value)]
     return sorted(known, key=lambda pair: -abs(pair[2]))
@@ -92,7 +92,7 @@ def condition_number(jacobian: Floats) -> float:
 
 
 def unidentifiable(jacobian: Floats, names: Sequence[str]) -> list[str]:
-    """Parameters with a part in the null space, or in the least identifiable direction where there is none."""
+    """Parameters with a component in the null space or, if it is empty, in the least identifiable direction."""
     _, singular, directions = _decompose(jacobian)
     null = singular <= max(_SINGULAR * singular[0], singular[-1])
     share = np.linalg.norm(directions[null], axis=0)
@@ -100,7 +100,7 @@ def unidentifiable(jacobian: Floats, names: Sequence[str]) -> list[str]:
 
 
 def _decompose(jacobian: Floats) -> tuple[Floats, ...]:
-    """Column lengths; singular values and right singular vectors, as rows, of the columns at unit length."""
+    """Column lengths, and singular values and right singular vectors (rows) of the unit-length columns."""
     factor = tsqr_r(jacobian)
     lengths = np.linalg.norm(factor, axis=0)
     lengths[lengths == 0] = 1.0
@@ -151,7 +151,7 @@ class ClusterRobustErrors:
     def of(cls, jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors:
         """Error model from a Jacobian, shape (points, parameters), residuals and group numbers, shape (points,).
 
-        Rows beyond the points are those of a prior: each is independent of all others.
+        Rows beyond the points belong to a prior, each independent of all others.
         """
         prior = len(jacobian) - len(labels)
         groups = int(labels.max()) + 1
@@ -178,7 +178,7 @@ class ClusterRobustErrors:
         return cls(triangle, scores, own, shared, decisive, variance)
 
     def variance(self, gradients: Floats) -> Pairs:
-        """As that of `IndependentErrors`."""
+        """As in `IndependentErrors`."""
         z = _solve(self.triangle, gradients)
         variance = np.sum((z @ self.scores.T) ** 2, axis=1)
         # Omega_gh = delta_gh z'D_g z - w_g'w_h with w_g = E_g z; its trace and square sum without forming it.
@@ -215,14 +215,14 @@ def _solve(triangle: Floats, gradients: Floats) -> Floats:
     return np.linalg.solve((triangle / lengths).T, (gradients / lengths).T).T
 
 
-_GROWTH_LEVEL = 0.05  # probability of a growth where there is none; a missed one costs coverage at large forces
+_GROWTH_LEVEL = 0.05  # probability of falsely detecting growth; missed growth costs coverage at large forces
 _GROWTHS = np.geomspace(1e-3, 1e5, 200).tolist()  # of the variance, over the range of forces
 
 
 def scatter_growth(force: Floats, residuals: Floats) -> float:
-    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 where it is not significant.
+    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 if not significant.
 
-    The test is that of Koenker: of the slope of the squared residuals.
+    Koenker's test on the slope of the squared residuals.
     """
     # R. Koenker, J. Econometrics 17 (1981) 107-112.
     from scipy.special import stdtr
@@ -286,14 +286,14 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
         columns.append(approach_labels(points))
     if not columns:
         raise IdentificationError(
-            "the data do not say which repeat a point belongs to",
+            "the data do not record which repeat a point belongs to",
             remedy="record a column 'repeat', or group by stroke or by pressure",
         )
     return row_numbers(columns)
 
 
 def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
-    """Direction, else phase, of each point's pass; a point without takes the next labelled one of its level."""
+    """Direction, else phase, of each point's pass; an unlabelled point takes the next label of its level."""
     direction, phase = (
         points.table[name].to_numpy() if name in points.table else np.full(len(points), "", "<U9")
         for name in ("direction", "phase")

@@ -26,7 +26,7 @@ class ErrorStatistics:
     Attributes
     ----------
     pressure, direction
-        Level [Pa], and "loading" or "unloading"; None for all, or where it is not known.
+        Level [Pa], and "loading" or "unloading"; None for all, or if unknown.
     bias
         Mean of predicted minus measured force [N].
     outside
@@ -47,7 +47,7 @@ class ErrorStatistics:
 class Validation:
     """Errors of laws at the taut points of a dataset.
 
-    For each law: over all points, each direction, each pressure, and each pressure and direction.
+    Per law: over all points, per direction, per pressure, and per pressure and direction.
     """
 
     errors: tuple[ErrorStatistics, ...]
@@ -124,9 +124,9 @@ class HoldOut:
 def validate(
     laws: Fit | ForceLaw | Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: IsobaricDataset
 ) -> Validation:
-    """Compare laws with the plateau means of the taut points, inside and outside the domain of each.
+    """Compare laws with the plateau means of the taut points, inside and outside each law's domain.
 
-    Several laws are given by name, or named by their class (numbered where a class occurs twice).
+    Several laws are given by name, or named by their class (numbered if a class occurs twice).
 
     Raises
     ------
@@ -186,7 +186,7 @@ def hold_out(
     repeats: ArrayLike | None = None,
     directions: str | Sequence[str] | None = None,
 ) -> HoldOut:
-    """Fit a law to a training set and validate it on the held-out rest, selected as by `IsobaricDataset.split`.
+    """Fit a law to a training set and validate it on the held-out points, selected as by `IsobaricDataset.split`.
 
     Held-out pressures test whether the law interpolates, repeats whether the muscle's behaviour is repeatable.
 

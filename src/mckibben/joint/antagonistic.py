@@ -34,7 +34,7 @@ class Measurement(NamedTuple):
 
 
 def pressure_pair(pressures: Pressures) -> Pressures:
-    """Return the pressures of muscles 1 and 2; `RangeError` for anything but a pair of numbers or arrays."""
+    """Return the pressures of muscles 1 and 2; `RangeError` for anything other than a pair of numbers or arrays."""
     shape = (len(pressures),) if isinstance(pressures, tuple | list) else jnp.shape(pressures)
     if shape != (2,):
         raise RangeError(
@@ -89,10 +89,10 @@ class AntagonisticJoint(Component):
     """A joint actuated by two antagonistic muscles.
 
     In all methods `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
-    broadcast; anything but a pair raises `RangeError`. Torque and stiffness are those of the muscles' laws; gravity
-    belongs to the `Load`. Outside a muscle's domain `torque`, `stiffness`, `torque_and_stiffness`, `tensions` and
-    `forces` issue a `DomainWarning`, except inside `jax.jit`. Friction and creep act through internal states of the
-    muscles: `init_state`, `state_rate`, `update_state`, and `forces`, which contains them.
+    broadcast; anything other than a pair raises `RangeError`. Torque and stiffness follow from the muscles' laws;
+    gravity belongs to the `Load`. Outside a muscle's domain `torque`, `stiffness`, `torque_and_stiffness`, `tensions`
+    and `forces` issue a `DomainWarning`, except inside `jax.jit`. Friction and creep act through internal states of the
+    muscles: `init_state`, `state_rate`, `update_state`, and `forces`, which includes them.
 
     Muscle 1, the antagonist, lengthens as the angle increases, muscle 2 shortens; the tendons are rigid by default.
 
@@ -121,14 +121,14 @@ class AntagonisticJoint(Component):
             raise RangeError("AntagonisticJoint: two springs and no muscle", remedy="make one of them a muscle")
         for muscle in (self.muscle1, self.muscle2):
             muscle.check_pressure_limit()
-        if not isinstance(self.tendon, RigidTendon):  # the rate of the length is no function of the state
+        if not isinstance(self.tendon, RigidTendon):  # the rate of the length is not a function of the state
             owner = f"muscle in series with a {type(self.tendon).__name__}"
             for muscle in (self.muscle1, self.muscle2):
                 if isinstance(muscle.friction, MaxwellSlip):
                     check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
                 if muscle.has_creep:
                     raise RangeError(
-                        f"{owner}: its creep follows the rate of its length, which is not known there",
+                        f"{owner}: creep needs the rate of the muscle's length, which is unknown there",
                         remedy="leave out the creep or the spring",
                     )
 
@@ -142,7 +142,7 @@ class AntagonisticJoint(Component):
 
     @property
     def springs(self) -> tuple[bool, bool]:
-        """Whether a return spring is in place of muscles 1 and 2."""
+        """Whether muscle 1 and muscle 2 are return springs."""
         return isinstance(self.muscle1.law, SpringLaw), isinstance(self.muscle2.law, SpringLaw)
 
     @property
@@ -186,7 +186,7 @@ class AntagonisticJoint(Component):
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the isobaric stiffness [N*m/rad]: minus the derivative of the torque at constant pressures (Eq. 8).
 
-        Positive for a stable joint; the sign in the paper is the opposite.
+        Positive for a stable joint; the paper has the opposite sign.
         """
         _warn_outside(self, angle, pressures)
         return self.evaluate(angle, pressures)[1]
@@ -201,7 +201,7 @@ class AntagonisticJoint(Component):
     def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return `torque_and_stiffness` without a check of the domain."""
         pressure1, pressure2 = pressure_pair(pressures)
-        # The chain rule by hand between geometry and tension: a third of the operations of differentiating all at once.
+        # Chain rule by hand between geometry and tension: a third of the operations of differentiating the whole.
         (paths, arms), (path_slopes, arm_slopes) = value_and_derivative(self.geometry.paths_and_arms, angle)
 
         def unsigned_torque(i: int, muscle: Muscle, pressure: ArrayLike) -> Pair:
@@ -231,7 +231,7 @@ class AntagonisticJoint(Component):
         )
 
     def update_state(self, states: MuscleStates, angle: ArrayLike, pressures: Pressures) -> MuscleStates:
-        """Return the internal states after a short move to an angle and pressures; no force changes by it."""
+        """Return the internal states after a short move to an angle and pressures; the forces do not change."""
         if not (self.has_friction or self.has_creep):
             return states
         contraction1, contraction2 = self.contractions(angle, pressures, states)
@@ -261,12 +261,12 @@ class AntagonisticJoint(Component):
     def friction_torque(
         self, angle: ArrayLike, velocity: ArrayLike, pressures: Pressures, states: MuscleStates
     ) -> Array:
-        """Return the part of the torque [N*m] of `forces` that is friction."""
+        """Return the friction part [N*m] of the torque of `forces`."""
         added = jnp.asarray(self.forces(angle, velocity, pressures, states).torque) - self.torque(angle, pressures)
         return added - self.creep_torque(angle, pressures, states) if self.has_creep else added
 
     def creep_torque(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates) -> Array:
-        """Return the part of the torque [N*m] of `forces` that is creep."""
+        """Return the creep part [N*m] of the torque of `forces`."""
         (arm1, arm2), (tension1, tension2) = self.geometry.moment_arms(angle), self.tensions(angle, pressures)
         force1 = self.muscle1.creep.force(states[0].creep, tension1)
         return self.muscle2.creep.force(states[1].creep, tension2) * arm2 - force1 * arm1
@@ -280,9 +280,9 @@ class AntagonisticJoint(Component):
         atmosphere: float = 101325.0,
         dead_volume: float = 0.0,
     ) -> Float[Array, "..."]:
-        """Return the stiffness [N*m/rad] of closed valves: p V^n is constant, n 1 for slow, 1.4 for fast motion.
+        """Return the stiffness [N*m/rad] with closed valves: p V^n is constant, n = 1 for slow, 1.4 for fast motion.
 
-        V is the muscle's volume with a dead volume [m^3], as of tube and fittings.
+        V is the muscle's volume plus a dead volume [m^3], such as tubing and fittings.
         """
         pressure1, pressure2 = pressure_pair(pressures)
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
@@ -318,20 +318,22 @@ class AntagonisticJoint(Component):
         atmosphere: float = 101325.0,
         dead_volume: float = 0.0,
     ) -> Float[Array, "..."]:
-        r"""Return the stiffness [N*m/rad] of slow motion with an amplitude [rad] about an angle, friction included.
+        r"""Return the secant stiffness [N*m/rad] of slow motion with an amplitude [rad] about an angle, friction
+        included.
 
         .. math:: K_a = \frac{\tau(\theta - a) - \tau(\theta + a)}{2a}
 
-        between the reversals of a cycle, or of a first push by a from muscles without stress of friction: with
-        `MaxwellSlip` both are the same (Masing's rule). After a motion to one side a push back by a has that of a/2.
+        between the reversals of a cycle, or for a first push by a with unstressed friction: with `MaxwellSlip` both are
+        equal (Masing's rule). After motion to one side, a push back by a has the stiffness of a/2.
 
         Parameters
         ----------
         amplitude
-            a [rad], above 0: half the motion from peak to peak. Towards 0 all friction is presliding, a spring.
+            a [rad], above 0: half the peak-to-peak motion. As it approaches 0, all friction is presliding and acts as a
+            spring.
         polytropic_index
-            n of closed valves, p V^n constant, with `dead_volume` [m^3] as in `closed_valve_stiffness`; constant
-            pressures unless given.
+            n of closed valves, p V^n constant, with `dead_volume` [m^3] as in `closed_valve_stiffness`. Default:
+            constant pressures.
 
         Examples
         --------
@@ -376,13 +378,13 @@ class AntagonisticJoint(Component):
         return (torque(angle - amplitude) - torque(angle + amplitude)) / (2 * amplitude)
 
     def stiffness_for(self, angle: ArrayLike, pressures: Pressures, amplitude: ArrayLike | None) -> Array:
-        """Return `secant_stiffness`; where the amplitude is None, `stiffness` without a check of the domain."""
+        """Return `secant_stiffness`, or `stiffness` without a domain check if the amplitude is None."""
         if amplitude is None:
             return self.evaluate(angle, pressures)[1]
         return self.secant_stiffness(angle, pressures, amplitude)
 
     def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
-        """Return torque and stiffness at an angle over the pressures; `TypeError` where they are not affine."""
+        """Return torque and stiffness as affine functions of the pressures; `TypeError` if they are not affine."""
         for muscle in (self.muscle1, self.muscle2):
             if not isinstance(muscle.law, PressureAffineLaw):
                 raise TypeError(f"{type(muscle.law).__name__} is not affine in pressure: the joint has no affine map")
@@ -416,30 +418,29 @@ class AntagonisticJoint(Component):
         """Return the lowest and highest stiffness [N*m/rad] at which the taut muscles give a torque [N*m] at an angle.
 
         Exact with a rigid tendon and laws affine in pressure; with a series spring, from a scan of a few hundred
-        tensions. NaN where the torque is not attainable: outside the pressures, the contractions of a muscle's domain
-        or its rated force, or because a muscle is slack at all pressures.
+        tensions. NaN where the torque is not attainable: it violates pressure limits, a muscle's contraction domain or
+        its rated force, or a muscle is slack at all pressures.
 
         Parameters
         ----------
         pressure_limits
-            Lowest and highest gauge pressure [Pa]; the muscles' domains by default.
+            Lowest and highest gauge pressure [Pa]. Default: the muscles' domains.
         minimum_tension
             Lowest tension [N] of each muscle.
         amplitude
-            Amplitude [rad] of the motion whose stiffness is meant (`secant_stiffness`), at 33 tensions; the isobaric
-            stiffness unless given.
+            Amplitude [rad] of motion for `secant_stiffness`, evaluated at 33 tensions. Default: the isobaric stiffness.
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
 
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:
         """Return gauge pressures [Pa] within the muscles' domains that give a torque [N*m] and a stiffness [N*m/rad].
 
-        The stiffness is midway between the slackest and the tightest state unless given.
+        Default stiffness: midway between the states of lowest and highest co-contraction.
 
         Raises
         ------
         UnreachableError
-            If there are none; with the attainable range.
+            If there are none; gives the attainable range.
         RangeError
             If a muscle would leave its domain, or a number is not finite.
         """

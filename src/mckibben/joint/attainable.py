@@ -1,8 +1,8 @@
 """Attainable set of a joint: static torques and stiffnesses for pressures within limits.
 
-The tension of each muscle lies between those at the lowest and the highest pressure. A torque leaves one degree of
-freedom, co-contraction: along T2 d2 - T1 d1 = torque both tensions rise together. With rigid tendons and laws affine in
-pressure the stiffness is affine along that segment, so its extremes are at the two ends.
+The tension of each muscle lies between its values at the lowest and the highest pressure. A given torque leaves one
+degree of freedom, co-contraction: along T2 d2 - T1 d1 = torque both tensions rise together. With rigid tendons and laws
+affine in pressure the stiffness is affine along that segment, so its extremes are at the two ends.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 _SCANNED = 401
 _SCANNED_FRICTION = 33
-_TOLERANCE = 1e-6  # relative, of a stiffness that was found
-_ROUNDING = 1e-12  # relative, of a tension
-_INSIDE = 1e-9  # distance from the ends of a segment, as a fraction: at the very end a muscle is slack
+_TOLERANCE = 1e-6  # relative tolerance of a stiffness
+_ROUNDING = 1e-12  # relative tolerance of a tension
+_INSIDE = 1e-9  # margin at the ends of a segment, as a fraction: at the end itself a muscle is slack
 
 
 @compiled_alone
@@ -73,7 +73,7 @@ class StaticSolution(NamedTuple):
 
 @compiled
 def solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
-    """Return the pressures for a torque and a stiffness at an angle, midway for NaN."""
+    """Return the pressures for a torque and a stiffness at an angle; NaN selects the middle of the range."""
     return _solve_static(joint, angle, torque, stiffness)
 
 
@@ -120,7 +120,7 @@ def check_finite(**numbers: ArrayLike) -> None:
 
 
 def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque: float, stiffness: float) -> NoReturn:
-    """Raise the reason why a static state does not exist; a stiffness of NaN stands for none in particular."""
+    """Raise an error that says why a static state does not exist; a stiffness of NaN stands for any."""
     where = f"at {angle / deg:.4g} deg with a torque of {torque + 0.0:.4g} N*m"
     low, high = float(found.lowest), float(found.highest)
     if not low <= high:
@@ -166,7 +166,7 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     scanned = stiffness_at(fractions)
     lowest, highest = jnp.min(scanned), jnp.max(scanned)
 
-    # Bracket by neighbours. A spring that meets a stop makes the stiffness jump: take the smallest step.
+    # Bracket by neighbours. A spring that reaches its stop makes the stiffness jump: take the smallest step.
     wanted = jnp.where(jnp.isnan(stiffness), lowest, stiffness)
     between = (scanned[1:] - wanted) * (scanned[:-1] - wanted) <= 0
     first = jnp.argmin(jnp.where(between, jnp.abs(scanned[1:] - scanned[:-1]), jnp.inf))
@@ -181,7 +181,7 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     low, high = lax.fori_loop(0, 60, bisect, (fractions[first], fractions[first + 1]))
     unspecified = jnp.isnan(stiffness)
     root = lax.stop_gradient((low + high) / 2)
-    # One step of Newton's method makes the root differentiable with respect to the numbers of the joint.
+    # One Newton step makes the root differentiable with respect to the joint's parameters.
     value, slope = value_and_derivative(stiffness_at, root)
     newton = (value - wanted) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
     fraction = jnp.where(unspecified, 0.5, root - (newton - lax.stop_gradient(newton)))
@@ -215,7 +215,7 @@ def _fractions(joint: Joint) -> Array:
 
 
 class _AffineProfile(NamedTuple):
-    """Pressures and stiffness along a segment, affine in the fraction, from those at its ends."""
+    """Pressures and stiffness along a segment, interpolated linearly between its ends."""
 
     starts: tuple[Array, Array, Array]
     ends: tuple[Array, Array, Array]
@@ -245,11 +245,11 @@ class _EvaluatedProfile(NamedTuple):
 
 
 Profile = _AffineProfile | _EvaluatedProfile
-"""Pressures and stiffness as a function of the fraction of a segment; `first` is that of the first of several."""
+"""Pressures and stiffness as functions of the fraction of a segment; `first` returns the first of several."""
 
 
 class Segment(NamedTuple):
-    """States with one torque at one angle; fraction 0 has the lowest tension of muscle 1, fraction 1 the highest."""
+    """States of equal torque at one angle; fraction 0 has the lowest tension of muscle 1, fraction 1 the highest."""
 
     joint: Joint
     angle: Array
@@ -277,8 +277,8 @@ class Segment(NamedTuple):
         """Return pressures and stiffness over the fraction; affine for two taut muscles with affine laws."""
         if not is_affine(self.joint):
             return _EvaluatedProfile(self)
-        # A loop over the two ends, though they would vectorise: XLA then computes their inputs once, not in each
-        # fusion, and makes a third of the code to compile and to load.
+        # A loop over the two ends, although they would vectorise: XLA then computes their inputs once instead of in
+        # each fusion, and generates a third of the code.
         pressures, stiffness = lax.map(self.at, _fractions(self.joint))
         return _AffineProfile(*((pressures[0][end], pressures[1][end], stiffness[end]) for end in (0, 1)))
 
@@ -303,7 +303,7 @@ def cocontraction_segment(
     first = jnp.maximum(low[0], jnp.minimum(*at_limits))
     last = jnp.minimum(high[0], jnp.maximum(*at_limits))
     if any(joint.springs):
-        last = last + _ROUNDING * jnp.abs(last)  # its range is one tension, which may be rounded twice
+        last = last + _ROUNDING * jnp.abs(last)  # its range is a single tension, possibly rounded twice
         high = high[0] + _ROUNDING * jnp.abs(high[0]), high[1] + _ROUNDING * jnp.abs(high[1])
     feasible = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
     return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
@@ -331,7 +331,7 @@ def _tension_ranges(
         pressures = _leading_axis(jnp.stack([floating(low), floating(high)]), path)
         tensions = joint.tendon.tension(muscle, path, pressures)
         slackest = jnp.maximum(tensions[0], minimum_tension)
-        # A muscle that is slack at the highest pressure makes nothing feasible.
+        # A muscle that is slack at the highest pressure leaves the feasible set empty.
         tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.force_limit), -jnp.inf)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)
 

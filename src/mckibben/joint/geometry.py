@@ -33,7 +33,7 @@ class Geometry(Component):
 
     @property
     def angle_range(self) -> tuple[float, float]:
-        """Angles [rad] for which the geometry is known."""
+        """Range of angles [rad] for which the geometry is defined."""
         return -math.inf, math.inf
 
     @abc.abstractmethod
@@ -41,7 +41,7 @@ class Geometry(Component):
         """Return the length [m] of each muscle with its series spring at an angle [rad]."""
 
     def anchors(self, angle: ArrayLike) -> tuple[Ends | None, Ends | None]:
-        """Return the ends of each muscle with its connectors; None where its path is no straight line, or unknown."""
+        """Return the ends of each muscle with its connectors; None if its path is unknown or not a straight line."""
         return None, None
 
     def moment_arms(self, angle: ArrayLike) -> Pair:
@@ -65,8 +65,8 @@ class KneeGeometry(Geometry):
     Parameters
     ----------
     joint_length, joint_radius, connector_length
-        H, from the upper anchors of the muscles to the axis; r, of the lower anchors; L_u + L_d, of the connectors;
-        [m].
+        H, distance of the upper anchors of the muscles from the axis; r, radius of the lower anchors; L_u + L_d, length
+        of the connectors [m].
 
     References
     ----------
@@ -93,7 +93,7 @@ class KneeGeometry(Geometry):
         if not plain:
             try:
                 length = self.joint_length - self.joint_radius - self.connector_length
-            except ValueError:  # arrays of different lengths, which are refused where runs are told apart
+            except ValueError:  # arrays of different lengths, which are refused where runs are distinguished
                 return
             check_positive("KneeGeometry", "m", zero=True, muscle_length=length)
 
@@ -111,12 +111,12 @@ class KneeGeometry(Geometry):
     def anchors(self, angle: ArrayLike) -> tuple[Ends, Ends]:
         H, r = self.joint_length, self.joint_radius
         sine, cosine = sincos(angle)
-        turned = jnp.stack([r * cosine, r * sine])  # of muscle 2; that of muscle 1 is opposite
+        turned = jnp.stack([r * cosine, r * sine])  # of muscle 2; opposite for muscle 1
         return jnp.stack([jnp.asarray([-r, H]), -turned]), jnp.stack([jnp.asarray([r, H]), turned])
 
 
 class ScaledArms(Geometry):
-    """A geometry whose moment arms are scaled; the lengths at one angle stay as they are.
+    """A geometry with scaled moment arms; the lengths at one angle are unchanged.
 
     Parameters
     ----------

@@ -39,9 +39,9 @@ class Load(Component):
 
     default_class = "knee"
     adapted_mass: ClassVar[str] = ""
-    """Field with the mass [kg] that `LawAdaptation` estimates; empty for none."""
+    """Field with the mass [kg] that `LawAdaptation` estimates; empty if none."""
 
-    if TYPE_CHECKING:  # the fields of subclasses; declared here, they would come first among theirs
+    if TYPE_CHECKING:  # fields of subclasses; declared here, they would precede the subclass's own
 
         def __getattr__(self, name: str) -> Any: ...
 
@@ -56,9 +56,9 @@ class Load(Component):
         """G [N*m], the largest torque of gravity; negative for an inverted load."""
 
     def with_weight(self, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
-        """Return the load with a further point mass [kg] on the limb, at a distance [m] from the axis.
+        """Return the load with an additional point mass [kg] on the limb, at a distance [m] from the axis.
 
-        It is on the side of the load's own mass: an inverted load gets more inverted.
+        It acts on the side of the load's own mass: an inverted load becomes more inverted.
         """
         moment = jnp.asarray(self.gravity_moment)
         weight = jnp.where(moment < 0, -1.0, 1.0) * mass * distance * _GRAVITY
@@ -98,7 +98,7 @@ class KneeLoad(Load):
     .. math:: I = J + m_1 l_1^2 + m_2 l_2^2, \quad G = (m_1 l_1 + m_2 l_2) g
 
     The paper puts the gravity term on the driving side in Eq. 6 and on the net side in Eq. 7; equated literally they
-    cancel. Here it stands once, as a torque on the shank: with `hanging` true (the default) theta_h is the stable
+    cancel. Here it appears once, as a torque on the shank: with `hanging` true (the default) theta_h is the stable
     equilibrium of the unloaded joint. The paper's other reading, an inverted load, is ``hanging=False``.
 
     Parameters
@@ -143,7 +143,7 @@ class KneeLoad(Load):
         super().__check_init__()
         try:
             total = self.total_inertia
-        except ValueError:  # arrays of different lengths, which are refused where runs are told apart
+        except ValueError:  # arrays of different lengths, which are refused where runs are distinguished
             return
         check_positive("KneeLoad", "kg*m^2", total_inertia=total)
 

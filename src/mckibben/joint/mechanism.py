@@ -1,4 +1,4 @@
-"""A joint in the plane of its motion: anchors, cams, and the muscles between them, from the geometry itself."""
+"""Planar mechanism of a joint: anchors, cams, and the muscles between them, derived from the geometry."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Strand(NamedTuple):
         return float(np.linalg.norm(self.end - self.start))
 
     def body(self, length: float) -> tuple[Points, Points]:
-        """Ends of the muscle, which has a length [m]: in the middle, or above a cam at the fixed end."""
+        """Ends of a muscle of a length [m]: in the middle, or above a cam at the fixed end."""
         along = (self.end - self.start) / self.length
         above = 0.0 if len(self.wrap) else max(self.length - length, 0.0) / 2
         return self.start + above * along, self.start + (above + length) * along
@@ -49,16 +49,16 @@ class Strand(NamedTuple):
 class Mechanism:
     """The parts of a geometry in the plane.
 
-    Straight muscles lie between their anchors. Any other path is drawn as the cam that has its moment arms: a line of
-    action parallel to the fixed limb touches it, at the distance of the moment arm from the hinge. A pulley is a round
-    one.
+    Straight muscles lie between their anchors. Any other path is drawn as the cam with its moment arms: a line of
+    action parallel to the fixed limb touches the cam, at the distance of the moment arm from the hinge. A pulley is a
+    round cam.
 
     Parameters
     ----------
     geometry
         Geometry of the joint.
     angles
-        Angles [rad] that are to be drawn, for the extent of cams.
+        Angles [rad] to be drawn, for the extent of cams.
     """
 
     def __init__(self, geometry: Geometry, angles: tuple[float, ...] = (0.0,)) -> None:
@@ -72,7 +72,7 @@ class Mechanism:
         quarter = round(math.atan2(anchored[1], anchored[0]) / (math.pi / 2)) % 4 if np.any(anchored) else 1
         cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
         self.up = np.array([cosine, sine])
-        """Direction of the fixed limb from the hinge; at 0 deg that of the moving limb is opposite."""
+        """Direction of the fixed limb from the hinge; the moving limb points the opposite way at 0 deg."""
         self._turn = np.array([[sine, -cosine], [cosine, sine]])  # to this frame, from one with the fixed limb along y
         (paths, arms), (_, slopes) = _profiles(geometry, grid)
         self._cams = [
@@ -116,15 +116,15 @@ class Mechanism:
 
 @compiled
 def _profiles(geometry: Geometry, angles: ArrayLike) -> tuple[tuple[Pair, Pair], tuple[Pair, Pair]]:
-    """Paths and moment arms over angles [rad], and their derivatives; compiled once for a kind of geometry."""
+    """Paths and moment arms over angles [rad], and their derivatives; compiled once per kind of geometry."""
     return value_and_derivative(geometry.paths_and_arms, angles)
 
 
 class _Cam:
     """Cam on the side of muscle 2, turned by an angle that shortens its muscle; the line of action is along y.
 
-    The moment arm is the support function of the profile, which is the envelope of the lines of action. Where that is
-    not convex, no cam has these arms, and a circle with the present arm is drawn.
+    The moment arm is the support function of the profile, the envelope of the lines of action. If it is not convex, no
+    cam has these arms, and a circle with the current arm is drawn.
     """
 
     def __init__(self, angles: Points, arms: Points, slopes: Points) -> None:
@@ -134,14 +134,14 @@ class _Cam:
         self.convex = bool((self.radii > 0).all())
 
     def _beyond(self, end: int, by: Points) -> tuple[Points, Points]:
-        """Arms and slopes beyond an end, where the profile goes on as an arc of a circle."""
+        """Arms and slopes beyond an end, where the profile continues as a circular arc."""
         radius = min(self.radii[end], self.arms[end])
         along, across = self.arms[end] - radius, self.slopes[end]
         cosine, sine = np.cos(by), np.sin(by)
         return radius + along * cosine + across * sine, across * cosine - along * sine
 
     def surface(self, turned: float, *, wrapped: bool = False) -> Points:
-        """Points of the profile, from the contact on if only the wrapped ones, turned by an angle [rad]."""
+        """Points of the profile turned by an angle [rad]; if wrapped only, from the contact on."""
         ends = [(0, -_BEYOND[::-1]), (-1, _BEYOND)]
         at = np.concatenate([[turned], self.angles[self.angles > turned]]) if wrapped else self.angles
         arms, slopes = np.interp(at, self.angles, self.arms), np.interp(at, self.angles, self.slopes)
@@ -163,7 +163,7 @@ def muscle_sizes(joint: AntagonisticJoint, contractions: Any) -> tuple[list[Poin
 
 
 def specimen_size(specimen: Specimen, contraction: Any) -> tuple[Points, Points | None]:
-    """Length [m], and diameter [m] of a cylinder with it and the volume; None for an unknown volume."""
+    """Length [m], and diameter [m] of the cylinder of that length and volume; None for an unknown volume."""
     length = np.asarray(specimen.length_at(contraction), float)
     if not specimen.has_volume:
         return length, None

@@ -1,4 +1,4 @@
-"""Paths of single muscles over the joint angle: pulley, cam, two bones, measured table; geometries of two paths."""
+"""Paths of single muscles over the joint angle (pulley, cam, two bones, table), and a geometry of two paths."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from mckibben.units import Angle, ArmCurvature, ArmSlope, Coordinate, Distance, 
 _Side = int
 """1 for muscle 1, which lengthens as the angle increases, -1 for muscle 2."""
 _LARGEST_DEGREE = 8
-_SPARE = 2  # points of a table beyond the coefficients
-_ROUGH = 0.05  # error of a table, of the range of its lengths or of its largest arm
+_SPARE = 2  # points of a table in excess of the coefficients
+_ROUGH = 0.05  # error of a table, relative to the range of its lengths or to its largest arm
 
 
 class MusclePath(Component):
-    """Length of a muscle, with what is in series with it, over the joint angle."""
+    """Length of a muscle, with the elements in series, over the joint angle."""
 
     @abc.abstractmethod
     def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
         """Return the length [m] at an angle [rad] of muscle 1 (`side` 1) or 2 (-1)."""
 
     def anchors(self, angle: ArrayLike) -> Ends | None:
-        """Return the ends of a straight path with its connectors; None for another one."""
+        """Return the ends of a straight path with its connectors; None if it is not straight."""
         return None
 
     @property
     def angle_range(self) -> tuple[float, float]:
-        """Angles [rad] for which the path is known."""
+        """Range of angles [rad] for which the path is defined."""
         return -math.inf, math.inf
 
 
@@ -55,7 +55,7 @@ class Pulley(MusclePath):
     Parameters
     ----------
     radius, rest_length
-        Moment arm, and length of the muscle at the angle 0 [m].
+        Moment arm [m], and length of the muscle at angle 0 [m].
     """
 
     short_name = "pulley"
@@ -93,8 +93,7 @@ class Cam(MusclePath):
 class TwoBonePath(MusclePath):
     """Straight muscle between an anchor on the fixed bone and one on the moving bone, which turns about a hinge.
 
-    Coordinates have their origin in the hinge; those of the distal anchor are at the angle 0, and the angle turns from
-    x to y.
+    Coordinates have their origin at the hinge; the distal anchor is given at angle 0, and the angle turns from x to y.
 
     Parameters
     ----------
@@ -135,16 +134,16 @@ class TwoBonePath(MusclePath):
 class TabulatedPath(MusclePath):
     """Path through a measured table of lengths or moment arms, as a Chebyshev series.
 
-    The degree is that with the least leave-one-out error, `error`. Outside of the table the moment arm is constant.
+    The degree minimises the leave-one-out error, `error`. Outside the table the moment arm is constant.
 
     Parameters
     ----------
     angles
         Measured angles [rad], in any order.
     lengths
-        Lengths of the muscle with what is in series [m].
+        Lengths of the muscle with the elements in series [m].
     arms, rest_length
-        Positive moment arms, and length at the angle 0 [m], in place of lengths.
+        Positive moment arms [m], and length at angle 0 [m], in place of lengths.
     """
 
     short_name = "tabulated"
@@ -212,13 +211,13 @@ class TabulatedPath(MusclePath):
                 last, before = coefficient + 2 * scaled * last - before, last
             return self.coefficients[0] + scaled * last - before
 
-        # Its value at the nearest angle of the table, and from there on with the slope at that angle.
+        # Linear beyond the table, with value and slope of its nearest angle.
         value = series(inside) + (x - inside) * derivative(series, inside)
         return value if self.rest_length is None else self.rest_length + side * value
 
 
 def _series(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[Chebyshev, NDArray[np.float64]]:
-    """Chebyshev series of the degree with the least RMS leave-one-out error, and these errors."""
+    """Chebyshev series of the degree that minimises the RMS leave-one-out error, and the errors."""
     best, errors, least = 0, y, math.inf
     for degree in range(1, min(_LARGEST_DEGREE, len(np.unique(x)) - _SPARE) + 1):
         columns = np.polynomial.chebyshev.chebvander((2 * x - x.min() - x.max()) / np.ptp(x), degree)
@@ -231,7 +230,7 @@ def _series(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[Chebyshev, 
 
 
 class PairedPaths(Geometry):
-    """Joint whose muscles have a path each; muscle 1 lengthens as the angle increases, muscle 2 shortens.
+    """Joint with one path per muscle; muscle 1 lengthens as the angle increases, muscle 2 shortens.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ SpringTravel = Annotated[float, Quantity("m", "mm", 0, 500)]
 
 
 class Tendon(Component):
-    """Elastic element in series with a muscle: path = muscle length + extension, at one tension."""
+    """Elastic element in series with a muscle: path = muscle length + extension, at equal tension."""
 
     default_class = "spring"
 
@@ -32,7 +32,7 @@ class Tendon(Component):
     def contraction(
         self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
     ) -> Float[Array, "..."]:
-        """Return the contraction [-] of the muscle in a path [m] at a gauge pressure [Pa]."""
+        """Return the contraction [-] of the muscle for a path length [m] and a gauge pressure [Pa]."""
 
     @abc.abstractmethod
     def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
@@ -41,11 +41,11 @@ class Tendon(Component):
     def tension(
         self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
     ) -> Float[Array, "..."]:
-        """Return the tension [N] in a path [m] at a gauge pressure [Pa]."""
+        """Return the tension [N] for a path length [m] and a gauge pressure [Pa]."""
         return muscle.tension(self.contraction(muscle, path, pressure, state), pressure, state)
 
     def pressure_for(self, muscle: Muscle, path: ArrayLike, tension: ArrayLike) -> Float[Array, "..."]:
-        """Return the gauge pressure [Pa] for a tension [N] in a path [m], possibly outside the domain."""
+        """Return the gauge pressure [Pa] for a tension [N] and a path length [m], possibly outside the domain."""
         length = jnp.asarray(path) - self.extension(tension)
         return muscle.pressure_for(tension, muscle.specimen.contraction_at(length))
 
@@ -71,7 +71,7 @@ class RigidTendon(Tendon):
 class SeriesSpring(Tendon):
     """Preloaded spring in series with the muscle: our reading of the paper's "mechanical stretch structure".
 
-    It is rigid up to the preload [N], then extends by (tension - preload) / stiffness [N/m], up to its travel [m].
+    It is rigid up to the preload [N], then extends by (tension - preload) / stiffness [N/m] up to its travel [m].
     """
 
     short_name = "spring"

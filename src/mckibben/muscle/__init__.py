@@ -32,7 +32,7 @@ LAWS: dict[str, type[ForceLaw]] = {
         SmoothLaw,
     )
 }
-"""Force laws by name, as files and the command line give it."""
+"""Force laws by the name used in files and on the command line."""
 
 __all__ = [
     "LAWS",

@@ -38,7 +38,7 @@ FLOATS = SimpleNamespace(maximum=max, minimum=min, sqrt=math.sqrt)
 
 
 def flow_share(critical: Any, ratio: Any, xp: Any = jnp) -> Any:
-    """Return the flow as a share of the choked one at a ratio of absolute pressures up to `LAMINAR`."""
+    """Return the flow as a fraction of choked flow, at a ratio of absolute pressures up to `LAMINAR`."""
     beyond = xp.maximum((xp.minimum(ratio, LAMINAR) - critical) * (1 / (1 - critical)), 0.0)
     return xp.sqrt(1 - beyond**2)
 
@@ -52,14 +52,14 @@ def mass_flow(conductance: Any, critical: Any, inlet: Any, outlet: Any, xp: Any 
         \text{ where } p_2/p_1 \le b
 
     ISO 6358-1:2013, with the sonic conductance C [m^3/(s*Pa)] and the critical pressure ratio b [-], for air of 20
-    degrees C; C is the same either way. The example of SMC's data sheets (C = 2 dm^3/(s*bar), b = 0.3, from 0.5 to
-    0.4 MPa absolute) reads 420 dm^3/min (ANR) from a chart:
+    degrees C; C is the same in both directions. The example of SMC's data sheets (C = 2 dm^3/(s*bar), b = 0.3, from 0.5
+    to 0.4 MPa absolute) reads 420 dm^3/min (ANR) from a chart:
 
     >>> round(float(mass_flow(2 * L_PER_S_BAR, 0.3, 5e5, 4e5)) / DENSITY * 60e3)
     420
     """
     upstream, downstream = xp.maximum(inlet, outlet), xp.minimum(inlet, outlet)
-    inverse = 1 / xp.maximum(upstream, 1e-9)  # one quotient, as they take the time; a vacuum has no ratio
+    inverse = 1 / xp.maximum(upstream, 1e-9)  # a single division, the slowest operation; a vacuum has no ratio
     direction = xp.minimum(xp.maximum((inlet - outlet) * inverse * (1 / (1 - LAMINAR)), -1.0), 1.0)
     return conductance * DENSITY * upstream * flow_share(critical, downstream * inverse, xp) * direction
 
@@ -67,8 +67,8 @@ def mass_flow(conductance: Any, critical: Any, inlet: Any, outlet: Any, xp: Any 
 def nominal_conductance(flow: float, critical: float = 0.3) -> float:
     """Return the sonic conductance [m^3/(s*Pa)] of a valve with a standard nominal flow [m^3/s (ANR)].
 
-    That is the flow from 6 bar to 5 bar gauge pressure, which data sheets give that have no C. With a critical pressure
-    ratio b [-] of 0.2 in place of 0.3 C is 6 % higher, with 0.5 it is 14 % lower:
+    That is the flow from 6 bar to 5 bar gauge pressure, stated in data sheets without C. With a critical pressure ratio
+    b [-] of 0.2 instead of 0.3, C is 6 % higher; with 0.5 it is 14 % lower:
 
     >>> round(nominal_conductance(100e-3 / 60) / L_PER_S_BAR, 3)  # 100 dm^3/min
     0.393
@@ -77,7 +77,7 @@ def nominal_conductance(flow: float, critical: float = 0.3) -> float:
 
 
 def pressure_rate(index: Any, pressure: Any, flow: Any, volume: Any, volume_rate: Any) -> Any:
-    r"""Return the rate [Pa/s] of the absolute pressure [Pa] in a volume [m^3] at a mass flow into it [kg/s].
+    r"""Return the rate [Pa/s] of the absolute pressure [Pa] in a volume [m^3] with a mass inflow [kg/s].
 
     .. math:: \dot p = \frac{n}{V} \left(R T \dot m - p \dot V\right)
 

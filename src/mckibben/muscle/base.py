@@ -15,7 +15,7 @@ from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
 from mckibben.units import Percent, Quantity, atm, bar, deg, mm
 
-# No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
+# No `from __future__ import annotations` here: equinox does not recognise an AbstractVar written as text.
 
 
 PositiveContraction = Annotated[float, Percent("1", "%", 0, 80, open_lower=True)]
@@ -25,7 +25,7 @@ PositiveContraction = Annotated[float, Percent("1", "%", 0, 80, open_lower=True)
 class Parameter:
     """Parameter of a law that can be identified: field, SI unit, unit in reports, meaning, and bounds in SI.
 
-    A penalised one has a Gaussian prior about zero; its law comes with a method of identification of its own.
+    A penalised parameter has a Gaussian prior about zero; its law has its own identification method.
     """
 
     name: str
@@ -51,13 +51,13 @@ class ForceLaw(Component):
     source: ClassVar[str]
     """Paper and equation."""
     linear_parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """Parameters in which the force is affine, given the shape parameters."""
+    """Parameters in which the force is affine when the shape parameters are fixed."""
     shape_parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """All others, each with finite bounds."""
+    """All other parameters, each with finite bounds."""
     constants: ClassVar[tuple[Parameter, ...]] = ()
-    """Fields that an identification sets and does not estimate."""
+    """Fields that an identification sets but does not estimate."""
     formula_domain: ClassVar[Domain] = Domain()
-    """Domain of the formula for any parameters; `domain` is that of the data behind a law."""
+    """Domain of the formula for any parameters; `domain` is the domain of the data behind a law."""
 
     @classmethod
     def unit_of(cls, name: str) -> Quantity | None:
@@ -99,27 +99,27 @@ class PressureAffineLaw(ForceLaw):
 
 
 def check_gain(law: Any, **gain: Any) -> None:
-    """Raise `RangeError` for a force per pressure [N/Pa], an area, beyond 1 m^2 at contraction 0, if the domain has it.
+    """Raise `RangeError` if the force per pressure [N/Pa], an area, exceeds 1 m^2 at contraction 0 within the domain.
 
-    Terms alone may be larger, and cancel.
+    Individual terms may be larger and cancel.
     """
     low, high = law.domain.contraction_min, law.domain.contraction_max
     if isinstance(low, Real) and isinstance(high, Real) and float(low) <= 0.0 <= float(high):
         check_within(type(law).__name__, -1.0, 1.0, "N/Pa", remedy="numbers are in SI: 1 N/bar is 1e-05 N/Pa", **gain)
 
 
-_LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # range of pressures of any muscle of rubber and thread
+_LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # range of pressures of any rubber muscle
 
 
 def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-    """Return the gauge pressure [Pa] from -0.5 to 12 bar for a force [N] that rises with it; NaN for none."""
+    """Return the gauge pressure [Pa], -0.5 to 12 bar, for a force [N] that rises with pressure; NaN if none exists."""
     force, contraction = jnp.asarray(force), jnp.asarray(contraction)
     lowest = jnp.where(law.force(contraction, 0.0) <= force, 0.0, _LOWEST)
     return bracketed_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)
 
 
 class ScaledLaw(ForceLaw):
-    """A law times a factor; see `scaled_law`."""
+    """A law multiplied by a factor; see `scaled_law`."""
 
     law: ForceLaw
     strength: Any
@@ -136,7 +136,7 @@ class ScaledLaw(ForceLaw):
 
 
 class ScaledAffineLaw(PressureAffineLaw):
-    """A law affine in pressure times a factor; see `scaled_law`."""
+    """A law affine in pressure, multiplied by a factor; see `scaled_law`."""
 
     law: PressureAffineLaw
     strength: Any
@@ -151,13 +151,13 @@ class ScaledAffineLaw(PressureAffineLaw):
 
 
 def scaled_law(law: ForceLaw, strength: Any) -> ForceLaw:
-    """Return a law, with its domain, whose force is scaled by a factor above 0: scatter among muscles, and ageing."""
+    """Return a law with its force scaled by a positive factor (scatter among muscles, ageing); the domain is kept."""
     check_positive("scaled_law", strength=strength)
     return wrapped_law(law, ScaledAffineLaw, ScaledLaw, strength=strength)
 
 
 def wrapped_law(law: ForceLaw, affine: Any, general: Any, **parameters: Any) -> ForceLaw:
-    """Return a law within another one, of its domain, of the class for laws affine in pressure or of the other."""
+    """Wrap a law in the class for laws affine in pressure or in the general one; the domain is kept."""
     domain = law.domain.intersection(law.formula_domain)
     return (affine if isinstance(law, PressureAffineLaw) else general)(law=law, domain=domain, **parameters)
 
@@ -170,7 +170,7 @@ BRAID_PARAMETERS = (
 
 
 def braid_gain(braid_angle: float | Array, initial_diameter: float | Array, length_ratio: Array) -> Float[Array, "..."]:
-    """Return the force per pressure [N/Pa] of an ideal braid (Eq. 1) at a length over its initial length [-]."""
+    """Return the force per pressure [N/Pa] of an ideal braid (Eq. 1) at a relative length l/l0 [-]."""
     beta1 = 3 / jnp.tan(braid_angle) ** 2
     beta2 = 1 / jnp.sin(braid_angle) ** 2
     return jnp.pi * initial_diameter**2 / 4 * (beta1 * length_ratio**2 - beta2)

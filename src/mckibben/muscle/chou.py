@@ -54,7 +54,7 @@ class ChouLaw(PressureAffineLaw):
 
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:
-        """Return the law given by a specimen's geometry alone; `RangeError` if diameter or braid angle is unknown."""
+        """Return the law from a specimen's geometry; `RangeError` if diameter or braid angle is unknown."""
         initial_diameter, braid_angle = specimen.braid(_WHAT)
         return cls(braid_angle=braid_angle, initial_diameter=initial_diameter, domain=specimen.domain)
 

@@ -1,4 +1,4 @@
-"""A law with a smooth correction over contraction, affine in pressure: what a calibration on the joint estimates."""
+"""A law with a smooth correction over contraction, affine in pressure, as estimated by a calibration on the joint."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ForceCorrection(Component):
     Parameters
     ----------
     offset, gain
-        Coefficients o_i [N] and g_i [N/Pa], as many of each.
+        Coefficients o_i [N] and g_i [N/Pa], equal in number.
     centre, half_width
         Middle eps_m and half width h [-] of the contractions that were calibrated; the correction is constant outside.
     """
@@ -37,7 +37,8 @@ class ForceCorrection(Component):
         super().__check_init__()
         if len(self.offset) != len(self.gain) or not self.offset:
             raise RangeError(
-                f"ForceCorrection: {len(self.offset)} offsets and {len(self.gain)} gains", remedy="give as many of each"
+                f"ForceCorrection: {len(self.offset)} offsets and {len(self.gain)} gains",
+                remedy="give equal numbers of both",
             )
 
     def terms(self, contraction: ArrayLike) -> tuple[Array, Array]:
@@ -83,7 +84,7 @@ class CorrectedAffineLaw(PressureAffineLaw):
 
 
 def corrected_law(law: ForceLaw, correction: ForceCorrection) -> ForceLaw:
-    """Return a law, with its domain, plus a correction of its force.
+    """Return a law with its force corrected; the domain is kept.
 
     Examples
     --------

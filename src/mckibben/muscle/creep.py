@@ -101,19 +101,19 @@ CreepTime = Annotated[float, Quantity("s", "s", 0.01, 1e6)]
 
 
 class MaxwellCreep(Creep):
-    r"""Springs in series with dashpots, beside the law.
+    r"""Maxwell arms (a spring in series with a dashpot) in parallel with the force law.
 
     .. math::
 
         \dot x_i = k_i \dot l - \frac{x_i}{\tau_i}, \qquad |x_i| \le \frac{T}{2n}, \qquad F = T + \sum_i x_i
 
-    The state :math:`x_i` is the force in an arm. After stretching, the muscle pulls harder than its law, after
-    shortening less, and returns to it with the time constant :math:`\tau_i`. Several arms with equal stiffness, each
-    ten times slower than the one before, give nearly logarithmic creep over as many decades of time.
+    The state :math:`x_i` is the force in an arm. After stretching, the muscle pulls harder than its law; after
+    shortening, less; it returns to the law with the time constants :math:`\tau_i`. Arms of equal stiffness, each ten
+    times slower than the previous one, give nearly logarithmic creep, one decade of time per arm.
 
-    The arms together carry at most half of the law's tension :math:`T`; beyond, they slip and lose stored energy. So
-    the muscle never pushes, and the model is dissipative for any path of length and pressure. That bound is ours. Creep
-    after a step of the *pressure* at a constant length is not modelled.
+    Together the arms carry at most half of the law's tension :math:`T`; beyond that they slip and lose stored energy.
+    The muscle therefore never pushes, and the model is dissipative for any path of length and pressure. The bound is
+    ours. Creep after a step of the *pressure* at a constant length is not modelled.
 
     Parameters
     ----------
@@ -196,6 +196,6 @@ class MaxwellCreep(Creep):
 
 
 def retained_fraction(move_time: ArrayLike, time_constant: ArrayLike) -> NDArray[np.float64]:
-    """Return the fraction [-] of a stretch, over a time [s], that a Maxwell arm holds at its end."""
+    """Return the fraction [-] of a stretch, applied over a time [s], that a Maxwell arm retains at its end."""
     ratio = np.asarray(move_time, np.float64) / time_constant
     return np.where(ratio > 0, -np.expm1(-ratio) / np.where(ratio > 0, ratio, 1.0), 1.0)

@@ -22,7 +22,7 @@ class ExponentialLaw(PressureAffineLaw):
     .. math:: F = (a_1 + a_2 p) + (b_1 + b_2 p)\,\varepsilon + (c_1 + c_2 p)\,e^{-\mu\varepsilon}
 
     In SI; the paper's numbers are in bar and percent (`mckibben.catalog`). Outside the domain of the fitted data the
-    exponential grows without bound (2493 N at -8 % and 6 bar for Eq. 3, of a muscle rated 630 N), and the force is
+    exponential grows without bound (Eq. 3: 2493 N at -8 % and 6 bar, for a muscle rated at 630 N), and the force is
     negative at low pressure.
 
     Parameters
@@ -80,7 +80,7 @@ class ExponentialLaw(PressureAffineLaw):
 
 
 class SarosiLaw(PressureAffineLaw):
-    r"""Empirical law for Festo's muscles: `ExponentialLaw` with b1 = 0, and a3 minus the decay.
+    r"""Empirical law for Festo's muscles: `ExponentialLaw` with b1 = 0 and decay = -a3.
 
     .. math:: F = (a_1 p + a_2)\,e^{a_3 \kappa} + a_4 \kappa p + a_5 p + a_6
 

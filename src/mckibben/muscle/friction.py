@@ -24,7 +24,7 @@ FrictionState = tuple[Array, ...]
 MIN_HALF_WIDTH = 1e-6
 """Smallest half width [N] of a hysteresis band; below, use `NoFriction`."""
 
-_LEAST = 1e-9  # N: lower bound of the half width where it shrinks with pressure, to avoid a division by 0
+_LEAST = 1e-9  # N: lower bound of a half width that shrinks with pressure, to avoid a division by 0
 _KNOT = 0.7  # knot spacing that minimises the largest distance between polygon and exponential
 ELEMENTS = 1, 16
 
@@ -32,8 +32,8 @@ ELEMENTS = 1, 16
 class Friction(Component):
     """Friction force [N] added to a muscle's law, positive while the muscle is stretched.
 
-    The state is explicit. Over a short move the force is a function of the length alone; `project` then updates it. No
-    sign of a velocity appears, so nothing chatters and a muscle at rest sticks.
+    The state is explicit. Over a short move the force is a function of the length alone; `project` then updates the
+    state. The sign of the velocity does not appear, so the force does not chatter and a muscle at rest sticks.
     """
 
     default_class = "maxwell_slip"
@@ -56,7 +56,7 @@ class Friction(Component):
 
     @abc.abstractmethod
     def viscous_force(self, tension: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
-        """Return the force [N] that depends on the rate of the length [m/s]."""
+        """Return the viscous force [N] at a rate of the length [m/s]."""
 
     @abc.abstractmethod
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
@@ -118,7 +118,7 @@ Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
 
 
 class MaxwellSlip(Friction):
-    r"""Springs in parallel, each with a slider that gives way at a force of its own.
+    r"""Springs in parallel, each with a slider that yields at its own force.
 
     .. math::
 
@@ -127,13 +127,13 @@ class MaxwellSlip(Friction):
 
     The state of an element is its anchor :math:`a_i`, the length at which it is unstressed. The half width :math:`A`
     of the band is at most half the law's tension :math:`T`, so the muscle never pushes, and 0.96 B at T = 4B. Where the
-    band narrows, sliders slip and lose stored energy, where it widens none is gained: the model is dissipative for any
+    band narrows, sliders slip and lose stored energy; where it widens, none is gained: the model is dissipative for any
     path of length and pressure.
 
-    The elements follow from their number: their sum is the polygon nearest to :math:`f = B(1 - e^{-2s/s_0})`, the
-    response of an unstressed muscle to a displacement s (within 1.1 % of B with six elements). After a reversal at one
-    side of the band, 63 % of the change to the other side is reached after :math:`s_0`, 86 % after :math:`2 s_0`.
-    The viscous part, :math:`(T/2) \tanh(2 c \dot l / T)`, is :math:`c \dot l` for a taut muscle.
+    The number of elements determines their parameters: their sum is the polygon nearest to :math:`f = B(1 -
+    e^{-2s/s_0})`, the response of an unstressed muscle to a displacement s (within 1.1 % of B with six elements). After
+    a reversal at one side of the band, 63 % of the change to the other side is reached after :math:`s_0`, 86 % after
+    :math:`2 s_0`. The viscous part, :math:`(T/2) \tanh(2 c \dot l / T)`, is :math:`c \dot l` for a taut muscle.
 
     Parameters
     ----------
@@ -142,9 +142,9 @@ class MaxwellSlip(Friction):
     presliding_length
         s0 [m].
     growth, reference_pressure
-        B1 [N/Pa], and p0 [Pa, gauge]; the half width is never taken below 0.
+        B1 [N/Pa], and p0 [Pa, gauge]; the half width is bounded below by 0.
     tension_growth, reference_tension
-        B2 [-], and T0 [N]; constant over the tension for None.
+        B2 [-], and T0 [N]; None: independent of the tension.
     viscous
         c [N*s/m].
     elements
@@ -185,7 +185,7 @@ class MaxwellSlip(Friction):
         tension, pressure = jnp.asarray(tension), jnp.asarray(pressure)
         if self.tension_growth is None:
             return smooth_limit(self._width(tension, pressure), tension, jnp)
-        # Twice a function of the tension: XLA would repeat the law for each use, and again in derivatives.
+        # The tension is used twice: XLA would evaluate the law once per use, and again in derivatives.
         return compute_once(lambda: smooth_limit(self._width(tension, pressure), tension, jnp))
 
     def initial(self, length: ArrayLike) -> FrictionState:
@@ -224,7 +224,7 @@ class MaxwellSlip(Friction):
 
     @property
     def shares(self) -> NDArray[np.float64]:
-        """Share w of each element [-], their sum being 1; shape (elements,)."""
+        """Share w [-] of each element; they sum to 1; shape (elements,)."""
         return polygon(self.elements).share
 
     @property
@@ -287,7 +287,7 @@ def smooth_limit(width: Any, tension: Any, xp: ModuleType) -> Any:
 
 
 class Polygon(NamedTuple):
-    """Shares w [-] and stiffnesses k of elements whose sum is a polygon, for a half width and an s0 of 1."""
+    """Shares w [-] and stiffnesses k of the elements that sum to a polygon, for a half width and an s0 of 1."""
 
     share: NDArray[np.float64]
     stiffness: NDArray[np.float64]

@@ -19,9 +19,9 @@ class MartensBoblanLaw(PressureAffineLaw):
         U = \frac{l_0}{2} \left(S_l \varepsilon^2 + S_d (D/d_0 - 1)^2\right)
 
     with the thread's length :math:`L_f = l_0/\cos\alpha_0`, its turns :math:`n = l_0 \tan\alpha_0/(\pi d_0)` and the
-    diameter :math:`D = \sqrt{L_f^2 - L^2}/(n\pi)`. The source derives the geometry and has other terms for the rubber;
-    the energy U, with an axial and a radial stiffness, is ours. The length l0 cancels. NaN beyond the stretch at which
-    the threads are straight. Without rubber it is Chou's law.
+    diameter :math:`D = \sqrt{L_f^2 - L^2}/(n\pi)`. The source derives the geometry and has different rubber terms; the
+    energy U, with an axial and a radial stiffness, is ours. The length l0 cancels. NaN beyond the stretch at which the
+    threads are straight. Without rubber it is Chou's law.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from mckibben.units import Strength
 
 
 class MuscleState(NamedTuple):
-    """Internal state of a muscle; a part that is empty contributes no force."""
+    """Internal state of a muscle; an empty part contributes no force."""
 
     friction: FrictionState = ()
     creep: CreepState = ()
@@ -37,17 +37,17 @@ class MuscleState(NamedTuple):
 
 NO_STATE = MuscleState()
 
-LEAST_PRESSURE = 1e3  # Pa: if the highest is lower, it is one in bar or kPa
+LEAST_PRESSURE = 1e3  # Pa: a lower maximum was given in bar or kPa
 
 
 class Muscle(Component):
     """A specimen with its force law, friction and creep.
 
     Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction
-    and creep act only through an internal state (`MuscleState`); without one, `force` and all quantities of a joint are
-    those of the law. `strength` multiplies all forces of the law (scatter among muscles, and ageing); `correction` is
-    added to them. Infinite bounds of the specimen's domain are replaced by the law's, the lowest pressure by 0 where
-    the law's is higher. Raises `RangeError` if the domains of specimen and law do not overlap.
+    and creep act only through an internal state (`MuscleState`); without it, `force` and all joint quantities follow
+    from the law alone. `strength` multiplies all forces of the law (scatter among muscles, and ageing); `correction` is
+    added to them. The law's domain replaces infinite bounds of the specimen's domain; the lowest pressure becomes 0
+    where the law's is higher. Raises `RangeError` if the domains of specimen and law do not overlap.
     """
 
     specimen: Specimen
@@ -99,7 +99,7 @@ class Muscle(Component):
         return self.specimen.domain.intersection(self.law.domain).intersection(self.law.formula_domain)
 
     def check_pressure_limit(self) -> None:
-        """Raise `RangeError` if neither the specimen nor the law limits the pressure, or to that of one in bar."""
+        """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""
         highest = self.domain.pressure_max
         if isinstance(highest, Real) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
             given = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
@@ -133,9 +133,9 @@ class Muscle(Component):
     def force(self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE) -> Float[Array, "..."]:
         """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0; the arguments broadcast.
 
-        Friction and creep of an internal state contribute at most half of the law's force each. Outside the domain,
-        where the law is extrapolated, a `DomainWarning` is issued, and a warning for pressures up to 1 kPa, which are
-        ones in bar; except inside `jax.jit`.
+        Friction and creep of an internal state contribute at most half of the law's force each. Except inside
+        `jax.jit`, a `DomainWarning` is issued outside the domain, where the law is extrapolated, and a warning for
+        pressures up to 1 kPa, which were probably given in bar.
         """
         warn_outside((self, contraction, pressure))
         return self.tension(contraction, pressure, state)
@@ -145,7 +145,7 @@ class Muscle(Component):
     ) -> Float[Array, "..."]:
         """Return `force` without a check of the domain."""
         force = self.force_law.force(contraction, pressure)
-        tension = jnp.where(force < 0, 0.0, force)  # this way round, NaN is not taken for slack
+        tension = jnp.where(force < 0, 0.0, force)  # in this form, NaN does not count as slack
         total = tension
         if state.friction:
             length = self.specimen.length_at(contraction)
@@ -155,14 +155,14 @@ class Muscle(Component):
     def viscous_force(
         self, contraction: ArrayLike, pressure: ArrayLike, rate: ArrayLike, state: MuscleState = NO_STATE
     ) -> Float[Array, "..."]:
-        """Return the force [N] that depends on the rate of the length [m/s]; added to `force`, never below 0."""
+        """Return the viscous force [N] at a rate of the length [m/s]; the sum with `force` is never below 0."""
         tension = self.tension(contraction, pressure)
-        if state.creep:  # half of the tension is the friction's; negative creep reduces the other half
+        if state.creep:  # friction may use half of the tension; negative creep reduces the other half
             tension = tension + 2 * jnp.minimum(self.creep.force(state.creep, tension), 0.0)
         return self.friction.viscous_force(tension, rate)
 
     def state_rate(self, state: MuscleState, rate: ArrayLike) -> MuscleState:
-        """Return the time derivative of the state at a rate of the length [m/s]; friction has none of its own."""
+        """Return the time derivative of the state at a rate of the length [m/s]; it is 0 for friction."""
         return MuscleState((), self.creep.rate(state.creep, rate) if state.creep else ())
 
     def update_state(self, state: MuscleState, contraction: ArrayLike, pressure: ArrayLike) -> MuscleState:
@@ -184,7 +184,7 @@ class Muscle(Component):
 
 
 def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
-    """Issue one `DomainWarning` for concrete values outside their muscle's domain; a warning for pressures in bar."""
+    """Issue one `DomainWarning` for concrete values outside their muscle's domain; warn of pressures in bar."""
     if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
     highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
@@ -211,12 +211,12 @@ def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -
 
 
 def half_widths(of: Friction, tension: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
-    """Return the half width [N] of a friction's band at points as a NumPy array, compiled as one piece."""
+    """Return the half width [N] of a friction band at points as a NumPy array, compiled as one piece."""
     return _at_points(_half_width, of, tension, pressure)
 
 
 def _at_points(function: Callable[..., Array], of: Any, *columns: ArrayLike) -> NDArray[np.float64]:
-    """Values at points padded to a power of two, so that datasets of different sizes share compiled code."""
+    """Values at points, padded to a power of two so that datasets of different sizes share compiled code."""
     given = np.broadcast_arrays(*(np.asarray(column, float) for column in columns))
     shape, points = given[0].shape, given[0].size
     pad = (0, max(128, 1 << (points - 1).bit_length()) - points) if points else (0, 0)

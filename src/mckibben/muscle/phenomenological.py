@@ -22,7 +22,7 @@ class ReppergerLaw(PressureAffineLaw):
     .. math:: F = (k_0 + k_1 p)\,(\varepsilon_0 - \varepsilon)
 
     The source has a spring with two stiffnesses, inflated and deflated, and a transient force. This static form is
-    ours: the stiffness is affine in pressure, and the force is zero at one contraction.
+    ours: the stiffness is affine in pressure, and the force is zero at the same contraction for all pressures.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ class ReynoldsLaw(PressureAffineLaw):
 
     Examples
     --------
-    The published muscle, made of a bicycle tube (179.2 + 1.39 P, 5.71 + 0.0307 P; N, mm, kPa); its length of 250 mm is
-    our assumption:
+    The published muscle, made from a bicycle tube (179.2 + 1.39 P, 5.71 + 0.0307 P; N, mm, kPa); its length of 250 mm
+    is our assumption:
 
     >>> law = ReynoldsLaw(f0=179.2, f1=1.39 / kPa, k0=5.71 * 250, k1=0.0307 * 250 / kPa)
     >>> round(float(law.force(10 * percent, 400 * kPa)), 1)
@@ -118,7 +118,7 @@ class HuntLaw(ForceLaw):
 
     with :math:`c_3` = 2.0265, :math:`c_4` = 3.31e-4 per N and :math:`c_5` = 0.461 as published.
     Valid for contractions from 0 up. `pressure_for` is the formula, `force` is found numerically; both are NaN where no
-    solution exists. c4 is that of a 10 mm muscle and limits the force to eps_max/c4: not for larger muscles.
+    solution exists. c4 is for a 10 mm muscle and limits the force to eps_max/c4: do not use the law for larger muscles.
 
     Parameters
     ----------
@@ -165,11 +165,11 @@ class HuntLaw(ForceLaw):
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         contraction, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
-        # Upper bound: below the force at the pole of the tangent, and that of the lowest tangent.
+        # Upper bound: below the force at the pole of the tangent and the force at the lowest tangent.
         to_pole = jnp.where(contraction == 0, jnp.inf, (self.largest - contraction / self._pole) / self.softening)
         least = self.p0 - self.c2 * jnp.tan(self.steepness * self.shift)
         highest = jnp.minimum((pressure - least) / self.c1 + 1.0, to_pole - 1e-6 * self.largest / self.softening)
-        # Lower bound: a force at which the tangent is at most 10 and the linear part at most the rest.
+        # Lower bound: a force at which the tangent is at most 10 and the linear part at most the remainder.
         mild = self.shift + math.atan(10.0) / self.steepness
         lowest = jnp.minimum((pressure - self.p0 - 10.0 * self.c2) / self.c1, highest)
         lowest = jnp.minimum(lowest, (self.largest - contraction / mild) / self.softening) - 1.0
@@ -183,7 +183,7 @@ class HuntLaw(ForceLaw):
 
     @property
     def _pole(self) -> float:
-        """Contraction over the largest one at the pole of the tangent."""
+        """Contraction divided by the largest contraction, at the pole of the tangent."""
         return self.shift + math.pi / (2 * self.steepness)
 
     def _pressure(self, force: Array, contraction: Array) -> Array:

@@ -29,7 +29,7 @@ def _deviation(order: int) -> tuple[Parameter, ...]:
 
 
 class _Deviations(ForceLaw):
-    """Fields and terms that both laws share."""
+    """Fields and terms of both laws."""
 
     a1: ForceTerm
     a2: GainTerm
@@ -65,7 +65,7 @@ class _Deviations(ForceLaw):
         check_gain(self, **{"a2 + c2": self.a2 + self.c2})
 
     def _terms(self, contraction: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Offset [N] and gain [N/Pa]; place v in the window, and the factor (1 - v^2)^3, of the deviations."""
+        """Offset [N] and gain [N/Pa]; position v in the window and factor (1 - v^2)^3 of the deviations."""
         eps = jnp.asarray(contraction)
         v = jnp.clip((eps - self.centre) * (1 / self.half_width), -1.0, 1.0)
         inside = 1 - v * v
@@ -105,10 +105,10 @@ class SmoothLaw(_Deviations):
         s_j = (1 - v^2)^3 \sum_{i=0}^{5} s_{ji} v^i, \quad
         v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right)
 
-    The deviations and their first two derivatives vanish outside of the window :math:`\varepsilon_m \pm h`, where the
-    law is Eq. 2. `identify` sets the window to twice the range of the contractions measured, and estimates how large
-    the deviations are from the points (`mckibben.identification.smooth`): it returns a `SmoothAffineLaw` if the points
-    do not support a quadratic term, and an `ExponentialLaw` if they support no deviation.
+    The deviations and their first two derivatives vanish outside the window :math:`\varepsilon_m \pm h`, where the law
+    is Eq. 2. `identify` sets the window to twice the range of the contractions measured, and estimates the size of the
+    deviations from the data (`mckibben.identification.smooth`): it returns a `SmoothAffineLaw` if the data do not
+    support a quadratic term, and an `ExponentialLaw` if they support no deviation.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class SmoothLaw(_Deviations):
         return offset + (gain + curvature * pressure) * pressure
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-        """Return the gauge pressure [Pa] of the branch on which the force rises with it; NaN for none."""
+        """Return the gauge pressure [Pa] on the branch where force rises with pressure; NaN if there is none."""
         offset, gain, curvature = self._quadratic(contraction)
         above = jnp.asarray(force) - offset
         return 2 * above / (gain + jnp.sqrt(gain * gain + 4 * curvature * above))

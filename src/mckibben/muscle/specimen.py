@@ -52,7 +52,7 @@ class Domain(Component):
         return (eps >= self.contraction_min - 1e-9) & (eps <= self.contraction_max + 1e-9)
 
     def describe_outside(self, contraction: ArrayLike, pressure: ArrayLike) -> str:
-        """Return the number of points outside and the first of them as text; empty for none, NaN or traced points."""
+        """Describe the number of points outside and the first of them; empty for none, NaN or traced points."""
         if any(isinstance(value, Tracer) for value in (contraction, pressure, *vars(self).values())):
             return ""
         points = np.asarray(contraction), np.asarray(pressure)
@@ -67,7 +67,7 @@ class Domain(Component):
         return f"{point} are outside {self.bounds()}"
 
     def intersection(self, other: Domain) -> Domain:
-        """Return the common part of two domains; `RangeError` if there is none, for bounds that are numbers."""
+        """Return the intersection of two domains; `RangeError` if concrete bounds do not overlap."""
         bounds = [
             _tightest(max, self.contraction_min, other.contraction_min),
             _tightest(min, self.contraction_max, other.contraction_max),
@@ -82,7 +82,7 @@ class Domain(Component):
         return Domain(*bounds)
 
     def filled(self, other: Domain) -> Domain:
-        """Return the domain with infinite bounds replaced by those of another."""
+        """Return the domain with infinite bounds replaced by the bounds of another."""
         pairs = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
         missing = [name for name, bound in pairs if isinstance(bound, Real) and abs(bound) == float("inf")]  # type: ignore
         return dataclasses.replace(self, **{name: getattr(other, name) for name in missing}) if missing else self
@@ -121,7 +121,7 @@ class Domain(Component):
 
 
 def _array(value: ArrayLike) -> Any:
-    """An array; NumPy's, that compares without compiling, for what is not JAX's."""
+    """Array; a NumPy array, which compares without compiling, unless the value is a JAX array."""
     return value if isinstance(value, Array) else np.asarray(value)
 
 
@@ -132,30 +132,30 @@ def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array
 
 
 class Specimen(Component):
-    """Dimensions and ratings of a muscle; only its length is needed, unless a law or a result asks for more.
+    """Dimensions and ratings of a muscle; only the length is required, unless a law or a result needs more.
 
     Parameters
     ----------
     name
         Manufacturer's designation, or any other name.
     initial_length, initial_diameter, braid_angle
-        l0 and d0 [m], and alpha0 [rad] between thread and axis, of the deflated, unloaded muscle. Diameter and angle
-        are needed for Chou's law (Eq. 1) and for the volume, from which the use of air follows. Default: unknown.
+        l0 and d0 [m], and alpha0 [rad] between thread and axis, of the deflated, unloaded muscle. Chou's law (Eq. 1)
+        and the volume, which determines air consumption, need diameter and angle. Default: unknown.
     rated_force
         Highest permissible force [N]. Default: none.
     domain
-        Permissible contraction [-] and gauge pressure [Pa]. A `Muscle` takes infinite bounds from the law's domain.
+        Permissible contraction [-] and gauge pressure [Pa]. A `Muscle` replaces infinite bounds by the law's domain.
     volume_terms
-        Coefficients c0, c1, ... [m^3] of a measured volume c0 + c1 e + c2 e^2 + ... over the contraction e; without
-        them the volume is that of the braid.
+        Coefficients c0, c1, ... [m^3] of a measured volume c0 + c1 e + c2 e^2 + ... over the contraction e. Default:
+        the volume of the braid.
 
     Examples
     --------
     >>> from mckibben.units import bar, mm
-    >>> own = Specimen("my muscle", 300 * mm, domain=Domain(pressure_max=6 * bar))
-    >>> round(float(own.contraction_at(270 * mm)), 3)
+    >>> specimen = Specimen("my muscle", 300 * mm, domain=Domain(pressure_max=6 * bar))
+    >>> round(float(specimen.contraction_at(270 * mm)), 3)
     0.1
-    >>> own.volume(0.1)
+    >>> specimen.volume(0.1)
     Traceback (most recent call last):
         ...
     mckibben.errors.RangeError: the volume of my muscle needs its initial_diameter and braid_angle; give ...
@@ -193,7 +193,7 @@ class Specimen(Component):
         return self.initial_diameter is not None and self.braid_angle is not None
 
     def braid(self, what: str) -> tuple[float, float]:
-        """Return diameter [m] and angle [rad] of the braid; `RangeError`, with what needs them, if one is unknown."""
+        """Return diameter [m] and angle [rad] of the braid; `RangeError` says that `what` needs them if unknown."""
         if self.initial_diameter is None or self.braid_angle is None:
             names = [name for name in ("initial_diameter", "braid_angle") if getattr(self, name) is None]
             missing = " and ".join(names)
@@ -203,13 +203,13 @@ class Specimen(Component):
         return self.initial_diameter, self.braid_angle
 
     def check_volume(self, what: str) -> None:
-        """Raise `RangeError`, with what needs it, if the volume is unknown."""
+        """Raise `RangeError`, naming the quantity that needs it, if the volume is unknown."""
         if not self.has_volume:
             self.braid(what)
 
     def contraction_at(self, length: ArrayLike) -> Float[Array, "..."]:
         """Return the contraction (l0 - l)/l0 [-] at a length [m]."""
-        return 1 - jnp.asarray(length) * (1 / self.initial_length)  # a product, quicker in loops than a quotient
+        return 1 - jnp.asarray(length) * (1 / self.initial_length)  # a product is faster in loops than a quotient
 
     def length_at(self, contraction: ArrayLike) -> Float[Array, "..."]:
         """Return the length [m] at a contraction [-]."""

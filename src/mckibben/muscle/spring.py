@@ -13,18 +13,18 @@ from mckibben.muscle.muscle import Muscle
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.units import Length, SpringRate
 
-_VOLUME = 1e-6  # m^3: a valve that is simulated beside it has a chamber, which stays at 0 bar
+_VOLUME = 1e-6  # m^3: the valve simulated with it needs a chamber, which stays at 0 bar
 
 
 class SpringLaw(PressureAffineLaw):
-    """Tension spring: a force proportional to the length beyond the free one, at no pressure.
+    """Tension spring: a force proportional to the extension beyond the free length, independent of pressure.
 
     Parameters
     ----------
     rate
         Spring rate [N/m].
     free_length
-        Length without force [m], to which the contraction refers.
+        Unloaded length [m], the reference of the contraction.
     """
 
     short_name = "spring"
@@ -46,12 +46,12 @@ class SpringLaw(PressureAffineLaw):
 
 
 def return_spring(rate: float, free_length: float) -> Muscle:
-    """A tension spring in place of a muscle of a joint; its pressure is 0, and without tension it is slack.
+    """A tension spring in place of a muscle of a joint; its pressure is 0, and it is slack without tension.
 
     Parameters
     ----------
     rate, free_length
-        Spring rate [N/m], and length without force [m].
+        Spring rate [N/m] and unloaded length [m].
 
     Examples
     --------

@@ -28,8 +28,8 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     degrees :math:`d_n = d_0/\sin\alpha_0`. Below the threshold pressure p_t, due to rubber and static friction, there
     is no force. NaN beyond the stretch at which the threads are straight. Without corrections it is Chou's law.
 
-    The source gives its corrections as a procedure. This form, with one parameter for each, is ours; the term of the
-    wall is that of Chou and Hannaford.
+    The source gives its corrections as a procedure. This form, with one parameter per correction, is ours; the wall
+    term is by Chou and Hannaford.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     shape_parameters = (
         *BRAID_PARAMETERS,
         Parameter("wall_thickness", "m", "mm", "thickness of bladder and braid", 0.0, 5 * mm),
-        Parameter("end_share", "1", "percent", "fraction of the length that are ends", 0.0, 0.6),
+        Parameter("end_share", "1", "percent", "fraction of the length taken by the ends", 0.0, 0.6),
     )
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:

@@ -1,1 +1,1 @@
-"""All that knows about XLA: precision and flags, fast elementary functions, fixed-step integration."""
+"""Interface to XLA: precision and flags, fast elementary functions, fixed-step integration."""

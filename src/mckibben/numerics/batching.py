@@ -1,4 +1,4 @@
-"""Leaves of a tree by name, lanes of a batch, and programs for many runs."""
+"""Leaves of a tree by name, lanes of a batch, and batched programs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RANK = "rank"
 
 
 def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
-    """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an axis more."""
+    """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis."""
     count, first, flags = None, "", []
     leaves, structure = jax.tree.flatten(tree)
     if not any(np.ndim(leaf) for leaf in leaves if eqx.is_array_like(leaf)):
@@ -60,7 +60,7 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
 
 
 def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
-    """Trees with other values, checked, at some leaves, addressed by dotted names such as ``plant.load.mass2``."""
+    """Trees with new, checked values at some leaves, addressed by dotted names such as ``plant.load.mass2``."""
     if not values:
         return dict(trees)
     known = select_leaves(trees, list(values))
@@ -76,7 +76,7 @@ def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -
     """Values of a leaf as an array of its type."""
     try:
         given = np.asarray(value)
-    except (TypeError, ValueError, OverflowError):  # ragged rows, or no array at all
+    except (TypeError, ValueError, OverflowError):  # ragged rows, or not an array
         given = np.asarray(None)
     whole = jnp.issubdtype(given.dtype, jnp.integer)
     if not (whole or jnp.issubdtype(given.dtype, jnp.floating)):
@@ -90,7 +90,7 @@ def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -
 
 
 def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
-    """Whether a leaf is declared an integer, such as a seed, and is not a float written without a point."""
+    """Whether a leaf is declared an integer, such as a seed, rather than a float written without a decimal point."""
     root, *steps = name.split(".")
     owner = _descend(trees[root], tuple(steps[:-1])) if steps else trees
     kind = getattr(type(owner), "__annotations__", {}).get(steps[-1] if steps else root, "")
@@ -100,7 +100,7 @@ def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
 
 
 def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Leaves by their dotted names; raises as `with_leaves` does."""
+    """Leaves by dotted name; raises as `with_leaves` does."""
     known = named_leaves(trees)
     for name in names:
         if name not in known:
@@ -111,7 +111,7 @@ def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, A
 
 
 def named_leaves(trees: Mapping[str, Any]) -> dict[str, Any]:
-    """All numeric leaves by their dotted names."""
+    """All numeric leaves by dotted name."""
     found = {}
     for root, tree in trees.items():
         leaves, structure = jax.tree.flatten(tree)
@@ -130,7 +130,7 @@ def _names(structure: Any) -> tuple[str, ...]:
 
 
 def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Trees with other values at existing leaves."""
+    """Trees with new values at existing leaves."""
     changed = dict(trees)
     for name, value in values.items():
         root, *steps = name.split(".")
@@ -139,7 +139,7 @@ def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[
 
 
 def recheck(tree: Any) -> None:
-    """Run the checks of every module in a tree, as at its construction."""
+    """Run the checks of every module in a tree, as at construction."""
     _check(tree)
     tree = vars(tree) if isinstance(tree, eqx.Module) else tree
     if isinstance(tree, dict | tuple | list):
@@ -154,7 +154,7 @@ def _check(module: Any) -> None:
 
 
 def cast(tree: Tree, kind: Any) -> Tree:
-    """Tree with all its floats as arrays of one type."""
+    """Tree with all floats as arrays of one type."""
 
     def convert(leaf: Any) -> Any:
         return jnp.asarray(leaf, kind) if isinstance(leaf, float) or eqx.is_inexact_array(leaf) else leaf
@@ -163,7 +163,7 @@ def cast(tree: Tree, kind: Any) -> Tree:
 
 
 def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
-    """Chunk of every leaf, padded to `size` with its last lane: programs are compiled for one size."""
+    """Chunk of every leaf, padded to `size` with the last lane: programs are compiled for one size."""
 
     def piece(leaf: Any) -> Any:
         part = np.asarray(leaf[chunk])
@@ -175,7 +175,7 @@ def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
 def map_chunks(
     call: Callable[[slice], R], count: int, size: int, workers: int | None = None
 ) -> Iterator[tuple[slice, R]]:
-    """Call a function on chunks of lanes in threads (JAX releases the lock); yield chunks and answers in order."""
+    """Call a function on chunks of lanes in threads (JAX releases the lock); yield chunks and results in order."""
     workers = workers or cores()
     chunks = iter([slice(start, min(start + size, count)) for start in range(0, count, size)])
     pending: deque[tuple[slice, Future[R]]] = deque()
@@ -226,7 +226,7 @@ _ROLLED: ContextVar[bool] = ContextVar("rolled integration stages", default=Fals
 
 @contextmanager
 def batched_program(*, rolled: bool = True) -> Iterator[None]:
-    """Trace for many runs side by side, or, not `rolled`, for one run with its derivatives."""
+    """Trace for many runs in parallel or, if not `rolled`, for one run with its derivatives."""
     tokens = _BATCHED.set(True), _ROLLED.set(rolled)
     try:
         yield
@@ -236,12 +236,12 @@ def batched_program(*, rolled: bool = True) -> Iterator[None]:
 
 
 def trace_mode() -> tuple[bool, bool]:
-    """The context that makes another program of the same function: whether batched, and whether stages are rolled."""
+    """Context that distinguishes programs of one function: batched or not, stages rolled or not."""
     return _BATCHED.get(), _ROLLED.get()
 
 
 def compute_once(function: Callable[..., R], *args: object) -> R:
-    """`function(*args)`; in a program for many runs in a branch, so that XLA does not repeat it in each use."""
+    """`function(*args)`; in a batched program within a branch, so that XLA does not repeat it at each use."""
     if not _BATCHED.get():
         return function(*args)
 

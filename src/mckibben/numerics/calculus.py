@@ -23,7 +23,7 @@ def derivative(function: Callable[[Array], Array], x: ArrayLike) -> Float[Array,
 
 
 def value_and_derivative(function: Callable[[Array], Values], x: ArrayLike) -> tuple[Values, Values]:
-    """`function(x)` and its derivative, from one pass; both in the structure that the function returns."""
+    """`function(x)` and its derivative, from one pass; both have the structure that the function returns."""
     x = floating(x)
     return jax.jvp(function, (x,), (jnp.ones_like(x),))
 
@@ -33,7 +33,7 @@ _NEWTON_STEPS = 4
 
 
 def bracketed_root(function: Callable[[Array], Array], low: ArrayLike, high: ArrayLike) -> Float[Array, "..."]:
-    """Root of a monotone elementwise function between two bounds; NaN where they do not bracket one."""
+    """Root of a monotone elementwise function between two bounds; NaN where they do not bracket a root."""
     low, high = floating(low), floating(high)
     at_low, at_high = function(low), function(high)
     shape = jnp.broadcast_shapes(at_low.shape, at_high.shape)
@@ -61,7 +61,7 @@ State = TypeVar("State")
 def rk4(
     rate: Callable[..., State], state: State, step: ArrayLike, inputs: tuple[tuple[Any, ...], ...] = ((), (), ())
 ) -> State:
-    """State after a step of the classical Runge-Kutta method; `inputs` at its beginning, middle and end."""
+    """State after one step of the classical Runge-Kutta method; `inputs` at its beginning, middle and end."""
 
     def moved(slope: State, length: ArrayLike) -> State:
         return jax.tree.map(lambda x, dx: x + length * dx, state, slope)

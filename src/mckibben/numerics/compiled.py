@@ -1,4 +1,4 @@
-"""Compile a function once for each structure of its arguments, not for each number in them."""
+"""Compile a function once per structure of its arguments, not per value."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def numeric(tree: Any) -> Any:
     """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one)."""
 
     def convert(leaf: Any) -> Any:
-        if isinstance(leaf, float):  # most are, and the rest is slower to ask
+        if isinstance(leaf, float):  # the common case, and the quicker check
             return np.asarray(leaf, float)
         if isinstance(leaf, Integral) and not isinstance(leaf, bool):
             return np.asarray(leaf)
@@ -36,7 +36,7 @@ def numeric(tree: Any) -> Any:
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """`equinox.filter_jit` that traces Python numbers too: a new value compiles nothing."""
+    """`equinox.filter_jit` that traces Python numbers too: a new value does not recompile."""
     program = Program(function)
 
     @functools.wraps(function)
@@ -48,7 +48,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
-    """`compiled` where all arguments are numbers; traced by another program, a part of that."""
+    """`compiled` for concrete arguments; inlined when traced by another program."""
     alone = compiled(function)
 
     @functools.wraps(function)
@@ -59,7 +59,7 @@ def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def computed_once(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator for functions and methods that are always called by `compute_once`, and traced once a structure."""
+    """Decorator for functions and methods that are always called by `compute_once`, and traced once per structure."""
     program = Program(function)
 
     @functools.wraps(function)
@@ -71,7 +71,7 @@ def computed_once(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _is_traced(tree: Any) -> bool:
-    """Whether another program is being traced with a tree."""
+    """Whether a tree contains tracers of another program."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
@@ -92,7 +92,7 @@ def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class Program:
-    """Pure function of arrays, compiled once for each structure of its arguments; all other leaves are static."""
+    """Pure function of arrays, compiled once per structure of its arguments; all other leaves are static."""
 
     def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, Any]] = dict) -> None:
         self._function = function

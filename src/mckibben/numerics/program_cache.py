@@ -1,8 +1,8 @@
-"""Compiled programs in files of the user's cache folder, so that a command neither traces nor compiles.
+"""Cache of compiled programs in the user's cache folder, so that a command neither traces nor compiles.
 
-A program is found by the fingerprint of all that it depends on: function, structure and static values of its arguments,
-compiler options, versions, processor, and our source files. Native code is loaded only from files and a folder that
-belong to this user and that nobody else can write.
+A program is keyed by a fingerprint of everything it depends on: function, structure and static values of its arguments,
+compiler options, versions, processor, and our source files. Native code is loaded only from files in a folder that this
+user owns and nobody else can write to.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MOST = 200  # files; the oldest are removed
 
 
 class _Array:
-    """Place of an array among static leaves."""
+    """Placeholder for an array among static leaves."""
 
     def __repr__(self) -> str:
         return "array"
@@ -47,7 +47,7 @@ ARRAYS = (np.ndarray, np.generic, jax.Array)  # in this order: it is slow to ask
 
 
 class FingerprintError(ValueError):
-    """A value has no fingerprint that holds in other processes."""
+    """A value has no fingerprint that is valid in other processes."""
 
 
 def program_path(folder: Path, function: Callable[..., Any], static: Sequence[Any], *rest: Any) -> Path | None:
@@ -72,7 +72,7 @@ def read_program(path: Path) -> bytes | None:
 
 
 def write_program(path: Path, content: bytes) -> None:
-    """Store a program, but where our sources were edited since they were imported, or nothing can be stored."""
+    """Store a program, unless our sources were edited since import or storing is impossible."""
     if _source_files() == _SOURCE:  # else some of it may run as edited, some as imported
         with suppress(OSError):
             _write(path, content)
@@ -130,7 +130,7 @@ def _checksum(path: Path, content: bytes) -> bytes:
 
 
 def _is_private(status: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
-    """Whether it is of its kind, belongs to this user, and cannot be written by others; unknown, so not, on Windows."""
+    """Whether it has the expected type, belongs to this user, and is not writable by others; False on Windows."""
     if not hasattr(os, "getuid"):
         return False
     return is_kind(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
@@ -153,14 +153,14 @@ _SOURCE = _source_files()  # at import
 
 @functools.cache
 def _environment() -> str:
-    """All that a program depends on beside its function and arguments."""
+    """Everything that a program depends on in addition to its function and arguments."""
     versions = jax.__version__, jaxlib.version.__version__, equinox.__version__, np.__version__, sys.version
     flags = os.environ.get("XLA_FLAGS"), jax.config.jax_enable_x64  # type: ignore[attr-defined]
     return repr((_SOURCE, versions, flags, processor()))
 
 
 def code_fingerprint(thing: Any) -> str:
-    """Full name of a class or function; `FingerprintError` for a foreign or local one, or a closure."""
+    """Qualified name of a class or function; `FingerprintError` for a foreign or local one, or a closure."""
     name = f"{getattr(thing, '__module__', '')}.{getattr(thing, '__qualname__', '<nothing>')}"
     is_closure = getattr(thing, "__closure__", None) is not None and not isinstance(thing, type)
     if name.partition(".")[0] not in _KNOWN or "<" in name or is_closure:
@@ -179,7 +179,7 @@ def structure_fingerprint(structure: Any) -> str:
 
 
 def fingerprint(value: Any) -> str:
-    """Text of a static value that no other value has; raises `FingerprintError` where there is none."""
+    """Text that identifies a static value uniquely; raises `FingerprintError` if there is none."""
     if isinstance(value, jax.tree_util.PyTreeDef):
         return structure_fingerprint(value)
     if isinstance(value, type | FunctionType):

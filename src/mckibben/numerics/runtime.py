@@ -1,6 +1,6 @@
 """Settings of JAX before it starts: 64-bit numbers, fast loops on the CPU, and the program cache of the command line.
 
-Nothing here imports JAX before it is used, so that `import mckibben` and `mckibben --help` stay quick.
+JAX is imported only on first use, so that `import mckibben` and `mckibben --help` stay quick.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _CONSTANT = {
 
 
 def configure() -> None:
-    """Set 64-bit JAX, and compiled loops that run as one piece on the CPU; in the environment, for children too."""
+    """Set JAX to 64 bits and to compile CPU loops as a whole; in the environment, for child processes too."""
     os.environ["JAX_ENABLE_X64"] = "1"
-    # JAX before 0.12 dispatches every fusion of a loop's body by itself on the CPU: an episode takes 4 to 20 times as
+    # On the CPU, JAX before 0.12 dispatches every fusion of a loop's body separately: an episode takes 4 to 20 times as
     # long.
     if _dispatches_loop_bodies():
         os.environ["XLA_FLAGS"] = with_loop_option(os.environ.get("XLA_FLAGS", ""))
@@ -38,7 +38,7 @@ def configure() -> None:
 
 
 def with_loop_option(flags: str) -> str:
-    """The user's XLA flags plus ours; the user's own value of the option has precedence."""
+    """The user's XLA flags plus ours; the user's value of the option takes precedence."""
     if _LOOP_OPTION in flags:
         return flags
     option = f"{_LOOP_OPTION}=1000000000"
@@ -59,19 +59,19 @@ def use_program_cache() -> None:
 
 
 def programs_folder() -> Path | None:
-    """Folder of the program cache; None unless asked for, and where instructions are not known, as but on Linux."""
+    """Folder of the program cache; None if not requested, or if the instruction set is unknown (outside Linux)."""
     folder = os.environ.get(_PROGRAMS)
     return Path(folder) if folder and processor() is not None else None
 
 
 def xla_programs_folder() -> Path | None:
-    """The same for programs of XLA, which from a persistent cache of JAX cannot be stored again: None beside one."""
+    """`programs_folder` for XLA programs; None if JAX has a persistent cache, whose programs cannot be stored again."""
     return None if os.environ.get("JAX_COMPILATION_CACHE_DIR") else programs_folder()
 
 
 @functools.cache
 def processor() -> str | None:
-    """Digest of the processor model, for which programs are compiled; None where it is not known."""
+    """Digest of the processor model, for which programs are compiled; None if unknown."""
     about = _cpuinfo()
     if not _instructions(about):
         return None
@@ -103,7 +103,7 @@ def _cpuinfo() -> dict[str, str]:
 
 @functools.cache
 def batch_options() -> dict[str, int]:
-    """Compiler options for batches: XLA's CPU backend uses half of a 512-bit vector unit unless told otherwise."""
+    """Compiler options for batches: by default, XLA's CPU backend uses half of a 512-bit vector unit."""
     import jax
 
     if jax.default_backend() != "cpu":

@@ -1,4 +1,4 @@
-"""Claims of the paper, each with a verdict and evidence from the results."""
+"""The paper's claims and our own questions, each with a verdict and evidence from the results."""
 
 from __future__ import annotations
 
@@ -27,32 +27,51 @@ _KNEE_RANGE = 55 * deg
 _DISTINGUISHABLE = 0.05  # relative difference of two errors that shows in the paper's figures
 _VISIBLE = 0.01  # of the amplitude or the step: a smaller disturbance does not show in a figure
 
+_ACCURATE = (
+    "the experimental model curve (purple) is very close to the loading data (blue) and the unloading (red) data. But "
+    "the experimental model curve (purple) is quite different with the theoretical model curve (green)"
+)
+_SMALL_ERRORS = (
+    "When the PID control method is adopted, under two kinds of the desired stiffness, the tracking errors of the "
+    "joint position are large. When the BP control method is adopted, the tracking errors of the joint position are "
+    "all small under two kinds of the desired stiffness"
+)
+_SHORT_ADJUSTMENT = "The joint stiffness adjustment time by PID is relatively longer than that of the BP control method"
+
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper, or a question of ours, with a verdict and the numbers behind it."""
+    """A claim of the paper, or a question of ours, with its verdict and evidence.
+
+    `words` quotes the paper; None marks a question of ours. `source` is the section or figure that claims it,
+    or that raises the question.
+    """
 
     claim: str
     source: str
+    words: str | None
     holds: bool
     evidence: str
-    of_paper: bool = True
+
+    @property
+    def of_paper(self) -> bool:
+        """Whether the paper itself makes the claim."""
+        return self.words is not None
 
 
 def evaluate_claims(
     identification: Identification, joint: dict[str, JointMap], tracking: Tracking
 ) -> tuple[Claim, ...]:
-    """All claims with their verdicts."""
-    moderate, tuned = "the same moderate gains in both", "gains tuned by an optimiser"
+    """The paper's claims, then our questions, with their verdicts."""
     return (
         _closer_than_chou(identification),
-        _closer_on_real_muscles(identification),
         _directions_similar(identification),
-        *(_smaller_angle_error(tracking, reference, PID, BP, moderate) for reference in StiffnessReference),
-        *(_smaller_angle_error(tracking, reference, TUNED_PID, TUNED_BP, tuned) for reference in StiffnessReference),
-        _settles_sooner(tracking, PID, BP, moderate),
-        _settles_sooner(tracking, TUNED_PID, TUNED_BP, tuned),
+        *(_smaller_angle_error(tracking, reference, tuned=False) for reference in StiffnessReference),
+        _settles_sooner(tracking, tuned=False),
         _coupled(tracking),
+        _closer_on_real_muscles(identification),
+        *(_smaller_angle_error(tracking, reference, tuned=True) for reference in StiffnessReference),
+        _settles_sooner(tracking, tuned=True),
         _range(joint),
         _learning_is_safe(tracking),
     )
@@ -65,11 +84,12 @@ def _closer_than_chou(identification: Identification) -> Claim:
     }
     return Claim(
         "The experimental law is closer to the measured force than Chou's",
-        "Fig. 4",
+        "Model validation, Fig. 4",
+        _ACCURATE,
         all(law < chou for law, chou in found.values()),
         "RMSE on a second test, Eq. 2 / Chou: "
         + ", ".join(f"{law:.1f} / {chou:.1f} N at {p / bar:g} bar" for p, (law, chou) in found.items())
-        + " (simulated rig, muscle of Eq. 3 with friction; for measured muscles see our question below)",
+        + " (simulated rig, muscle of Eq. 3 with friction; our own questions include measured muscles)",
     )
 
 
@@ -83,14 +103,14 @@ def _closer_on_real_muscles(identification: Identification) -> Claim:
         )
     return Claim(
         "Eq. 2 is closer than Chou's law on a measured map and a manufacturer's chart, at held-out pressures",
-        "asked by us, of Fig. 4",
+        "on Fig. 4",
+        None,
         all(law < min(chou, fitted) for _, law, chou, fitted in numbers),
         "; ".join(
             f"{name}: Eq. 2 {law:.2f} N, Chou {chou:.1f} N (braid angle and diameter fitted to these points: "
             f"{fitted:.1f} N)"
             for name, law, chou, fitted in numbers
         ),
-        of_paper=False,
     )
 
 
@@ -99,14 +119,23 @@ def _directions_similar(identification: Identification) -> Claim:
     band = identification.rig.rig.hysteresis
     return Claim(
         "Loading and unloading are similar",
-        "Fig. 3",
+        "Parameters identification, Fig. 3",
+        "PAM exhibits similar mechanical properties during the process of loading and unloading",
         abs(gap) < _SIMILAR * largest,
         f"mean difference {gap:.1f} N, {gap / largest:.1%} of the largest force; the simulated friction of "
         f"+-{band:g} N is taken from the literature, so this checks the order of magnitude, not the paper's muscle",
     )
 
 
-def _smaller_angle_error(tracking: Tracking, reference: StiffnessReference, pid: str, bp: str, gains: str) -> Claim:
+def _compared(tuned: bool) -> tuple[str, str, str]:
+    """Names of the PID and BP that are compared, and their gains in words."""
+    if tuned:
+        return TUNED_PID, TUNED_BP, "gains tuned by an optimiser"
+    return PID, BP, "the same moderate gains in both"
+
+
+def _smaller_angle_error(tracking: Tracking, reference: StiffnessReference, *, tuned: bool) -> Claim:
+    pid, bp, gains = _compared(tuned)
     parts, holds = [], True
     for setting in SETTINGS:
         base, learned = tracking.runs[setting.key, reference, pid], tracking.runs[setting.key, reference, bp]
@@ -116,19 +145,22 @@ def _smaller_angle_error(tracking: Tracking, reference: StiffnessReference, pid:
             f"{setting.name}: PID {before / deg:.3f} deg, BP {after / deg:.3f} deg "
             f"(worst of {tracking.seeds} seeds {learned.worst('angle_rmse') / deg:.3f})"
         )
-        if pid == PID:  # much of what BP gains is gain
+        if not tuned:  # a higher PID gain explains much of the improvement
             alone = tracking.runs[setting.key, reference, DOUBLED_PID].median("angle_rmse")
             parts[-1] += f", PID with its position gains doubled {alone / deg:.3f} deg"
     return Claim(
         f"BP's position error is smaller than PID's under {reference.value} stiffness ({gains})",
-        "Fig. 8 (a)" if reference is StiffnessReference.CONSTANT else "Fig. 8 (b)",
+        ("on Fig. 8 " if tuned else "Results and analysis, Fig. 8 ")
+        + ("(a)" if reference is StiffnessReference.CONSTANT else "(b)"),
+        None if tuned else _SMALL_ERRORS,
         holds,
         f"angle RMSE, median over seeds: {'; '.join(parts)}; smaller means by {_DISTINGUISHABLE * 100:g} % or more, "
         "visible in a figure",
     )
 
 
-def _settles_sooner(tracking: Tracking, pid: str, bp: str, gains: str) -> Claim:
+def _settles_sooner(tracking: Tracking, *, tuned: bool) -> Claim:
+    pid, bp, gains = _compared(tuned)
     parts, sooner, later = [], 0, 0
     for setting in SETTINGS:
         for reference in StiffnessReference:
@@ -140,7 +172,8 @@ def _settles_sooner(tracking: Tracking, pid: str, bp: str, gains: str) -> Claim:
             parts.append(f"{setting.name}, {reference.value}: PID {_seconds(before)}, BP {_seconds(after)}")
     return Claim(
         f"BP's stiffness settles sooner ({gains})",
-        "Fig. 8 (c), (d)",
+        "on Fig. 8 (c), (d)" if tuned else "Results and analysis, Fig. 8 (c), (d)",
+        None if tuned else _SHORT_ADJUSTMENT,
         later == 0 and sooner > len(parts) / 2,
         f"settling to {SETTLING_PART * 100:g} % of the step size: {'; '.join(parts)}; holds if BP is sooner by "
         f"{_DISTINGUISHABLE * 100:g} % or more in most cases, and later in none",
@@ -160,10 +193,10 @@ def _learning_is_safe(tracking: Tracking) -> Claim:
             parts.append(f"{setting.name}, {reference.value}: {found} (PID {before / deg:.3f} deg)")
     return Claim(
         "BP can be added to any PID (tuned gains, free to change by a factor of 2)",
-        "asked by us",
+        "on the choice of BP",
+        None,
         holds,
         "; ".join(parts) + ". Learning raises the gains as long as there is an error, whatever the stability margin",
-        of_paper=False,
     )
 
 
@@ -183,6 +216,7 @@ def _coupled(tracking: Tracking) -> Claim:
     return Claim(
         "Position and stiffness are coupled with each other",
         "Results and analysis",
+        "The joint position and stiffness are coupled with each other",
         holds,
         f"{'; '.join(parts)}; holds if both are visible in one geometry ({_VISIBLE:.0%} or more)",
     )
@@ -195,8 +229,9 @@ def _range(joint: dict[str, JointMap]) -> Claim:
         low, high = joint[setting.key].static_range
         parts.append(f"{setting.name}: {low / deg:.1f}..{high / deg:.1f} deg")
     return Claim(
-        "The knee's rotating range is 55 deg (Table 2 as printed, no stretch structure)",
-        "Musculoskeletal leg",
+        "The knee reaches 55 deg without the stretch structure (Table 2 as printed)",
+        'on "Musculoskeletal leg" (55 deg with the structure)',
+        None,
         printed[1] - printed[0] >= _KNEE_RANGE,
         "static range of angles, with the load of Table 2 and contractions within -3..25 %: " + "; ".join(parts),
     )

@@ -30,7 +30,7 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 
 @dataclass(frozen=True)
 class SimulatedRigTest:
-    """Isobaric test of the paper on the simulated rig (Fig. 3), and a second one with other noise (Fig. 4)."""
+    """Isobaric test of the paper on the simulated rig (Fig. 3), and a second test with different noise (Fig. 4)."""
 
     muscle: Muscle
     rig: SimulatedIsobaricTest
@@ -55,7 +55,7 @@ class Identification:
 
 
 def run_identification(*, repeats: int = 5) -> Identification:
-    """Run the isobaric test with so many repeats (five in the paper), fit and validate."""
+    """Run the isobaric test with a number of repeats (five in the paper), fit and validate."""
     rig = _test(repeats)
     real = {name: catalog.dataset(name) for name in (MARTENS, FESTO)}
     fits = {RIG: identify(ExponentialLaw, rig.settled)} | {
@@ -115,7 +115,7 @@ def _test(repeats: int) -> SimulatedRigTest:
 
 @dataclass(frozen=True)
 class JointMap:
-    """Attainable stiffness over angles, under gravity and at each muscle torque; NaN where it is none."""
+    """Attainable stiffness over angles, under gravity and at each muscle torque; NaN where there is none."""
 
     angles: NDArray[np.float64]
     lowest: NDArray[np.float64]
@@ -158,7 +158,7 @@ def _static_range(plant: JointPlant, angles: NDArray[np.float64], infeasible: ND
         if not outside.any():
             return float(outwards[-1])
         first = int(np.argmax(outside))
-        between = jnp.linspace(outwards[first - 1], outwards[first], len(angles))  # as many: compiled once
+        between = jnp.linspace(outwards[first - 1], outwards[first], len(angles))  # equally many: compiled once
         lowest, _ = _attainable(plant.joint, between, -plant.load.gravity_torque(between))
         return float(between[int(jnp.argmax(jnp.isnan(lowest))) - 1])
 

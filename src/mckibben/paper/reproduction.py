@@ -33,6 +33,22 @@ class Reproduction:
     quick: bool
     seconds: float
 
+    @property
+    def paper_claims(self) -> list[Claim]:
+        """The claims that the paper makes."""
+        return [claim for claim in self.claims if claim.of_paper]
+
+    @property
+    def questions(self) -> list[Claim]:
+        """Our own questions, which the paper does not address."""
+        return [claim for claim in self.claims if not claim.of_paper]
+
+    @property
+    def verdict(self) -> str:
+        """How many of the paper's own claims hold."""
+        papers = self.paper_claims
+        return f"Of the paper's own claims, {sum(claim.holds for claim in papers)} of {len(papers)} hold."
+
     def results(self) -> dict[str, Any]:
         """All numbers as plain data for JSON; NaN as None."""
         return json_ready(
@@ -58,7 +74,7 @@ class Reproduction:
                     }
                     for key, found in self.tracking.coupling.items()
                 },
-                "claims": [asdict(claim) for claim in self.claims],
+                "claims": [asdict(claim) | {"of_paper": claim.of_paper} for claim in self.claims],
             }
         )
 
@@ -90,7 +106,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     quick
         Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
     progress
-        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
+        Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
     """
     progress = progress or notebook_progress()
     start = time.perf_counter()
@@ -99,9 +115,9 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         if progress:
             progress(what, part)
 
-    with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
-        muscle = beside.submit(run_identification, repeats=2 if quick else 5)
-        knee = beside.submit(run_joint)
+    with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
+        muscle = pool.submit(run_identification, repeats=2 if quick else 5)
+        knee = pool.submit(run_joint)
         what = "isobaric test and identification; control of position and stiffness"
         report(what, 0.0)
 

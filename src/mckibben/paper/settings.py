@@ -88,7 +88,7 @@ SETTINGS = (AS_PRINTED, PRE_CONTRACTED)
 STEP_TIME = "5 s"
 LEARNING = "learning_rate: 3 1/s, momentum: 0.5, hidden: 6, jacobian: sign"
 FREE, BOUND = 2.0, 1.1
-"""Factor by which BP may change the gains: about moderate gains, and about tuned ones, close to the stability limit."""
+"""Factor by which BP may change the gains: moderate gains, and tuned gains close to the stability limit."""
 
 
 def doubled(gains: Gains) -> Gains:
@@ -99,7 +99,7 @@ def doubled(gains: Gains) -> Gains:
 def pid_scenario(
     setting: Setting, reference: StiffnessReference, gains: Gains | None = None, *, name: str = "PID"
 ) -> Scenario:
-    """Scenario of a run under PID, by default with the moderate gains."""
+    """Scenario of a PID run; default: moderate gains."""
     gains = gains or setting.moderate
     return _scenario(setting, reference, name, f"{{{gains.position}}}", f"{{{gains.stiffness}}}")
 
@@ -113,7 +113,7 @@ def bp_scenario(
     seed: int = 0,
     name: str = "BP",
 ) -> Scenario:
-    """Scenario of a run under BP on the same base gains."""
+    """Scenario of a BP run with the same base gains."""
     gains = gains or setting.moderate
     learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: {seed}"
     position = (
@@ -157,7 +157,7 @@ substeps: 4
 
 
 def gains_of(scenario: Scenario) -> Gains:
-    """Gains of a scenario under PID, as text that parses back to the last bit."""
+    """Gains of a PID scenario, as text that parses back to the last bit."""
     control: Any = scenario.control()
     position, stiffness = control.position, control.stiffness
 

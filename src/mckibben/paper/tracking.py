@@ -1,4 +1,4 @@
-"""Runs of Figs. 7 and 8: PID and BP, on moderate and on tuned gains, in both geometries, over many seeds."""
+"""Runs of Figs. 7 and 8: PID and BP, with moderate and with tuned gains, in both geometries, over many seeds."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _GAIN_MARGIN = 1.5
 
 @dataclass(frozen=True)
 class ControllerRun:
-    """A run, for BP with the first seed, and the metrics of each seed; None for a controller without seeds."""
+    """A run (for BP, with the first seed) and the metrics per seed; None for a controller without seeds."""
 
     scenario: Scenario
     result: Result
@@ -94,8 +94,8 @@ def run_tracking(
     """Tune, run and compare all controllers; `progress` is called with the fraction done, 0 to 1."""
     report = progress or (lambda part: None)
     count = len(SETTINGS)
-    with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
-        moderate = beside.submit(_moderate_runs, seeds)
+    with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each
+        moderate = pool.submit(_moderate_runs, seeds)
         tuned = {
             setting.key: _tune(setting, generations, population, lambda part, i=i: report(0.7 * (i + part) / count))
             for i, setting in enumerate(SETTINGS)
@@ -163,7 +163,7 @@ def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
         run = run_episode(plant, seeded, setpoints, initial, scenario.control_period, scenario.substeps)
         return Metrics(**run.metrics)  # type: ignore[arg-type]
 
-    # One by one, with the programs of the single run: a batch would need another compilation.
+    # One by one, with the program of the single run: a batch would need another compilation.
     each = [metrics(seed) for seed in range(seeds)]
     return ControllerRun(scenario, run_scenario(scenario).result, jax.tree.map(lambda *m: jnp.stack(m), *each))
 

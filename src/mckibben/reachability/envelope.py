@@ -31,7 +31,7 @@ HEADERS = ("angle", "gravity torque", "torque range", "stiffness range", "p1, p2
 class Envelope:
     """Reachability of a scenario: static envelope of its joint, check of its reference and nearest feasible references.
 
-    There are none of these if the reference is trackable or nothing is static.
+    `nearest` is empty if the reference is trackable or no state is static.
     """
 
     scenario: Scenario
@@ -115,11 +115,11 @@ def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | Non
     Parameters
     ----------
     scenario
-        Joint, load, valve, reference and times; the controller does not matter.
+        Joint, load, valve, reference and times; the controller is ignored.
     margin
         See `nearest_references`.
     smoothing
-        Of jumps and corners [s], see `check_trackability`.
+        Smoothing of jumps and corners [s], see `check_trackability`.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | Non
     check_margin(margin)
     if scenario.controller.stiffness_amplitude is not None:
         raise RangeError(
-            "the envelope is that of the isobaric stiffness, the controller's stiffness that of a motion",
+            "the envelope uses the isobaric stiffness, but the controller uses the stiffness of a motion",
             field="controller.stiffness_amplitude",
             value=scenario.controller.stiffness_amplitude,
             unit="rad",
@@ -153,9 +153,9 @@ def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | Non
 
 
 def save_reference(scenario: Scenario, found: FeasibleReference, folder: Path, name: str) -> list[str]:
-    """Write a scenario with a feasible reference, its samples as CSV beside it, and return the names of the files.
+    """Write a scenario with a feasible reference and its samples as a CSV file; return the file names.
 
-    It starts at rest at the first angle and stiffness; a slower reference runs longer.
+    The run starts at rest at the first angle and stiffness; a slower reference takes longer.
     """
     table = folder / f"{name}.csv"
     signals = found.reference.angle, found.reference.stiffness
@@ -175,16 +175,16 @@ def save_reference(scenario: Scenario, found: FeasibleReference, folder: Path, n
         "duration": scenario.duration if found.speed == 1 else periods * scenario.control_period,
     }
     changed = scenario.model_copy(update=update)
-    if not _has_initial_state(changed):  # a reference that begins in motion may need a torque that rest does not have
+    if not _has_initial_state(changed):  # a reference that begins in motion may need a torque different from rest
         changed = changed.model_copy(update={"start": Start(angle=float(trajectory.angle[0]))})
     changed.to_yaml(folder / f"{name}.yaml")
     return [f"{name}.yaml", *([table.name] if sampled else [])]
 
 
 def save_design(scenario: Scenario, found: Design, path: Path) -> bool:
-    """Write a scenario with the lengths of a design; False if a scenario cannot hold one of them.
+    """Write a scenario with the lengths of a design; return False if a scenario cannot express one of them.
 
-    The initial stiffness is dropped where it is no longer attainable.
+    The initial stiffness is dropped if it is no longer attainable.
     """
     known = design_lengths(found.plant)
     places = {place: value for name, value in found.lengths.items() for place in known[name]}

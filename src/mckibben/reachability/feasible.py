@@ -1,4 +1,4 @@
-"""Feasible references nearest to one that is not trackable."""
+"""Nearest feasible references for a reference that is not trackable."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mckibben.reachability.trackability import StiffnessBands, Trackability, Tra
 from mckibben.reachability.trajectory import Values, breakpoints, centre_of, scaled, slowed, smoothed, smoothed_values
 from mckibben.units import deg
 
-_STIFFNESS_SMOOTHING = (0.02, 0.05, 0.1, 0.2, 0.4)  # s, of a clipped stiffness; the narrowest trackable one is taken
-_MARGINS = (0.1, 0.2, 0.35)  # of the band, tried where a smaller one exceeds the rate limit of the valves
+_STIFFNESS_SMOOTHING = (0.02, 0.05, 0.1, 0.2, 0.4)  # s, of a clipped stiffness; the narrowest trackable one is used
+_MARGINS = (0.1, 0.2, 0.35)  # of the band, tried if a smaller one exceeds the rate limit of the valves
 _MIN_SPEED = 0.02
 _ANGLE_TOLERANCE = 1e-9  # rad
 _BISECTIONS = 10  # to three digits
 
 
 class Preserved(enum.Enum):
-    """Property of the reference that a feasible one preserves as far as possible; the value names what is changed."""
+    """Property of the reference preserved as far as possible; the value names the properties that are changed."""
 
     ANGLE = "stiffness first, then amplitude"
     AMPLITUDE = "stiffness and speed"
@@ -35,7 +35,7 @@ class Preserved(enum.Enum):
 
 @dataclass(frozen=True)
 class FeasibleReference:
-    """A trackable reference near to one that is not.
+    """A trackable reference close to one that is not.
 
     Attributes
     ----------
@@ -105,19 +105,19 @@ def nearest_references(
     margin: float = 0.05,
     smoothing: float | None = None,
 ) -> tuple[FeasibleReference, ...]:
-    """Find the feasible references nearest to one that is not trackable; none if it is trackable itself.
+    """Find the feasible references nearest to a reference; none if it is already trackable.
 
     There are up to three, without duplicates:
 
-    - `Preserved.ANGLE`: shape and speed of the angle, at the largest amplitude at which some stiffness is attainable
-      throughout; the stiffness is clipped into the attainable band (the static one too where that is possible
-      throughout) less the margin at either end, and smoothed as little as the valves need.
-    - `Preserved.AMPLITUDE`: if the angle is statically feasible: the whole amplitude at the highest feasible speed, the
-      stiffness clipped likewise.
+    - `Preserved.ANGLE`: shape and speed of the angle, at the largest amplitude for which some stiffness is attainable
+    throughout; the stiffness is clipped to the attainable band (and to the static one, if possible throughout) less the
+    margin at either end, with the least smoothing that the valves require.
+    - `Preserved.AMPLITUDE`, if the angle is statically feasible: the whole amplitude at the highest feasible speed,
+    with the stiffness clipped likewise.
     - `Preserved.STIFFNESS`: the stiffness, at the largest feasible amplitude.
 
-    All stay within the static range of angles less the margin. Where not even the centre of the angle is static, it is
-    shifted, as little as makes the whole amplitude static if that is possible. A step of the angle is smoothed and
+    All stay within the static range of angles less the margin. If even the centre of the angle is not static, it is
+    shifted by the least amount that makes the whole amplitude static, if possible. A step of the angle is smoothed and
     returned as samples. Factors are found by bisection, assuming that a smaller or slower motion is easier to track;
     each result passes the full check.
 
@@ -160,14 +160,18 @@ def check_margin(margin: float) -> None:
     """Raise unless 0 <= margin < 0.5."""
     if not 0 <= margin < 0.5:
         raise RangeError(
-            f"the margin is {margin:g}", value=margin, lower=0.0, upper=0.5, remedy="give a part of the band below 0.5"
+            f"the margin is {margin:g}",
+            value=margin,
+            lower=0.0,
+            upper=0.5,
+            remedy="give a fraction of the band below 0.5",
         )
 
 
 def find_nearest(
     checker: TrackabilityChecker, reference: Reference, checked: Trackability, margin: float
 ) -> tuple[FeasibleReference, ...]:
-    """Feasible references nearest to one that was checked and is not trackable."""
+    """Nearest feasible references for a checked reference that is not trackable."""
     search = _Search(checker, reference, checked.trajectory.smoothing, margin)
     found = [search.largest_amplitude(Preserved.ANGLE)]
     unscaled = found[0] is not None and found[0].amplitude == 1
@@ -182,7 +186,7 @@ def find_nearest(
 
 
 def _with_least_smoothing(checker: TrackabilityChecker, found: FeasibleReference) -> FeasibleReference:
-    """The same with an unchanged stiffness that jumps, smoothed no more than necessary."""
+    """The same with an unchanged stiffness with jumps, smoothed no more than necessary."""
     if found.stiffness_change > 0 or found.step_smoothing > 0 or not found.trackability.breakpoints.size:
         return found
     checked = checker.slowed(found.speed).check(found.reference)
@@ -209,14 +213,14 @@ class _Search:
         self.shift = self.centre - self.about
 
     def _nearest_centre(self) -> float:
-        """The nearest centre of the angle that is static."""
+        """The nearest static centre of the angle."""
         if math.isnan(self.angle_min) or self.angle_min <= self.about <= self.angle_max:
             return self.about
         angle = np.asarray(self.reference.angle(self.checker.times), float) - self.about
         low, high = (
             self.angle_min - angle.min(),
             self.angle_max - angle.max(),
-        )  # with them the whole amplitude is static
+        )  # centres for which the whole amplitude is static
         return float(np.clip(self.about, low, high)) if low <= high else (self.angle_min + self.angle_max) / 2
 
     def largest_amplitude(self, preserved: Preserved) -> FeasibleReference | None:
@@ -282,7 +286,7 @@ class _Search:
         return None
 
     def _checked(self, checker: TrackabilityChecker, reference: Reference) -> Trackability | None:
-        """The check of a reference that is trackable with half of the margin; else None."""
+        """The check of a reference if it is trackable with half of the margin; else None."""
         trajectory = checker.trajectory(reference, self._width)
         bands = bands_along(checker.plant, trajectory)
         if np.all(bands.rate_limited.shrunk(self.margin / 2).violation(trajectory.stiffness) == 0):
@@ -291,21 +295,21 @@ class _Search:
 
 
 def _stiffness_change(checked: Trackability, smooth: Values, desired: Signal) -> float:
-    """Largest change of the stiffness, from the desired one or from its smoothed form, whichever is nearer."""
+    """Largest change of the stiffness from the desired one or its smoothed form, whichever is closer."""
     new = checked.trajectory.stiffness
     unsmoothed = np.asarray(desired(checked.trajectory.times), float)
     return float(np.minimum(np.abs(new - smooth), np.abs(new - unsmoothed)).max())
 
 
 def _static_and_dynamic(bands: StiffnessBands) -> AttainableRange:
-    """Intersection of the static and the dynamic band; the dynamic one where that is empty at any sample."""
+    """Intersection of the static and the dynamic band; the dynamic band if the intersection is empty at any sample."""
     static, dynamic = bands.static, bands.dynamic
     low, high = np.maximum(static.lowest, dynamic.lowest), np.minimum(static.highest, dynamic.highest)
     return AttainableRange(low, high) if np.all(low < high) else dynamic
 
 
 def _bisect(trial: Callable[[float], FeasibleReference | None], least: float) -> FeasibleReference | None:
-    """The result of the largest factor in [least, 1] that has one, to three digits."""
+    """Result for the largest factor in [least, 1] that has a result, to three digits."""
     best = trial(1.0)
     if best is not None:
         return best

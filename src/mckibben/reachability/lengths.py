@@ -1,4 +1,4 @@
-"""Lengths of a joint that a design may choose: those of the fields of its geometry, and of its muscles."""
+"""Design lengths of a joint: the fields of its geometry, and the lengths of its muscles."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mckibben.plant import JointPlant
 from mckibben.units import BoundedInt, Quantity
 
 Place = tuple[str, ...]
-"""Names of attributes that lead from the joint to a length."""
+"""Attribute names on the path from the joint to a length."""
 
 _MUSCLE1, _MUSCLE2 = ((name, "specimen", "initial_length") for name in ("muscle1", "muscle2"))
 _MUSCLES = {"muscle_length": [_MUSCLE1, _MUSCLE2], "muscle1_length": [_MUSCLE1], "muscle2_length": [_MUSCLE2]}
 
 
 def design_lengths(plant: JointPlant) -> dict[str, list[Place]]:
-    """Places of each length by its name; lengths of both paths, and of both muscles, have one name together as well.
+    """Locations of each length by name; equal lengths of both paths, or of both muscles, also have a joint name.
 
     Examples
     --------
@@ -40,30 +40,30 @@ def design_lengths(plant: JointPlant) -> dict[str, list[Place]]:
     found: dict[str, list[Place]] = {".".join(place): [("geometry", *place)] for place, _ in _lengths(geometry)}
     shared: dict[str, list[Place]] = {}
     for place, quantity in _lengths(geometry):
-        if len(place) > 1 and quantity.lower >= 0:  # coordinates of two muscles differ in sign
+        if len(place) > 1 and quantity.lower >= 0:  # coordinates of the two muscles differ in sign
             shared.setdefault(place[-1], []).append(("geometry", *place))
     return found | shared | _MUSCLES
 
 
 def length_of(plant: JointPlant, name: str) -> float:
-    """A length of a plant [m]; of two places that of the first."""
+    """A length of a plant [m]; the first one if the name refers to two."""
     return float(_leaves(plant, name)[0])
 
 
 def with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPlant:
-    """The plant with other lengths [m], which may be traced; force laws are functions of contraction and stay."""
+    """The plant with new lengths [m], which may be traced; force laws depend on contraction and do not change."""
     for name, value in lengths.items():
         plant = eqx.tree_at(lambda p, name=name: _leaves(p, name), plant, [value] * len(_leaves(plant, name)))
     return plant
 
 
 def check_length(plant: JointPlant, name: str, lower: float) -> None:
-    """Refuse a length that the joint has not, and bounds of one that is never negative."""
+    """Reject a length that the joint does not have, and negative bounds of a nonnegative one."""
     known = design_lengths(plant)
     if name not in known:
         kind = type(plant.joint.geometry).__name__
         raise ParameterError(
-            f"{name!r} is no design variable of a joint with {kind}",
+            f"{name!r} is not a design variable of a joint with {kind}",
             value=name,
             remedy=suggest(name, list(known)),
         )
@@ -77,7 +77,7 @@ def _leaves(plant: JointPlant, name: str) -> list[Any]:
 
 
 def _lengths(part: Geometry | eqx.Module) -> Iterator[tuple[Place, Quantity | BoundedInt]]:
-    """Place and quantity of each length among the fields of a geometry and its parts."""
+    """Location and quantity of each length among the fields of a geometry and its parts."""
     quantities = field_quantities(type(part))
     for name, value in vars(part).items():
         quantity = quantities.get(name)

@@ -34,9 +34,9 @@ _ANGLES = 25  # of the target, in the optimisation
 _RESULT_ANGLES = 241
 _ACTIVE = 0.05  # constraints within this of the smallest margin, absolute or relative, count as active
 _ITERATIONS = 100
-_SCREENED = 128  # Halton points, of which the best are started from
+_SCREENED = 128  # Halton points, the best of which are starting points
 _RESTARTS = 4
-_LONGEST = 10.0  # m: longer ones are taken for millimetres
+_LONGEST = 10.0  # m: longer ones were probably given in millimetres
 _TARGET = re.compile(r"(?:stiffness\s+)?(.+?)\s+over\s+(.+)", re.DOTALL)
 
 
@@ -44,7 +44,7 @@ _TARGET = re.compile(r"(?:stiffness\s+)?(.+?)\s+over\s+(.+)", re.DOTALL)
 class DesignTarget:
     """Stiffness range [N*m/rad] to be attainable throughout a range of angles [rad].
 
-    `torque_reserve` [N*m] is torque in either direction beyond that against gravity, at each of these stiffnesses.
+    `torque_reserve` [N*m] is the torque in either direction in excess of gravity, at each of these stiffnesses.
     """
 
     stiffness: tuple[float, float]
@@ -102,13 +102,13 @@ class DesignVariable:
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ParameterError(
-                f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is no range",
+                f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is not a range",
                 value=(self.lower, self.upper),
                 remedy="give two lengths, the shorter first",
             )
         if not max(-self.lower, self.upper) < _LONGEST:
             raise ParameterError(
-                f"{self.name} up to {max(-self.lower, self.upper):g} m is not of a joint",
+                f"{self.name} up to {max(-self.lower, self.upper):g} m is too long for a joint",
                 value=(self.lower, self.upper),
                 lower=-_LONGEST,
                 upper=_LONGEST,
@@ -184,7 +184,7 @@ def constraint_margins(
 def _unclipped_stiffness(
     geometry: Geometry, muscles: tuple[Muscle, Muscle], angle: Array, pressures: tuple[Array, Array]
 ) -> Array:
-    """Stiffness of laws that may turn negative, smooth beyond the attainable set."""
+    """Stiffness from laws that may become negative, smooth beyond the attainable set."""
 
     def torque(angle: Array) -> Array:
         paths, (arm1, arm2) = geometry.paths_and_arms(angle)
@@ -206,7 +206,7 @@ def margins_and_jacobian(
     torque_reserve: ArrayLike,
     minimum_tension: ArrayLike,
 ) -> tuple[Array, dict[str, Array]]:
-    """Constraint margins and their derivatives by each length [1/m]."""
+    """Constraint margins and their derivatives with respect to each length [1/m]."""
 
     def twice(lengths: dict[str, Array]) -> tuple[Array, Array]:
         values = constraint_margins(plant, lengths, angle, stiffness, torque_reserve, minimum_tension)
@@ -332,9 +332,9 @@ def design(
     Parameters
     ----------
     plant
-        Joint and load; other lengths stay. Laws affine in pressure, rigid tendons.
+        Joint and load; other lengths are kept. Requires laws affine in pressure and rigid tendons.
     target
-        Static, under gravity; allow for motion by a torque reserve I theta''.
+        Static, under gravity; a torque reserve I theta'' allows for motion.
     variables
         Lengths to choose, with bounds.
     starts
@@ -368,7 +368,7 @@ def design(
     given = (np.asarray(target.stiffness), target.torque_reserve, minimum_tension)
 
     def margins(x: Values) -> tuple[Values, Values]:
-        """Margins, flat, and their derivatives by x: lengths relative to their bounds, 0 to 1."""
+        """Flattened margins and their derivatives with respect to x, the lengths scaled to 0..1."""
         lengths = dict(zip(names, lower + width * x, strict=True))
         values, by_length = margins_and_jacobian(plant, lengths, angles, *given)
         jacobian = np.stack([np.asarray(by_length[name]).ravel() for name in names], axis=-1)
@@ -441,7 +441,7 @@ def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], start
         raise ParameterError(
             f"a design varies {', '.join(names)}" if names else "a design varies nothing",
             value=names,
-            remedy="give each length once; a name such as muscle_length or radius is that of both muscles",
+            remedy="give each length once; a name such as muscle_length or radius applies to both muscles",
         )
     for variable in variables:
         check_length(plant, variable.name, variable.lower)
@@ -452,7 +452,7 @@ def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], start
         raise ParameterError(
             "with a return spring the angle determines the stiffness: there is no range to attain",
             field="return_spring",
-            remedy="choose spring and lengths by the envelope, or take two muscles",
+            remedy="choose spring and lengths by the envelope, or use two muscles",
         )
     if not isinstance(plant.joint.tendon, RigidTendon) or not all(isinstance(law, PressureAffineLaw) for law in laws):
         raise ParameterError(

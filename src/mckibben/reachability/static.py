@@ -19,7 +19,7 @@ from mckibben.units import deg
 
 Values = NDArray[np.float64]
 
-SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its very end a muscle is slack
+SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its end a muscle is slack
 _SCAN_POINTS = 41  # along the segment of a joint whose stiffness is not affine in tension
 _TOLERANCE = 1e-6  # N*m/rad
 _ANGLE_LIMIT = 80 * deg
@@ -44,14 +44,14 @@ class AttainableRange(NamedTuple):
         return np.where(out > _TOLERANCE, out, np.where(np.isnan(out), np.nan, 0.0))
 
     def shrunk(self, fraction: float) -> AttainableRange:
-        """The range without a fraction of its width at either end."""
+        """The range reduced by a fraction of its width at either end."""
         margin = fraction * self.width
         return AttainableRange(self.lowest + margin, self.highest - margin)
 
 
 @dataclass(frozen=True)
 class StaticEnvelope:
-    """Torque and stiffness that the joint of a plant attains at rest.
+    """Torque and stiffness attainable by a plant's joint at rest.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class StaticEnvelope:
 
 
 def scan_points(affine: bool) -> Values:
-    """Positions along a segment of tensions, 0 to 1: its ends where all that is asked for is affine, else a scan."""
+    """Positions along a segment of tensions, 0 to 1: its ends if all requested quantities are affine, else a scan."""
     return np.linspace(SEGMENT_MARGIN, 1 - SEGMENT_MARGIN, 2 if affine else _SCAN_POINTS)
 
 
@@ -121,7 +121,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
     plant
         Joint and load, and valves whose supply may be below the rated pressures.
     about
-        An angle [rad] in the range of interest; the nearest static angle replaces it where it is not static itself.
+        An angle [rad] in the range of interest; if it is not static, the nearest static angle replaces it.
 
     Examples
     --------

@@ -34,17 +34,17 @@ MAX_SMOOTHING = 0.25
 """s: widest smoothing of a jump or corner before it counts as not trackable."""
 
 _MIN_SMOOTHING = 4e-3  # s
-_SMOOTHING_TRIALS = 13  # geometric ladder: a wider one may do worse, where samples move fast
-_DENSE = 20  # corners: beyond, they are samples of something smooth
-_MAX_SCANNED = 400  # samples, where stiffness or commands have to be scanned
+_SMOOTHING_TRIALS = 13  # geometric series: a wider kernel may do worse where samples move fast
+_DENSE = 20  # corners: with more, the samples describe a smooth signal
+_MAX_SCANNED = 400  # samples, if stiffness or commands have to be scanned
 _PRESSURE_TOLERANCE = 1e-3  # Pa
 
 
 class StiffnessBands(NamedTuple):
     """Attainable stiffness [N*m/rad] along a reference trajectory, and the muscle torque of the motion [N*m].
 
-    `static` is at rest at each angle, `dynamic` with the torque of the motion, `rate_limited` with it and commands that
-    the valves pass.
+    `static` is at rest at each angle, `dynamic` includes the torque of the motion, and `rate_limited` also requires
+    commands within the valves' rate limit.
     """
 
     torque: Values
@@ -68,7 +68,7 @@ def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> Stiffness
 
 
 def _is_affine(plant: JointPlant) -> bool:
-    """Whether stiffness and commands are affine in tension; those of a limited rate or flow are not."""
+    """Whether stiffness and commands are affine in tension; they are not with a limited rate or flow."""
     linear = isinstance(plant.valve, IdealValve | FirstOrderValve) and getattr(plant.valve, "rate", None) is None
     return linear and is_affine(plant.joint)
 
@@ -148,7 +148,7 @@ class Trackability:
     breakpoints, smoothing_sufficient
         Times of its jumps and corners [s], and whether they are trackable when smoothed.
     deviation
-        Largest deviation of the angle [rad] by smoothing, away from jumps.
+        Largest deviation of the angle [rad] due to smoothing, away from jumps.
     """
 
     trajectory: ReferenceTrajectory
@@ -242,12 +242,12 @@ def check_trackability(
     control_period: float = 1e-3,
     smoothing: float | None = None,
 ) -> Trackability:
-    """Check whether a plant can track a reference, whatever the controller.
+    """Check whether a plant can track a reference with any controller.
 
     The desired stiffness is compared with three bands: static, as in `check_reference`; dynamic, with the torque of the
-    motion (inertia and damping of the load, no friction); and rate-limited, with commands that the valves pass. The
-    last one decides: in motion a stiffness may be attainable that is not so statically. The transient from rest to the
-    reference and the margin that a controller needs are not considered.
+    motion (inertia and damping of the load, no friction); and rate-limited, with commands within the valves' rate
+    limit. The last one is decisive: a stiffness may be attainable in motion but not statically. The transient from rest
+    to the reference and the margin that a controller needs are not considered.
 
     Parameters
     ----------
@@ -256,10 +256,10 @@ def check_trackability(
     reference
         Desired angle and stiffness.
     duration, control_period
-        Of the run [s]; where springs, laws not affine in pressure, or valves with a limited rate or flow
-        require a scan, at most 400 samples are checked.
+        Times of the run [s]. If springs, laws not affine in pressure, or valves with a limited rate or flow require a
+        scan, at most 400 samples are checked.
     smoothing
-        Width [s] over which jumps and corners are smoothed; by default the narrowest that is trackable, up to 0.25 s.
+        Width [s] over which jumps and corners are smoothed. Default: the narrowest trackable width, up to 0.25 s.
 
     Raises
     ------
@@ -303,7 +303,7 @@ class TrackabilityChecker:
         return float(self.times[1]) if self.times.size > 1 else 1.0
 
     def slowed(self, speed: float) -> TrackabilityChecker:
-        """Checker with as many samples of a slower, longer run."""
+        """Checker of a slower, longer run with the same number of samples."""
         return self if speed == 1 else TrackabilityChecker(self.plant, self.times / speed, self.checked)
 
     def trajectory(self, reference: Reference, smoothing: float) -> ReferenceTrajectory:
@@ -313,7 +313,7 @@ class TrackabilityChecker:
         return ReferenceTrajectory(**series, smoothing=smoothing)
 
     def static_trajectory(self, angle: Values) -> ReferenceTrajectory:
-        """Rest at each of the given angles."""
+        """Trajectory at rest at each of the given angles."""
         rest = np.zeros_like(angle)
         return ReferenceTrajectory(self.times[self.checked], angle, rest, rest, rest, rest, rest, _MIN_SMOOTHING)
 
@@ -322,7 +322,7 @@ class TrackabilityChecker:
         return np.union1d(*(breakpoints(signal, self.times) for signal in (reference.angle, reference.stiffness)))
 
     def smoothing_for(self, reference: Reference) -> tuple[float, bool]:
-        """The narrowest trackable smoothing [s] of jumps and corners, within 5 %; and whether there is one."""
+        """The narrowest trackable smoothing [s] of jumps and corners, within 5 %, and whether it exists."""
         at = self.breakpoints(reference)
         if not at.size:
             return _MIN_SMOOTHING, True

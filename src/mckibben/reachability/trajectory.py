@@ -15,7 +15,7 @@ from mckibben.errors import ParameterError
 Values = NDArray[np.float64]
 
 _AVERAGES = 4
-"""Moving averages in a row. Their kernel is a cubic B-spline: the third derivative of a smoothed jump is bounded."""
+"""Successive moving averages. Their kernel is a cubic B-spline: the third derivative of a smoothed jump is bounded."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class ReferenceTrajectory:
 def reference_trajectory(reference: Reference, times: Values, *, smoothing: float) -> ReferenceTrajectory:
     """Sample a reference and its derivatives at evenly spaced times [s].
 
-    Constants, sines and sums of sines are differentiated exactly; steps, samples and other signals are smoothed first
-    by a kernel of some width [s].
+    Constants, sines and sums of sines are differentiated exactly; steps, samples and other signals are first smoothed
+    by a kernel of the given width [s].
 
     Examples
     --------
@@ -83,7 +83,7 @@ def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> 
 
 
 def smoothed_values(values: Values, period: float, width: float, *, order: int = 0) -> Values:
-    """Smoothed samples that are a period [s] apart, or a derivative of them."""
+    """Smoothed samples at a period [s], or a derivative of them."""
     if values.size < 2:
         return values if order == 0 else np.zeros_like(values)
     window = max(math.ceil(width / (_AVERAGES * period) - 1e-9), 1)
@@ -98,7 +98,7 @@ def smoothed_values(values: Values, period: float, width: float, *, order: int =
 
 
 def breakpoints(signal: Signal, times: Values) -> Values:
-    """Jumps and corners of a signal [s] between the first and the last time; all times if they are not known."""
+    """Jumps and corners of a signal [s] between the first and the last time; all times if unknown."""
     match signal:
         case Constant() | Sine() | Multisine():
             return np.empty(0)
@@ -167,7 +167,7 @@ def scaled(signal: Signal, factor: float, about: float, centre: float, times: Va
 
 
 def slowed(signal: Signal, factor: float) -> Signal:
-    """Scale the speed of a signal by a factor up to 1; constants and steps stay as they are."""
+    """Scale the speed of a signal by a factor up to 1; constants and steps do not change."""
     match signal:
         case Constant() | Step():
             return signal

@@ -1,4 +1,4 @@
-"""Animation of a run: the joint with its muscles, beside angle, stiffness and pressures over time."""
+"""Animation of a run: the joint with its muscles, next to angle, stiffness and pressures over time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FORMATS = {".webp": "WEBP", ".gif": "GIF"}
 _CLEAR = 127  # index of the transparent colour of a GIF
 _SIZE = (6.4, 4.0)  # inches
 _DPI = 100
-_RATE = 12  # frames a second
+_RATE = 12  # frames per second
 _MOST_FRAMES = 120
 
 
@@ -39,7 +39,7 @@ def animation_format(path: str | os.PathLike[str]) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise ParameterError(
-            f"{Path(path).name!r} is no name of an animation",
+            f"{Path(path).name!r} is not the name of an animation",
             field="path",
             value=suffix,
             remedy=f"end it in {' or '.join(FORMATS)}",
@@ -50,10 +50,10 @@ def animation_format(path: str | os.PathLike[str]) -> str:
 def animate(
     result: Result, path: str | os.PathLike[str], plant: JointPlant | None = None, *, overwrite: bool = False
 ) -> Path:
-    """Write an animation of a run: the joint moves, its muscles swell and take the colour of their pressure.
+    """Write an animation of a run: the joint moves, its muscles swell and are coloured by pressure.
 
-    The muscles have the diameter that follows from the volume of their specimens at the contraction of the run. Runs up
-    to 10 s play in real time, longer ones in 10 s.
+    The diameter of the muscles follows from the volume of their specimens at the current contraction. Runs up to 10 s
+    play in real time, longer ones in 10 s.
 
     Parameters
     ----------
@@ -62,18 +62,18 @@ def animate(
     path
         File to write, ending in ``.webp`` or ``.gif``.
     plant
-        Plant of the run. Default: that of the scenario of the run.
+        Plant of the run. Default: the plant of its scenario.
     overwrite
         Replace an existing file.
 
     Raises
     ------
     ParameterError
-        If the name has another ending.
+        If the name has any other ending.
     SimulationError
         If the run has no scenario and no plant is given, or its state is not finite.
     FileError
-        If the file exists and is not to be replaced.
+        If the file exists and `overwrite` is not set.
     """
     animation_format(path)
     if not np.isfinite(result["angle"]).all():
@@ -104,7 +104,7 @@ def write_frames(
 
 
 def _differences(frames: list[Image.Image]) -> list[Image.Image]:
-    """Images with one palette, transparent where they are as the one before, which compresses well."""
+    """Images with one palette, transparent where they equal the previous one, which compresses well."""
     palette = frames[len(frames) // 3].quantize(_CLEAR, dither=Image.Dither.NONE)
     indices = [np.asarray(frame.quantize(palette=palette, dither=Image.Dither.NONE)) for frame in frames]
     changes = [np.where(now == before, _CLEAR, now) for before, now in itertools.pairwise(indices)]
@@ -115,10 +115,10 @@ def _differences(frames: list[Image.Image]) -> list[Image.Image]:
 
 
 def _plant_of(result: Result) -> JointPlant:
-    """The plant of the scenario that a result has the text of."""
+    """The plant of a result's scenario."""
     if not result.scenario:
         raise SimulationError(
-            "the run has no scenario, and so no joint to draw",
+            "the run has no scenario, so there is no joint to draw",
             field="plant",
             remedy="give its plant: animate(result, path, plant)",
         )
@@ -129,7 +129,7 @@ def _plant_of(result: Result) -> JointPlant:
 
 @styled
 def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
-    """Images of a run at equal intervals: what stands still is drawn once."""
+    """Images of a run at equal intervals; static parts are drawn once."""
     times = result.times
     count = int(np.clip(times[-1] * _RATE, 2, _MOST_FRAMES))
     at = np.linspace(0, len(times) - 1, count).round().astype(int)
@@ -174,7 +174,7 @@ def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
 
 
 def _plots(figure: SubFigure, result: Result, times: NDArray[np.float64]) -> list[Any]:
-    """Angle, stiffness and pressures over time; returns their cursors."""
+    """Plot angle, stiffness and pressures over time; return their cursors."""
     rows = figure.subplots(3, 1, sharex=True)
     rows[0].plot(times, result["desired_angle"] / deg, **DESIRED)
     rows[0].plot(times, result["angle"] / deg, color=VERMILLION)

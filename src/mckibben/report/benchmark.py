@@ -22,7 +22,7 @@ from mckibben.units import deg
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"
-_TRACED = 2  # controllers with time traces beside the first
+_TRACED = 2  # controllers with time traces in addition to the first
 _NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
@@ -48,7 +48,7 @@ def benchmark_errors(result: BenchmarkResult) -> Figure:
 
 
 def _marker(look: Mapping[str, Any]) -> str:
-    """Marker of a controller: another where its colour is used again."""
+    """Marker of a controller, different if its colour is reused."""
     return "D" if "alpha" in look else "o"
 
 
@@ -105,7 +105,7 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
 
 @styled
 def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
-    """Least median angle error over air consumption among the trials of the tuning, by controller."""
+    """Pareto front of median angle error and air consumption among the tuning trials, by controller."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
     for name, look in looks_of(result.batches).items():
@@ -160,14 +160,14 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Report
         drawn.append(("air", "Air consumption", air, benchmark_air(result, numbers)))
     if any(found["front"] for found in numbers["controllers"].values()):
         front = (
-            "Angle error for its air, medians of the training runs: of all trials of the tuning those of which no "
-            "other has less of both, with at most 1.1 times the stiffness error of the best trial."
+            "Pareto front of the tuning trials (air, angle error), medians of the training runs, with at most 1.1 "
+            "times the stiffness error of the best trial."
         )
         drawn.append(("front", "Angle error against air", front, benchmark_front(result, numbers)))
     first, *others = result.batches
     shown = [first, *[name for name in numbers["order"] if name in others][:_TRACED]]
     run, results = result.median_run(shown)
-    traces = f"Run {run}, that with the median angle error of {first}: {first} and the {_TRACED} best of the others."
+    traces = f"Run {run}, with the median angle error of {first}: {first} and the {_TRACED} best of the others."
     drawn.append(("traces", "Time traces", traces, tracking(results)))
     return [ReportFigure(name, "", title, caption, title, figure) for name, title, caption, figure in drawn]
 
@@ -196,7 +196,7 @@ def _ranking(numbers: Mapping[str, Any]) -> Table:
         settled = f"{found['settled']['runs']} of {found['settled']['of']}"
         rows.append((name, str(found["diverged"]), *_cells(found, _ERROR_COLUMNS), settled))
     return Table(
-        "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors are those of "
+        "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors refer to "
         "the plant's stiffness; coupling and settling refer to stiffness steps.",
         ("controller", "diverged", *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
         rows,
@@ -206,7 +206,7 @@ def _ranking(numbers: Mapping[str, Any]) -> Table:
 def _effort(numbers: Mapping[str, Any]) -> Table:
     rows = [(name, *_cells(numbers["controllers"][name], _EFFORT_COLUMNS)) for name in numbers["order"]]
     return Table(
-        "Medians; of the slack time the 95th percentile. Ripple: varying part of the stiffness error; estimate rmse: "
+        "Medians; 95th percentile for the slack time. Ripple: varying part of the stiffness error; estimate rmse: "
         "error of the controller's stiffness estimate.",
         ("controller", *(title for title, _, _ in _EFFORT_COLUMNS)),
         rows,
@@ -232,7 +232,7 @@ def _ratios(numbers: Mapping[str, Any]) -> Table:
 
 
 def _at_air(numbers: Mapping[str, Any]) -> Table | None:
-    """Errors at no more air than that of the first controller, if it was tuned."""
+    """Errors at no more air than the first controller uses, if it was tuned."""
     if (at_air := numbers["at_air_of_first"]) is None:
         return None
     first = next(iter(numbers["controllers"]))
@@ -242,7 +242,7 @@ def _at_air(numbers: Mapping[str, Any]) -> Table | None:
         for name, found in at_air["controllers"].items()
     ]
     return Table(
-        f"At the air of {first}: the trial of each tuning with the least angle error at no more than "
+        f"At the air of {first}: the trial of each tuning with the lowest angle error at no more than "
         f"{number(at_air['air_L'])} L (medians of the training runs), on the unseen runs; ratio to {first} as tuned.",
         ("controller", "diverged", *(title for title, _, _ in columns), f"angle rmse / {first}"),
         rows,

@@ -24,7 +24,7 @@ from mckibben.units import bar, deg, mm
 
 _BONE, _PLATE, _CABLE, _UNKNOWN = "#C9CED6", "#DCE1E8", "#555555", "#8FBBDD"
 SLENDER = 0.07
-"""Diameter per length of a muscle whose own is unknown."""
+"""Diameter per length of a muscle of unknown diameter."""
 _LIMB = 0.62  # length of the moving limb per height
 _NOTE = {"fontsize": 9, "color": BLACK}
 
@@ -35,7 +35,7 @@ class JointPicture:
     Parameters
     ----------
     axes
-        Axes, whose limits are set.
+        Axes; their limits are set.
     mechanism
         Parts of the joint.
     limb
@@ -43,7 +43,7 @@ class JointPicture:
     masses
         Distances [m] of point masses from the hinge.
     springs
-        Whether a return spring is in place of muscles 1 and 2.
+        Whether muscle 1 and muscle 2 are return springs.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class JointPicture:
     def update(
         self, angle: float, lengths: Sequence[float], diameters: Sequence[float | None], colours: Sequence[Any]
     ) -> tuple[Strand, Strand]:
-        """Move all to an angle [rad], with muscles of these lengths and diameters [m]; return their strands."""
+        """Move all artists to an angle [rad], with muscles of given lengths and diameters [m]; return the strands."""
         mechanism = self.mechanism
         strands = mechanism.strands(angle)
         for patch, outline in zip(self._cams, mechanism.cams(angle), strict=True):
@@ -134,7 +134,7 @@ def outer_points(mechanism: Mechanism, limb: float, angles: Sequence[float]) -> 
 
 
 def limb_and_masses(plant: JointPlant | None, mechanism: Mechanism) -> tuple[float, list[float]]:
-    """Length [m] of the moving limb, and the distances [m] of its point masses where the load has some."""
+    """Length [m] of the moving limb, and the distances [m] of the load's point masses, if any."""
     load = None if plant is None else plant.load
     masses = []
     if isinstance(load, KneeLoad):
@@ -154,9 +154,9 @@ def draw_joint(
 ) -> Figure:
     """Drawing of a joint at an angle [rad], with its dimensions and a second panel of the hinge.
 
-    Muscles have the lengths of the geometry, or of the joint at gauge pressures [Pa] (0 by default), and the diameter
-    that follows from the volume of their specimens. A path that is no straight line is drawn as the cam with its moment
-    arms; a pulley is a round one.
+    Muscles have the lengths of the geometry, or of the joint at gauge pressures [Pa] (default: 0), and a diameter given
+    by the volume of their specimens. A path that is not a straight line is drawn as the cam with its moment arms; a
+    pulley is a round cam.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def draw_joint(
     pressures
         Gauge pressures (p1, p2) [Pa], which colour the muscles.
     labels
-        Name the dimensions; without them there is one panel.
+        Whether to label the dimensions; without labels there is one panel.
 
     Examples
     --------
@@ -225,7 +225,7 @@ def _nearby(mechanism: Mechanism, strands: Sequence[Strand]) -> Points:
 def _note(
     axes: Axes, at: NDArray[np.float64], text: str, away: NDArray[np.float64], gap: float = 0.0, **look: Any
 ) -> None:
-    """Write a text beside a point [m], in a direction and at a distance from it."""
+    """Write text next to a point [m], in a direction and at a distance from it."""
     x, y = np.asarray(at) + gap * np.asarray(away)
     ha = "left" if away[0] > 0.3 else "right" if away[0] < -0.3 else "center"
     va = "bottom" if away[1] > 0.3 else "top" if away[1] < -0.3 else "center"

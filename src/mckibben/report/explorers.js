@@ -1,4 +1,4 @@
-// Sliders and charts of the explorers; what they show is computed by the functions of mckibben, emitted as JavaScript.
+// Sliders and charts of the explorers; mckibben's functions, emitted as JavaScript, compute the data.
 const explorer = (function () {
     "use strict";
     const INK = "#1c2024", SOFT = "#59626b", LINE = "#d9dfe5", COLOURS = ["#00568a", "#a33b00", "#00684a"];
@@ -19,7 +19,7 @@ const explorer = (function () {
 
     const show = (number) => String(Number(number.toPrecision(4))).replace("-", "−");
 
-    // curves: {x, y, colour, dashed, label, at}; bands: {x, low, high}; numbers that are not finite are left out
+    // curves: {x, y, colour, dashed, label, at}; bands: {x, low, high}; non-finite numbers are left out
     function chart(parent, title, x, y, curves, bands = []) {
         const width = Math.max(parent.width, 280), height = Math.min(300, Math.max(220, 0.5 * width));
         const ended = curves.some((one) => one.label && !(one.at >= 0));
@@ -51,7 +51,7 @@ const explorer = (function () {
             const points = one.x.map((u, k) => [u, one.y[k]]).filter((point) => point.every(Number.isFinite));
             const stroke = one.colour ?? COLOURS[number % COLOURS.length], dash = one.dashed ? {"stroke-dasharray": "6 4"} : {};
             element(svg, "polyline", {points: points.map(([u, v]) => `${px(u).toFixed(1)},${py(v).toFixed(1)}`).join(" "), fill: "none", stroke, "stroke-width": one.dashed ? 1.5 : 2, ...dash});
-            const [u, v] = points.at(-1) ?? [], at = one.at ?? -1; // the last point has the label, unless another is given
+            const [u, v] = points.at(-1) ?? [], at = one.at ?? -1; // default place of the label: the last point
             if (at >= 0) text(px(one.x[at]), py(one.y[at]) + 4, one.label, {fill: stroke, stroke: "#fff", "stroke-width": 4, "paint-order": "stroke", "text-anchor": "middle"});
             else if (one.label && points.length) labels.push({words: one.label, fill: stroke, x: px(u), y: py(v)});
         });
@@ -61,7 +61,7 @@ const explorer = (function () {
         });
     }
 
-    // Draws again when the explorer is opened, a slider is moved, or the width changes.
+    // Redraws when the explorer is opened, a slider is moved, or the width changes.
     function start(name, draw) {
         const root = document.getElementById(name), inputs = [...root.querySelectorAll("form input")];
         const charts = root.querySelector(".charts"), says = root.querySelector(".says");
@@ -138,13 +138,13 @@ const explorer = (function () {
         });
     }
 
-    // Plays rows of a run at equal times: the joint at the time of a slider, or going on in real time.
+    // Plays rows of a run at equal times: the joint at the slider's time, or advancing in real time.
     function player(root, module, times) {
         const box = root.querySelector(".player");
         const [svg, button, slider, output] = ["svg", "button", "input", "output"].map((one) => box.querySelector(one));
         let self = null, rows = [], playing = false, began = 0;
         slider.max = times.length - 1;
-        const low = [204, 217, 230], high = [213, 94, 0]; // of a muscle without and with the highest pressure
+        const low = [204, 217, 230], high = [213, 94, 0]; // colours of a muscle at zero and at the highest pressure
         function draw() {
             const k = Number(slider.value), row = rows[k];
             button.textContent = playing ? "Pause" : "Play";
@@ -187,7 +187,7 @@ const explorer = (function () {
             requestAnimationFrame(step);
         });
         slider.addEventListener("input", (event) => {
-            event.stopPropagation(); // it is no parameter
+            event.stopPropagation(); // it is not a parameter
             playing = false;
             draw();
         });

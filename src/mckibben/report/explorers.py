@@ -30,7 +30,7 @@ _STIFFNESS_GAINS = {"kp": ("proportional", "bar/(N*m/rad)"), "ki": ("integral", 
 
 
 class Slider(NamedTuple):
-    """A parameter of an explorer; numbers are shown in a unit, whose size in SI is `factor`."""
+    """A parameter of an explorer; `factor` is the size of its shown unit in SI."""
 
     name: str
     label: str
@@ -65,7 +65,7 @@ def _explorer(key: str, title: str, text: str, sliders: list[Slider], module: So
 
 
 def _around(name: str, label: str, unit: str, value: Any) -> Slider:
-    """A slider from nothing to twice a value [SI]."""
+    """A slider from zero to twice a value [SI]."""
     size = factor(unit)
     number = float(f"{float(value) / size:.6g}")
     low, high = sorted((0.0, 2 * number)) if number else (0.0, 1.0)
@@ -97,7 +97,7 @@ def _force(muscle: Muscle) -> Explorer:
         "contractions": [float(domain.contraction_min), float(domain.contraction_max)],
         "pressures": [one * bar for one in range(1, highest + 1)],
     }
-    text = "The force over the contraction at each pressure. Dashed: the coefficients of the paper."
+    text = "Force over contraction at each pressure. Dashed: the paper's coefficients."
     return _explorer("force", "Explore the force law over its coefficients", text, sliders, module, options)
 
 
@@ -125,8 +125,8 @@ def _attainable(plant: JointPlant) -> Explorer:
 
     module.add("at", "lowest and highest stiffness [N*m/rad] at an angle [rad]", at, {"angle": np.zeros(())})
     text = (
-        "The stiffness that the knee can have while it holds each angle against gravity. Dashed: the pre-contracted "
-        "knee of this report. Longer connectors contract the muscles more; with the paper's 190 mm they hardly are."
+        "Attainable stiffness while the knee holds each angle against gravity. Dashed: the pre-contracted "
+        "knee of this report. Longer connectors contract the muscles more; the paper's 190 mm hardly contract them."
     )
     title = "Explore the attainable stiffness over the geometry"
     return _explorer("attainable", title, text, sliders, module, {"angles": _ANGLES})
@@ -185,14 +185,14 @@ def _run(scenario: Scenario, plant: JointPlant) -> Explorer:
 
     state = jax.eval_shape(lambda: init(module.parameters)["state"])
     state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
-    module.add("init", "state at the start", init, {})
+    module.add("init", "initial state", init, {})
     module.add("period", "one control period", period, {"state": state, "time": np.zeros(())})
     number = np.zeros(())
     given = {"angle": number, "pressure1": number, "pressure2": number}
     module.add("picture", "ends, lengths and diameters of the muscles [m]", picture, given)
     count = round(scenario.duration / scenario.control_period)
     text = (
-        f"The run of {scenario.duration:g} s with a step of the stiffness, simulated again in this page, with the same "
+        f"The run of {scenario.duration:g} s with a stiffness step, simulated again in this page with the same "
         f"numbers as mckibben's, and played. Gains start at those of the report."
     )
     options = {"period": scenario.control_period, "count": count}

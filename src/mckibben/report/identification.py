@@ -139,7 +139,7 @@ def _short(law: str) -> str:
     return law.removesuffix("Law")
 
 
-_MOST = 6  # pressures that have a panel of their own
+_MOST = 6  # pressures with their own panel
 _CURVE = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
 _MEAN = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
 
@@ -148,7 +148,7 @@ _MEAN = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
 def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: Grouping | None = None) -> Figure:
     """Fitted law with pointwise confidence band (inner) and prediction band of a plateau mean (outer).
 
-    Points are those of the fit; at most six pressures are shown. `level` and `by` are those of `Fit.force_intervals`.
+    Shows the points of the fit at up to six pressures; `level` and `by` as for `Fit.force_intervals`.
     """
     taut = dataset.plateau_means().taut
     levels = _spread(taut.pressures)
@@ -235,12 +235,12 @@ _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 def loops(dataset: IsobaricDataset, found: HysteresisFit) -> Figure:
     """Hysteresis loops, measured and modelled: force (top), and friction force by pressure (bottom).
 
-    Raises `RangeError` if the dataset is not that of the identification.
+    Raises `RangeError` if the dataset is not the identified one.
     """
     means = dataset.plateau_means()
     if len(means) != len(found.residuals):
         raise RangeError(
-            f"the hysteresis is of {len(found.residuals)} points, the dataset has {len(means)}",
+            f"the hysteresis was identified from {len(found.residuals)} points, the dataset has {len(means)}",
             remedy="use the dataset of the identification",
         )
     shown = _spread(np.unique(means.levels[found.tension > 0]))
@@ -303,7 +303,7 @@ def _loop(axes: Axes, means: IsobaricDataset, found: HysteresisFit, level: float
 
 
 def _passes(means: IsobaricDataset) -> list[NDArray[np.int64]]:
-    """Rows of each pass at constant pressure, in order of time."""
+    """Rows of each pass at constant pressure, in temporal order."""
     time = means.table["time"].to_numpy() if "time" in means.table else np.arange(len(means))
     order = np.argsort(time, kind="stable")
     return np.split(order, np.flatnonzero(np.abs(np.diff(means.levels[order])) > 1.0) + 1)
@@ -318,11 +318,12 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     """Relaxation of the force within plateaus: mean over time, and slope by moves since the last reversal.
 
     Bars are one standard error over plateaus; the common drift is subtracted. Raises `RangeError` if the dataset is not
-    that of the identification.
+    the identified one.
     """
     if len(dataset) != len(found.initial_force) or "force_samples" not in dataset.table:
         raise RangeError(
-            f"the creep is of the samples of {len(found.initial_force)} points, the dataset has {len(dataset)} points"
+            f"the creep was identified from samples of {len(found.initial_force)} points, "
+            f"the dataset has {len(dataset)} points"
             + (" and no samples" if "force_samples" not in dataset.table else ""),
             remedy="use the dataset of the identification",
         )

@@ -140,7 +140,7 @@ def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Reference stiffness over the range of reference angles, one horizontal line for each level."""
+    """Reference stiffness over the range of reference angles, one horizontal line per level."""
     angle = result["desired_angle"] / deg
     stiffness = result["desired_stiffness"]
     levels = np.unique(stiffness)
@@ -268,7 +268,7 @@ def _angle(axes: Axes, found: Envelope) -> None:
 
 
 def _shown(found: Envelope) -> slice:
-    """Samples that are drawn: two periods of a sine, else all."""
+    """Samples to draw: two periods of a sine, else all."""
     times, sine = found.trackability.trajectory.times, found.scenario.signals.angle
     if not (isinstance(sine, Sine) and sine.frequency and isinstance(found.scenario.signals.stiffness, Constant)):
         return slice(None)
@@ -288,7 +288,7 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 @styled
 def stiffness(found: StiffnessTests) -> Figure:
-    """Stiffness over the amplitude of a motion: at pressures held, with closed valves, and at several rates."""
+    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates."""
     varied = [name for name in found.tests if name not in (HELD, CLOSED)]
     figure = blank(DOUBLE, 2.9)
     first, *others = figure.subplots(1, 1 + len(varied))
@@ -352,7 +352,7 @@ def design(found: Design, before: StaticEnvelope) -> Figure:
 
 @styled
 def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -> Figure:
-    """Stiffness by the model before and after, with 95 % intervals, over time of the recordings; and their change."""
+    """Model stiffness before and after calibration over recording time, with 95 % intervals, and its change."""
     figure = blank(DOUBLE, 2.9)
     over_time, over_angle = figure.subplots(1, 2, width_ratios=(2, 1))
     start = 0.0

@@ -42,7 +42,7 @@ from mckibben.units import bar, mm, ms
 def landing_forces(study: LandingStudy) -> Figure:
     """Force on the trunk, deflection and share of landings that bottom out over the commanded stiffness.
 
-    A column for each drop; bands hold 90 % of the draws, triangles are at the best stiffness.
+    One column per drop; bands contain 90 % of the draws, triangles mark the best stiffness.
     """
     table = study.table
     stiffness, drops = table["stiffness"].to_numpy(), table["drop"].to_numpy()
@@ -78,9 +78,9 @@ def landing_forces(study: LandingStudy) -> Figure:
 
 @styled
 def foot_ellipses(leg: Leg, angles: Sequence[float], *, force: float = 1.0) -> Figure:
-    """Posture of a leg, and displacements of its foot by forces of one size [N] in all directions.
+    """Posture of a leg, and displacements of its foot under a force [N] in all directions.
 
-    Grey: over all attainable stiffness of the joints without torque; coloured: the softest and the stiffest joints.
+    Grey: all attainable joint stiffness at zero torque; coloured: the softest and the stiffest joints.
     """
     found = attainable_foot_stiffness(leg, angles, [0.0] * len(angles))
     figure = blank(DOUBLE * 0.8, 3.0)
@@ -138,9 +138,9 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
     """Write `landing.html`, self-contained, and its figures in `figures/`; return its path."""
     low, high = study.attainable
     text = (
-        f"{study.table['peak_force'].size} landings: {study.joint} at its stiffness, commands constant. At the touch "
+        f"{study.table['peak_force'].size} landings: {study.joint} at its stiffness, commands constant. At touchdown "
         f"{low:.3g} to {high:.3g} N*m/rad are attainable. Best is the softest stiffness whose force on the trunk is "
-        "within 2 % of the least one; intervals are 5 to 95 % of the draws of muscles and masses."
+        "within 2 % of the lowest; intervals are 5 to 95 % of the draws of muscles and masses."
     )
     caption = (
         "Largest force on the trunk, deflection of the hip and largest force of the ground over the commanded "
@@ -153,7 +153,7 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
         "foot",
         "",
         "Stiffness of the foot",
-        "Displacement of the foot at the touch, with the trunk held, by a force of 1 N in each direction; the scales "
+        "Displacement of the foot at touchdown, with the trunk held, under 1 N in each direction; the scales "
         "of both axes differ. Grey: over the attainable stiffness of all joints.",
         "Ellipses of the foot's displacement",
         foot_ellipses(leg, posture),
@@ -190,7 +190,7 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
 
 
 def _published(study: JumpStudy) -> Table:
-    """Published jumps beside ours, with what differs."""
+    """Published jumps next to ours, with the differences."""
     head = ("robot", "jump", "of its height", "actuators", "what differs")
     rows = []
     for name in catalog.names("robots"):
@@ -204,7 +204,7 @@ def _published(study: JumpStudy) -> Table:
         f"{len(leg.muscles)} muscles",
     )
     rows.append(("this leg, timed pressures", *ours, f"simulated, in the plane, trunk: {leg.trunk.freedom}"))
-    return Table("Beside published jumps", head, rows)
+    return Table("Comparison with published jumps", head, rows)
 
 
 def _page(

@@ -1,4 +1,4 @@
-"""Animation of a run of a leg: MuJoCo's picture of it, beside forces, angles and pressures."""
+"""Animation of a run of a leg: MuJoCo's rendering next to forces, angles and pressures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SIZE = 560, 400
 """Height and width of the picture of the leg, in pixels."""
 _CURSOR = 0x50
 _ARROW = 0.4
-"""Length [m] of the largest force."""
+"""Length [m] of the arrow of the largest force."""
 _LINES = (BLUE, SKY, VERMILLION, ORANGE, GREEN, PURPLE)
 
 
@@ -47,13 +47,13 @@ def render_leg(
 ) -> Path:
     """Write an animation of a run, WebP or GIF by the suffix of the path; return the path.
 
-    Muscles between points have the volume that belongs to their contraction, and the colour of their pressure; those
-    on pulleys and cams are not drawn. An arrow is the force of the ground.
+    Muscles between points are drawn with the volume at their contraction and coloured by pressure; muscles on pulleys
+    and cams are not drawn. An arrow shows the ground force.
 
     Parameters
     ----------
     plant, run
-        The leg, and what `simulate_leg` found.
+        The leg, and the result of `simulate_leg`.
     frames, seconds
         Number of pictures, and time [s] in which they are shown.
     overwrite
@@ -62,11 +62,11 @@ def render_leg(
     Raises
     ------
     ExportError
-        Without MuJoCo, or where it cannot draw.
+        Without MuJoCo, or if it cannot render.
     ParameterError
-        For another format.
+        For any other format.
     FileError
-        If the file exists and is not to be replaced.
+        If the file exists and `overwrite` is not set.
     """
     animation_format(path)
     chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, frames).round().astype(int))
@@ -82,7 +82,7 @@ def render_leg(
 
 
 def _pictures(plant: LegPlant, run: xr.Dataset, chosen: NDArray[np.int_]) -> NDArray[np.uint8]:
-    """Pictures of the leg at some times, by MuJoCo in a process of its own."""
+    """Pictures of the leg at some times, rendered by MuJoCo in a separate process."""
     import_mujoco()
     at = run.isel(time=chosen)
     shapes = muscle_shapes(plant, at, float(run["pressure"].max()) or 1.0)
@@ -115,7 +115,7 @@ def _pictures(plant: LegPlant, run: xr.Dataset, chosen: NDArray[np.int_]) -> NDA
 
 
 def _draw(folder: str) -> None:
-    """Run the program that renders, with the first OpenGL that works."""
+    """Run the renderer with the first working OpenGL."""
     program, said = str(Path(__file__).with_name("leg_frames.py")), ""
     own = os.environ.get("MUJOCO_GL")
     for kind in (own,) if own else ("egl", "osmesa"):
@@ -128,7 +128,7 @@ def _draw(folder: str) -> None:
         f"MuJoCo cannot draw without a display: {' '.join(said)[:300]}",
         field="MUJOCO_GL",
         value=own,
-        remedy="install OpenGL for one: apt install libegl1 or libosmesa6, or set MUJOCO_GL",
+        remedy="install offscreen OpenGL: apt install libegl1 or libosmesa6, or set MUJOCO_GL",
     )
 
 
@@ -167,7 +167,7 @@ def _plot(
 
 
 def _lines(axes: Axes, times: NDArray[np.float64], values: xr.DataArray, along: str) -> None:
-    """A line for each joint or muscle, with its name."""
+    """One line per joint or muscle, with its name."""
     names = values[along].to_numpy()
     looks = _LINES if len(names) > 2 else (BLACK, VERMILLION)
     for number, name in enumerate(names):

@@ -1,8 +1,8 @@
-"""Frames of a leg by MuJoCo's renderer: a program of its own, as MuJoCo chooses OpenGL once in a process.
+"""Renderer of leg frames with MuJoCo: a separate program, as MuJoCo selects OpenGL once per process.
 
     MUJOCO_GL=egl python leg_frames.py FOLDER
 
-The folder has scene.xml and frames.npz; frames.npy is written to it, an array of shape (frames, height, width, 3).
+Reads scene.xml and frames.npz in the folder; writes frames.npy, an array of shape (frames, height, width, 3).
 """
 
 import sys
@@ -45,7 +45,7 @@ def main(folder: Path) -> None:
 
 
 class _Painter:
-    """Adds what is no part of the model to a scene."""
+    """Adds objects outside the model to a scene."""
 
     def __init__(self, engine: Any, scene: Any) -> None:
         self._engine, self._scene = engine, scene
@@ -64,7 +64,7 @@ class _Painter:
         made.specular, made.shininess = 0.3, 0.4
 
     def muscle(self, ends: list[Any], length: float, radius: float, colour: Any) -> None:
-        """A muscle in the middle between two points, with its fittings."""
+        """A muscle midway between two points, with its fittings."""
         middle, along = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
         along = along / np.linalg.norm(along)
         half = length / 2

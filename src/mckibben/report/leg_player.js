@@ -1,4 +1,4 @@
-// Player of runs of a leg: draws frames of inline data on canvases, between two frames by interpolation.
+// Player of runs of a leg: draws frames of inline data on canvases, interpolated between frames.
 const legPlayer = (function () {
     "use strict";
     const INK = "#1c2024", SOFT = "#59626b", LINE = "#d9dfe5", BONE = "#aab2ba", AXLE = "#4a525a", TRUNK = "#215c8f", FORCE = "#00684a";

@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 _FRAMES = 240
 _SCALE = 1e4
-"""Numbers are sent as integers: lengths in 0.1 mm."""
+"""Numbers are stored as integers: lengths in 0.1 mm."""
 
 
 def leg_player(runs: Mapping[str, tuple[LegPlant, xr.Dataset]], key: str = "leg") -> markupsafe.Markup:
-    """HTML of a player of one run or more, side by side, self-contained; `key` is its id in the page.
+    """HTML of a self-contained player of one or more runs side by side; `key` is its id in the page.
 
     Parameters
     ----------
     runs
-        Plant, and what `simulate_leg` found, by the title that is shown.
+        Plant and result of `simulate_leg`, by displayed title.
     """
     force = max(float(np.hypot(run["ground_forward"], run["ground_up"]).max()) for _, run in runs.values()) or 1.0
     pressure = max(float(run["pressure"].max()) for _, run in runs.values()) or 1.0
@@ -51,15 +51,15 @@ def leg_player(runs: Mapping[str, tuple[LegPlant, xr.Dataset]], key: str = "leg"
         '<input type="range" min="0" max="1000" value="0" aria-label="Time">'
         '<label>Speed <select><option value="1">1</option><option value="0.1" selected>1/10</option>'
         '<option value="0.02">1/50</option></select></label></div>'
-        "<figcaption>Muscles have the colour of their pressure and the width of their volume, twice as wide as they "
-        "are; the arrow is the force of the ground.</figcaption>"
+        "<figcaption>Muscles are coloured by pressure; their width follows from their volume and is drawn at twice "
+        "its size. The arrow is the ground force.</figcaption>"
         "<noscript><p>This part needs JavaScript.</p></noscript>"
         f"<script>\n{script}legPlayer({json.dumps(str(name))}, {data});\n</script></figure>"
     )
 
 
 def _run(title: str, plant: LegPlant, run: xr.Dataset, force: float, pressure: float) -> dict[str, Any]:
-    """Data of a run: a row of integers for each frame, of points, paths, shapes, and force."""
+    """Data of a run: one row of integers per frame, with points, paths, shapes and force."""
     chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, _FRAMES).round().astype(int))
     at = run.isel(time=chosen)
     points, paths, shapes = skeleton(plant, at), straight_paths(plant, at), muscle_shapes(plant, at, pressure)

@@ -1,4 +1,4 @@
-"""Coordinates of a leg over a run for its drawings: joints, paths of muscles, and their lengths and diameters."""
+"""Coordinates of a leg over a run for drawing: joints, muscle paths, and muscle lengths and diameters."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SLACK, FULL = np.array([0.80, 0.85, 0.90]), np.array(to_rgb(VERMILLION))
-"""Colours of a muscle without pressure, and at the largest one of a run."""
+"""Colours of a muscle at zero pressure and at the largest pressure of a run."""
 
 
 class Shape(NamedTuple):
-    """Length and diameter [m] of a muscle over time, and its pressure by the largest."""
+    """Length and diameter [m] of a muscle over time, and its pressure relative to the largest."""
 
     length: NDArray[np.float64]
     diameter: NDArray[np.float64]
@@ -35,9 +35,7 @@ class Shape(NamedTuple):
 
 
 def muscle_shapes(plant: LegPlant, run: xr.Dataset, largest: float) -> dict[str, Shape]:
-    """Shapes of the muscles in a run, by name, with the largest pressure [Pa]; those of a side-swing joint, which no
-    run has, are slack.
-    """
+    """Shapes of the muscles in a run by name, at a `largest` pressure [Pa]; side-swing muscles are slack."""
     found = {
         name: _shape(muscle, run["contraction"].sel(muscle=name), run["pressure"].sel(muscle=name) / largest)
         for name, muscle in zip(plant.leg.muscle_names, plant.leg.muscles, strict=True)
@@ -59,7 +57,7 @@ def _shape(muscle: Muscle, contraction: Any, filling: Any) -> Shape:
 
 
 def place_of(plant: LegPlant, name: str) -> int:
-    """Index of the part of a path that has the muscle: over two joints, the one with the longer connectors."""
+    """Index of the path segment with the muscle: over two joints, the one with the longer connectors."""
     for one in plant.leg.biarticular:
         if one.name == name:
             return int(np.argmax([float(getattr(path, "connector_length", 0.0)) for path in (one.path1, one.path2)]))
@@ -89,7 +87,7 @@ def skeleton(plant: LegPlant, run: xr.Dataset) -> NDArray[np.float64]:
 
 
 def straight_paths(plant: LegPlant, run: xr.Dataset) -> dict[str, list[NDArray[np.float64]]]:
-    """Ends of the straight parts of each muscle over time, (time, end, 2) [m]; of muscles that have some."""
+    """Ends of the straight parts of each muscle over time, (time, end, 2) [m]; other muscles are omitted."""
     leg, found = plant.leg, _frames(plant, run)
 
     def ends(joint: LegJoint, moved: Transmission) -> NDArray[np.float64]:

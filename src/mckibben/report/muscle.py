@@ -79,9 +79,9 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
 def law_comparison(
     dataset: IsobaricDataset, laws: Mapping[str, ForceLaw], validation: Validation | None = None
 ) -> Figure:
-    """Fig. 4: measured points, the experimental law and the theoretical one, one panel for each pressure.
+    """Fig. 4: measured points, the experimental law and the theoretical one, one panel per pressure.
 
-    With a validation, the RMSE of each law is written into each panel.
+    With a validation, each panel shows the RMSE of each law.
     """
     levels = dataset.pressures
     columns = 2 if len(levels) > 1 else 1
@@ -106,7 +106,7 @@ def law_comparison(
 
 
 def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
-    """Points of an isobaric dataset; with a fit to these or other points also its curves and residuals."""
+    """Points of an isobaric dataset; with a fit (to these or other points), also its curves and residuals."""
     return measured_muscles({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
 
 
@@ -164,7 +164,7 @@ def _handles(data: IsobaricDataset, fit: Fit | None) -> list[Line2D]:
 
 
 def _coloured(axes: Axes, data: IsobaricDataset, value: NDArray[np.float64], scale: Normalize) -> None:
-    """Points coloured by pressure, their shape by direction."""
+    """Points coloured by pressure, with markers by direction."""
     size = 14 if len(data) < 300 else 6
     for direction, mask in by_direction(data):
         axes.scatter(

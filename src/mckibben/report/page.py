@@ -96,7 +96,7 @@ def write_page(path: Path, text: str) -> Path:
 
 
 def write_explorers(scenario: Scenario, path: Path) -> Path:
-    """Write a self-contained page with the explorers of a scenario alone."""
+    """Write a self-contained page with only the explorers of a scenario."""
     parts = {"style": style_sheet(), "script": markupsafe.Markup(_resource("explorers.js"))}
     return write_page(path, template_of("explorers.html.jinja").render(explorers=explorers(scenario), **parts))
 
@@ -112,9 +112,9 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
         explorers=explorers(example),
         results=results,
         seconds=reproduction.seconds,
-        claims=[claim for claim in reproduction.claims if claim.of_paper],
-        questions=[claim for claim in reproduction.claims if not claim.of_paper],
-        holding=sum(claim.holds for claim in reproduction.claims if claim.of_paper),
+        claims=reproduction.paper_claims,
+        questions=reproduction.questions,
+        verdict=reproduction.verdict,
         sections=SECTIONS,
         figures=drawn,
         fit=tables.fit_table(results),
@@ -144,6 +144,6 @@ def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
 
 
 def _source(name: str) -> tuple[str, str, list[str]]:
-    """Reference, its place, and the notes of a source."""
+    """Reference, location and notes of a source."""
     reference, where, *notes = catalog.cite(name).splitlines()
     return reference, where.strip("()"), [note.removeprefix("- ") for note in notes]

@@ -41,12 +41,12 @@ from mckibben.study.tune import TuningResult
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import bar, factor, percent
 
-_FEW = 12  # parameters whose names are drawn
+_FEW = 12  # labelled parameters
 
 
 @styled
 def tuning(tuned: TuningResult) -> Figure:
-    """Cost over the evaluated points, and the values found within their ranges."""
+    """Cost over the evaluated points, and the best values within their ranges."""
     figure = blank(DOUBLE, 2.9)
     costs_axes, places_axes = figure.subplots(1, 2, width_ratios=(1.35, 1))
     costs = np.array([trial.cost for trial in tuned.trials])
@@ -89,7 +89,7 @@ _SINGLE_POINTS = 4000  # more runs are binned in hexagons
 _BINS = 16
 _FEWEST = 8  # runs in a bin with a median
 _FEW_TICKS = 4
-_FEW_VALUES = 12  # an input with at most so many values is not binned
+_FEW_VALUES = 12  # an input with at most this many values is not binned
 _SPREAD_OF_LOG = 30.0
 
 
@@ -119,8 +119,8 @@ class _Input(NamedTuple):
 def sweep(swept: SweepResult) -> Figure:
     """Main metrics (rows) over the four parameters with the strongest rank correlations (columns).
 
-    Runs are points or hexagonal bins, with the running median and a band of 90 % of the runs; the last row is the share
-    of unstable runs.
+    Runs are points or hexagonal bins, with the running median and a band of 90 % of the runs; the last row shows the
+    share of unstable runs.
     """
     metrics, lost = main_metrics(swept), swept.failed
     inputs = _strongest(swept, metrics)
@@ -260,7 +260,7 @@ _WIDEST = 300.0  # ratio of the colour scale
 def planned(found: ExperimentPlan) -> Figure:
     """Standard error of the force over contraction and pressure: before the plan (left) and after it (right).
 
-    Grey: not determined; white: not measurable. Planned points are numbered by their gain.
+    Grey: not determined; white: not measurable. Planned points are numbered in order of gain.
     """
     figure = blank(DOUBLE, 4.3)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -294,7 +294,7 @@ def _scale(found: ExperimentPlan) -> LogNorm:
 
 
 def _colours() -> ListedColormap:
-    """Colour map whose light end leaves markers legible."""
+    """Colour map with a light end that keeps markers legible."""
     shades = part_of("YlOrBr", 0, 215)
     shades.set_over(shades(214))
     return shades

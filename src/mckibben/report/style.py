@@ -1,4 +1,4 @@
-"""Style of the figures, and panel elements that several figures share."""
+"""Style of the figures, and shared panel elements."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _AGAIN: tuple[dict[str, Any], ...] = (
     {"linestyle": (0, (8, 1.5)), "linewidth": 2.2, "alpha": 0.55},
     {"linestyle": (0, (1, 2)), "linewidth": 2.2, "alpha": 0.55},
 )
-"""What tells a colour that is used again from the first."""
+"""Variations that distinguish a reused colour from its first use."""
 
 LOADING: dict[str, Any] = {"color": BLUE, "marker": "^"}
 UNLOADING: dict[str, Any] = {"color": VERMILLION, "marker": "v"}
@@ -90,7 +90,7 @@ def house_style() -> Iterator[None]:
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a drawing function: it runs in the house style."""
+    """Decorate a drawing function to run in the house style."""
 
     @functools.wraps(draw)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -104,9 +104,9 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def _limit_texts(figure: Figure) -> None:
-    """Escape unprintable characters in the texts of a figure, which hold names that users gave, and limit their lines.
+    """Escape unprintable characters in the texts of a figure, which contain user-given names, and limit their lines.
 
-    That no text but the letter of a panel is parsed as mathematics is a setting of the style.
+    The style disables mathematics in all texts except the panel letters.
     """
 
     def limited(text: str) -> str:
@@ -122,7 +122,7 @@ def _limit_texts(figure: Figure) -> None:
 
 
 class NotebookFigure(Figure):
-    """Figure that is shown as an image in notebooks, whether pyplot is imported or not."""
+    """Figure shown as an image in notebooks, with or without pyplot."""
 
     def _repr_png_(self) -> bytes:
         image = io.BytesIO()
@@ -164,7 +164,7 @@ def pressure_colours() -> ListedColormap:
 
 
 def by_direction(data: IsobaricDataset) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Each direction of a dataset and its points; an empty name where it records none."""
+    """Each direction of a dataset and its points; the name is empty if directions are not recorded."""
     directions = data.table["direction"].to_numpy() if "direction" in data.table else np.full(len(data), "")
     return ((str(direction), directions == direction) for direction in np.unique(directions))
 
@@ -175,7 +175,7 @@ def save(
 ) -> tuple[Path, Path]:
     """Write a figure as `name`.png (200 dpi) and `name`.svg to a folder; a preview only as PNG with 100 dpi.
 
-    With `pdf` as `name`.pdf too, which has its text as text. The files are reproducible byte for byte; the SVG has text
+    With `pdf`, also as `name`.pdf, which keeps text as text. The files are reproducible byte for byte; the SVG has text
     as outlines. Returns the paths of PNG and SVG.
     """
     folder = Path(folder)
@@ -199,7 +199,7 @@ def save(
     return png, svg
 
 
-_NO_LABEL = re.compile(r"_(child\d+|nolegend_)$")  # other names with a leading underscore are given by users
+_NO_LABEL = re.compile(r"_(child\d+|nolegend_)$")  # other names with a leading underscore come from users
 _LONGEST_LINE = 120  # characters
 _HALO = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
 _MOST_VERTICES = 600
@@ -212,7 +212,7 @@ def letter(axes: Axes, index: int, title: str) -> None:
 
 
 def panels(figure: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
-    """A number of panels, row by row."""
+    """Panels in row order."""
     grid = figure.subplots(-(-count // columns), columns, squeeze=False, **options).ravel()
     for axes in grid[count:]:
         axes.remove()

@@ -41,7 +41,7 @@ SECTIONS = {
 
 
 def name_of(dataset: str) -> str:
-    """Name of a dataset, by default its key."""
+    """Name of a dataset. Default: its key."""
     return NAMES.get(dataset, dataset)
 
 
@@ -155,9 +155,9 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     rows = [place for place in next(iter(columns.values())) if place[0].isdigit()]  # by pressure, also by direction
     pressures = sorted(rows, key=lambda place: float(place.split()[0]))
     by_pressure = Table(
-        "Simulated rig, RMSE [N] at the paper's four pressures: second test with other noise and offsets, and held-out "
-        "points. The second test includes points near the reversals of the stroke, fits and held-out points do not: "
-        "the two are not comparable. All contain half of the friction band, since a law has one curve for both "
+        "Simulated rig, RMSE [N] at the paper's four pressures: second test with new noise and offsets, and held-out "
+        "points. The second test includes points near stroke reversals, fits and held-out points do not: "
+        "the two are not comparable. All include half of the friction band, since a law has one curve for both "
         "directions.",
         ("pressure", *(f"{name} [N]" for name in columns)),
         [(p, *(number(values[p]) for values in columns.values())) for p in pressures],
@@ -203,7 +203,7 @@ def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
         tables.append(
             Table(
                 f"Geometry {setting.name}. BP: median over {results['seeds']} seeds, the worst in brackets. "
-                "Settling: into 10 % of the step size. Unstable: worse than not moving, or not finite.",
+                "Settling: to within 10 % of the step size. Unstable: worse than not moving, or not finite.",
                 ("controller", *columns, "unstable"),
                 rows,
             )
@@ -258,7 +258,7 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
 
 
 def settings_table(reproduction: Reproduction) -> Table:
-    """Settings of the simulations that the paper does not give."""
+    """Simulation settings that the paper does not give."""
     scenario = reproduction.tracking.runs[SETTINGS[0].key, StiffnessReference.STEP, PID].scenario
     rows = [
         ("connectors (Table 2 and ours)", *(s.connectors for s in SETTINGS)),
@@ -273,7 +273,7 @@ def settings_table(reproduction: Reproduction) -> Table:
         ),
     ]
     return Table(
-        "Settings of the simulations, which the paper does not give; ours.",
+        "Simulation settings that the paper does not give; ours.",
         ("setting", *(s.name for s in SETTINGS)),
         [tuple(cell.replace("N*m/rad", "N·m/rad") for cell in row) for row in rows],
     )

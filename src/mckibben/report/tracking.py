@@ -144,7 +144,7 @@ _LEAST_RANGE = 0.05  # of the desired stiffness
 
 
 def _bounded(curves: list[NDArray[np.float64]]) -> bool:
-    """Whether the full range of the curves is at most three times that of their central 96 %."""
+    """Whether the full range of the curves is at most three times the range of their central 96 %."""
     finite = np.concatenate([c[np.isfinite(c)] for c in curves])
     return bool(np.ptp(finite) < 3 * np.ptp(np.quantile(finite, [0.02, 0.98])))
 
@@ -293,7 +293,7 @@ def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Controll
 
 @styled
 def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
-    """Gains of BP over time relative to its base gains: by title a run and the largest gain ratio."""
+    """Gains of BP over time relative to its base gains, from a run and its largest gain ratio by title."""
     figure = blank(DOUBLE, 4.4)
     grid = figure.subplots(2, len(results), squeeze=False, sharex=True, sharey="col")
     for i, (title, (result, ratio)) in enumerate(results.items()):

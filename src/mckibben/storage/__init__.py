@@ -1,1 +1,1 @@
-"""Durable files: atomic writes, locks, append-only journals, and signals during a long job."""
+"""Durable files: atomic writes, locks, append-only journals, and signal handling for long jobs."""

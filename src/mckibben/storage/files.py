@@ -1,4 +1,4 @@
-"""Files that survive interruptions: atomic writes, checksums, locks and JSON; signals of long jobs."""
+"""Files that survive interruptions: atomic writes, checksums, locks and JSON; signal handling for long jobs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _REPEAT_INTERVAL = 1.0  # s
 
 @contextmanager
 def handle_signals(callback: Callable[[int], None]) -> Iterator[None]:
-    """Call a function on each of `SIGNALS` unless ignored before; one repeated after 1 s also interrupts."""
+    """Call a function on each of `SIGNALS` that is not already ignored; a repeat after 1 s also interrupts."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -57,14 +57,14 @@ except ImportError:  # Windows
     fcntl = None
 
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
-_LOCKED = 1 << 20  # place of the byte that is locked on Windows
+_LOCKED = 1 << 20  # offset of the byte that is locked on Windows
 _PIECE = 1 << 20  # bytes read at once
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file systems without locks
 
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Write a file that appears complete and synced at the end of the block, or not at all; yields a temporary file."""
+    """Yield a temporary file that replaces the target, complete and synced, at the end of the block, or not at all."""
     path = Path(path)
     temporary = path.with_name(f".{uuid.uuid4().hex}.part")
     os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
@@ -81,7 +81,7 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> It
 
 
 def _rename_new(temporary: Path, path: Path) -> None:
-    """Rename a file unless its new name is taken."""
+    """Rename a file unless the new name exists."""
     try:
         os.link(temporary, path)
     except FileExistsError:
@@ -96,12 +96,12 @@ _SEALED = len(_SEAL) + 64 + 1
 
 
 def sealed(content: bytes | memoryview) -> bytes:
-    """The content with its checksum in a last line: a comment in YAML, and bytes that HDF5 does not read."""
+    """Content with its checksum as the last line: a comment in YAML, trailing bytes ignored by HDF5."""
     return b"".join((content, _SEAL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
 
 
 def check_seal(path: Path) -> None:
-    """Check the checksum in the last line of a file; files without one, written by hand or by others, pass.
+    """Verify the checksum in the last line of a file; files without one, written by hand or by other programs, pass.
 
     Raises
     ------
@@ -119,27 +119,27 @@ def check_seal(path: Path) -> None:
         for start in range(0, size - _SEALED, _PIECE):
             digest.update(file.read(min(_PIECE, size - _SEALED - start)))
     if digest.hexdigest().encode() != last[len(_SEAL) : -1]:
-        remedy = "make it again; or, if the change was meant, remove the last line (# sha256 ...)"
-        raise FileError(str(path), [Problem("it is damaged: it has changed since it was written", remedy=remedy)])
+        remedy = "create it again or, if the change is intended, remove the last line (# sha256 ...)"
+        raise FileError(str(path), [Problem("it has changed since it was written", remedy=remedy)])
 
 
 _WRITE_ERRORS = {
     errno.ENOSPC: "the disk is full",
     errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "the file is larger than this process may write",
-    errno.EROFS: "the disk can no longer be written to",
-    errno.EIO: "the disk fails",
+    errno.EFBIG: "the file exceeds the size limit of this process",
+    errno.EROFS: "the disk has become read-only",
+    errno.EIO: "the disk reports an error",
 }
 
 
 @contextmanager
 def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> Iterator[None]:
-    """Raise a `FileError` that says what is kept, where a disk is full or fails, or the folder has vanished."""
+    """Raise a `FileError` that says what is kept if the disk is full or fails, or the folder has disappeared."""
     try:
         yield
     except OSError as error:
         if isinstance(error, FileNotFoundError) and not folder.is_dir():
-            problem = Problem("the folder has vanished, with what was kept in it", remedy="begin anew")
+            problem = Problem("the folder has disappeared, together with its files", remedy="begin anew")
         elif error.errno in _WRITE_ERRORS:
             listed = kept()
             problem = Problem(_WRITE_ERRORS[error.errno] + (f"; {listed}" if listed else ""), remedy=remedy)
@@ -149,7 +149,7 @@ def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> 
 
 
 def sync_folder(path: Path) -> None:
-    """Make new names in a folder durable, where the system can."""
+    """Sync the entries of a folder to disk, where the system supports it."""
     if hasattr(os, "O_DIRECTORY"):
         _sync(path, os.O_RDONLY | os.O_DIRECTORY)
 
@@ -180,26 +180,26 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def make_subfolder(folder: Path, name: str) -> Path:
-    """Create a folder in another unless it exists; `FileError` if it is a symbolic link, which is not followed."""
+    """Create a subfolder unless it exists; `FileError` if it is a symbolic link, which is not followed."""
     if (folder / name).is_symlink():
         problem = Problem("it is a symbolic link", field=name, remedy="remove it, or choose another folder")
         raise FileError(str(folder), [problem])
     return make_folder(folder / name)
 
 
-_ELSEWHERE = "choose another folder, or move what is there out of the way"
+_ELSEWHERE = "choose another folder, or move the existing file"
 
 
 def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> None:
-    """Raise `FileError` with all of some files that exist in a folder, which need not exist itself."""
+    """Raise `FileError` listing the named files that exist in a folder; the folder need not exist."""
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing:
-        raise FileError(str(folder), [Problem("it is there already", field=name, remedy=remedy) for name in existing])
+        raise FileError(str(folder), [Problem("it already exists", field=name, remedy=remedy) for name in existing])
 
 
 @contextmanager
 def file_lock(path: Path, task: str) -> Iterator[None]:
-    """Hold a lock on a file, removed at the end and void when its holder dies; `task` is for the error of others."""
+    """Hold a lock on a file, released at the end or if the process dies; other processes' errors name `task`."""
     try:
         file = _lock(path, task)
     except OSError as error:
@@ -216,12 +216,12 @@ def file_lock(path: Path, task: str) -> Iterator[None]:
 
 
 def _lock(path: Path, task: str) -> int:
-    """Descriptor of the locked file, which then holds our process id."""
+    """Lock the file, write our process id, and return its descriptor."""
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o644)
         try:
             if not _try_flock(file, path, task):
-                message = f"the file system of {path.parent} has no locks: take care that one process alone is {task}"
+                message = f"the file system of {path.parent} has no locks: make sure that only one process is {task}"
                 warnings.warn(message, McKibbenWarning, stacklevel=4)
             if not is_same_file(path, file):  # its last holder removed it meanwhile
                 os.close(file)
@@ -243,7 +243,7 @@ def _try_flock(file: int, path: Path, task: str) -> bool:
             _lock_byte(file)
     except (BlockingIOError, PermissionError):
         holder = os.read(file, 200).decode("utf-8", "replace").strip() or "just started"
-        problem = Problem(f"another process ({holder}) is {task}", remedy="wait for its end")
+        problem = Problem(f"another process ({holder}) is {task}", remedy="wait for it to finish")
         raise FileError(str(path.parent), [problem]) from None
     except OSError as error:
         if error.errno not in _NO_LOCKS:
@@ -253,7 +253,7 @@ def _try_flock(file: int, path: Path, task: str) -> bool:
 
 
 def _lock_byte(file: int) -> None:
-    """Lock a byte far behind the content, which others can still read; `PermissionError` if another process has it."""
+    """Lock a byte far beyond the content, so that others can read it; `PermissionError` if another process holds it."""
     import msvcrt
 
     os.lseek(file, _LOCKED, os.SEEK_SET)
@@ -264,7 +264,7 @@ def _lock_byte(file: int) -> None:
 
 
 def is_same_file(path: Path, file: int) -> bool:
-    """Whether a path still names an open file, which may have been removed or moved."""
+    """Whether a path still refers to an open file, which may have been removed or moved."""
     try:
         return os.path.samestat(path.stat(), os.fstat(file))
     except OSError:
@@ -272,7 +272,7 @@ def is_same_file(path: Path, file: int) -> bool:
 
 
 def json_ready(value: Any) -> Any:
-    """The value with NaN and infinities as None, and tuples as lists."""
+    """Convert NaN and infinities to None, and tuples to lists."""
     if isinstance(value, dict):
         return {key: json_ready(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Append-only journals: a header that identifies the job, twice, then records with a checksum each."""
+"""Append-only journals: a duplicated header that identifies the job, then records with a checksum each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mckibben.errors import FileError, McKibbenWarning, Problem
 from mckibben.storage.files import atomic_write, is_same_file
 
 HEADER = b"H"
-"""Kind of the first two records: JSON that identifies what made the journal."""
+"""Kind of the first two records: JSON that identifies the job."""
 
 _MAGIC = b"MCKCHUNK"
 _FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, CRC-32 of the rest, length of the payload [bytes], number
@@ -32,7 +32,7 @@ _WINDOW = 1 << 20
 
 
 class JournalRecord(NamedTuple):
-    """One record: its kind (one byte), a number that its writer chose, and its content."""
+    """One record: its kind (one byte), a number chosen by the writer, and its content."""
 
     kind: bytes
     number: int
@@ -53,7 +53,7 @@ def pack_json(kind: bytes, number: int, content: Mapping[str, Any]) -> bytes:
 def pack_arrays(kind: bytes, number: int, arrays: Mapping[str, NDArray]) -> bytes:
     """Bytes of a record that holds arrays by name."""
     content = io.BytesIO()
-    np.savez(content, **arrays)  # type: ignore[arg-type]  # names of ours, none of savez's own
+    np.savez(content, **arrays)  # type: ignore[arg-type]  # our names, none that savez reserves
     return pack(kind, number, content.getvalue())
 
 
@@ -64,7 +64,7 @@ def unpack_arrays(payload: bytes) -> dict[str, NDArray]:
 
 
 class JournalReader:
-    """Iterates over the intact records of a journal, header included; an incomplete end is no damage."""
+    """Iterates over the intact records of a journal, header included; an incomplete last record is not damage."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -90,13 +90,13 @@ class JournalReader:
                 position = found
 
     def warn_of_damage(self, what: str) -> None:
-        """Warn, once all is read, if records are damaged."""
+        """Warn of damaged records after the last has been read."""
         if self.damaged:
-            message = f"{self.path}: {self.damaged} damaged {what} are computed again"
+            message = f"{self.path}: {self.damaged} damaged {what} will be recomputed"
             warnings.warn(message, McKibbenWarning, stacklevel=5)
 
     def header(self) -> dict[str, Any] | None:
-        """Content of the first intact record, if that is a header."""
+        """Content of the first intact record, if it is a header."""
         record = next(iter(self), None)
         if record is None or record.kind != HEADER:
             return None
@@ -104,14 +104,14 @@ class JournalReader:
         return content if isinstance(content, dict) else None
 
     def checked_header(self, error: type[FileError] = FileError) -> dict[str, Any] | None:
-        """`header`; raises where the file is a journal whose header is damaged, cut or not written."""
+        """`header`; raises if the header of the journal is damaged, truncated or missing."""
         if (header := self.header()) is not None:
             return header
         with self.path.open("rb") as file:
             begun = _MAGIC.startswith(file.read(len(_MAGIC))) or _find_magic(file, 0) is not None
         if begun:
-            message = "is damaged or incomplete, so that it is not known what the file is of"
-            remedy = "restore the file from a copy, or begin anew: choose another folder, or remove the file"
+            message = "is damaged or incomplete: the job that wrote the file is unknown"
+            remedy = "restore the file from a copy, or start again: choose another folder, or remove the file"
             raise error(str(self.path), [Problem(message, field="header", remedy=remedy)])
         return None
 
@@ -133,7 +133,7 @@ def _read(file: BinaryIO, position: int) -> JournalRecord | None:
 
 
 def _is_cut(file: BinaryIO, position: int) -> bool:
-    """Whether the record at a position is incomplete, as a process leaves it that dies while it writes."""
+    """Whether the record at a position is incomplete, as after a crash during a write."""
     size = file.seek(0, os.SEEK_END)
     file.seek(position)
     front = file.read(_FRONT.size)
@@ -158,7 +158,7 @@ def _find_magic(file: BinaryIO, start: int) -> int | None:
 
 
 class Journal:
-    """Appends records to a journal from any thread of a process; each append is synced to the disk when it returns."""
+    """Appends records to a journal from any thread; each append is synced to disk before it returns."""
 
     def __init__(self, path: Path, end: int) -> None:
         self.path = path
@@ -168,7 +168,7 @@ class Journal:
 
     @classmethod
     def create(cls, path: Path, header: Mapping[str, Any], *, number: int = 0) -> Self:
-        """Begin a journal; the file appears with its header. `FileError` if it exists."""
+        """Create a journal with its header. `FileError` if the file exists."""
         content = 2 * pack_json(HEADER, number, header)
         with atomic_write(path) as temporary:
             temporary.write_bytes(content)
@@ -176,13 +176,13 @@ class Journal:
 
     @classmethod
     def resume(cls, reader: JournalReader) -> Self:
-        """Continue a journal that has been read to its end; an incomplete last record is cut off."""
+        """Continue a journal after reading it to its end; an incomplete last record is truncated."""
         journal = cls(reader.path, reader.end)
         os.ftruncate(journal._file, reader.end)
         return journal
 
     def append(self, content: bytes) -> None:
-        """Append packed records, all or none; `FileNotFoundError` if the file is no longer at its path."""
+        """Append packed records, all or none; `FileNotFoundError` if the file was removed or moved."""
         with self._lock:
             try:
                 _write_at(self._file, self._end, content)
@@ -191,7 +191,7 @@ class Journal:
                 raise
             self._end += len(content)
             if not is_same_file(self.path, self._file):
-                raise FileNotFoundError(errno.ENOENT, "it was removed or moved while it was written")
+                raise FileNotFoundError(errno.ENOENT, "it was removed or moved during writing")
 
     @property
     def closed(self) -> bool:
@@ -220,7 +220,7 @@ def _write_at(file: int, position: int, content: bytes) -> None:
 
 
 def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
-    """Header of a journal of a kind ("format") and version; `FileError` if it is another file."""
+    """Header of a journal of the given kind ("format") and version; `FileError` for any other file."""
     try:
         header = JournalReader(path).checked_header()
     except FileError:
@@ -228,9 +228,9 @@ def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise FileError(str(path), [Problem(f"it cannot be read: {error}")]) from None
     if header is None or header.get("format") != kind:
-        raise FileError(str(path), [Problem(f"it is no {kind}", remedy="choose another folder, or remove the file")])
+        raise FileError(str(path), [Problem(f"it is not a {kind}", remedy="choose another folder, or remove the file")])
     if header.get("version") != version:
-        message = f"it has format version {header.get('version')}, and this mckibben reads {version}"
+        message = f"it has format version {header.get('version')}; this version of mckibben reads {version}"
         raise FileError(str(path), [Problem(message, remedy="choose another folder, or another version of mckibben")])
     return header
 
@@ -238,7 +238,7 @@ def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
 def header_differences(
     kept: Mapping[str, Any], wanted: Mapping[str, Any], job: str, *, remedy: str, ignore: tuple[str, ...] = ()
 ) -> list[Problem]:
-    """Differences between a journal's header and the job that is to continue it, each with its field."""
+    """Differences between a journal's header and the job that continues it, each with its field."""
     found = []
     for name in dict.fromkeys([*wanted, *kept]):
         before, now = kept.get(name), wanted.get(name)
@@ -270,12 +270,12 @@ def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]
 def _begun_with(job: str, before: Any, now: Any) -> str:
     old, new = (text if len(text := _in_words(value)) <= 160 else f"{text[:156]}..." for value in (before, now))
     if before is None:
-        return f"{job} was begun without {new}"
-    return f"{job} was begun with {old} too" if now is None else f"{job} was begun with {old}, not {new}"
+        return f"{job} was started without {new}"
+    return f"{job} was started with {old} too" if now is None else f"{job} was started with {old}, not {new}"
 
 
 def _in_words(value: Any) -> str:
-    """A value of a header, of numbers only how many there are, and from where to where."""
+    """Summary of a header value; a list of numbers as its count and range."""
     if isinstance(value, dict):
         return ", ".join(f"{name} ({_in_words(one)})" for name, one in value.items())
     if isinstance(value, list) and value and all(isinstance(one, int | float) for one in value):

@@ -1,4 +1,4 @@
-"""Stiffness of the joint of a scenario over size and rate of a motion, at the setpoint that its controller holds."""
+"""Stiffness of a scenario's joint over amplitude and rate of a motion, at the setpoint held by its controller."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ HELD, CLOSED, COMMANDED, CONTROLLED = "pressures held", "valves closed", "comman
 
 @dataclass(frozen=True)
 class StiffnessTests:
-    """Stiffness over size and rate of a motion about the angle that the controller of a scenario holds.
+    """Stiffness over amplitude and rate of a motion about the angle held by a scenario's controller.
 
     Attributes
     ----------
     scenario
         Scenario.
     angle, pressures, asked
-        Angle [rad] and gauge pressures [Pa] held, and the setpoint of the stiffness [N*m/rad].
+        Angle [rad] and gauge pressures [Pa] held, and the stiffness setpoint [N*m/rad].
     isobaric, closed_valve
         Slopes without friction (Eq. 8), at constant pressures and with closed valves [N*m/rad].
     polytropic_index
@@ -43,8 +43,8 @@ class StiffnessTests:
     secant, closed_secant
         Closed forms with friction (`AntagonisticJoint.secant_stiffness`) over the amplitudes of the tests [N*m/rad].
     tests
-        Simulated tests by name: pressures held, valves closed, commands constant (of an `AirValve`, which lets the
-        pressure vary), and the controller at work.
+        Simulated tests by name: constant pressures, closed valves, constant commands (with an `AirValve`, which lets
+        the pressure vary), and the active controller.
     """
 
     scenario: Scenario
@@ -73,13 +73,13 @@ class StiffnessTests:
         """Setpoint of the tests and stiffness without friction, as text."""
         angle, pressures = round(self.angle / deg, 3) + 0.0, ", ".join(f"{p / bar:.3g}" for p in self.pressures)
         return (
-            f"held: {angle:g} deg at {pressures} bar, asked for {self.asked:.4g} N*m/rad; without friction "
+            f"held: {angle:g} deg at {pressures} bar, setpoint {self.asked:.4g} N*m/rad; without friction "
             f"{self.isobaric:.4g} N*m/rad at constant pressures, {self.closed_valve:.4g} with closed valves (n = "
             f"{self.polytropic_index:g})"
         )
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Headers and rows of a table of every other amplitude and rate; of a controller the magnitude."""
+        """Headers and rows of a table of every other amplitude and rate; for a controller, the magnitude."""
         varied = [(name, test) for name, test in self.tests.items() if name not in (HELD, CLOSED)]
         headers = ["amplitude", HELD, CLOSED]
         headers += [f"{name}, {rate:.2g} Hz" for name, test in varied for rate in test.frequency[::2]]

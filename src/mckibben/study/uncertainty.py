@@ -1,6 +1,6 @@
 r"""Uncertainty of a joint's torque and stiffness from the fits of its muscles.
 
-The delta method, with gradients by forward differentiation through the joint. Two muscles that share a fit share its
+Delta method, with gradients by forward differentiation through the joint. Two muscles with the same fit share its
 errors, which partly cancel in the torque of a symmetric joint and add up in its stiffness. Two fits are independent.
 """
 
@@ -34,7 +34,7 @@ class JointBands:
 
     torque: IntervalEstimate
     stiffness: IntervalEstimate
-    may_be_slack: NDArray[np.bool_]  # the interval of a muscle's force includes zero, and the bands are too narrow
+    may_be_slack: NDArray[np.bool_]  # the interval of a muscle's force includes zero: the bands are too narrow
 
 
 def joint_bands(
@@ -51,9 +51,9 @@ def joint_bands(
     Parameters
     ----------
     joint
-        Joint, whose muscles get the laws of the fits.
+        Joint; its muscles get the laws of the fits.
     fits
-        One fit for both muscles, with common errors, or one for each, independent.
+        One fit for both muscles, with common errors, or one independent fit per muscle.
     angle, pressures
         Angle [rad] and gauge pressures [Pa]; they broadcast.
     level, by
@@ -88,7 +88,7 @@ def joint_bands(
     values = tuple(np.array(list(fit.estimates.values())) for fit in pair)
     both = first, last
     with_laws = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (first.law, last.law))
-    pressures = pressure_pair(pressures)  # type: ignore[arg-type]  # what NumPy takes for an array, JAX does as well
+    pressures = pressure_pair(pressures)  # type: ignore[arg-type]  # JAX accepts the same arrays as NumPy
     where = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (angle, *pressures)))
     shape = where[0].shape
     answers = torque_and_stiffness_gradients(with_laws, values, *where, one=one)
@@ -112,7 +112,7 @@ def joint_bands(
 def torque_and_stiffness_gradients(
     joint: AntagonisticJoint, values: tuple[Any, ...], angle: Any, pressure1: Any, pressure2: Any, *, one: bool
 ) -> tuple[Array, list[Array], tuple[Array, Array]]:
-    """Torque and stiffness, shape (2, ...); for each fit its gradients, shape (2, parameters, ...); contractions."""
+    """Torque and stiffness, shape (2, ...); gradients per fit, shape (2, parameters, ...); contractions."""
 
     def answer(given: tuple[Any, ...]) -> Array:
         laws = _with(joint.muscle1.law, given[0]), _with(joint.muscle2.law, given[-1])

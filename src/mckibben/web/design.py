@@ -1,4 +1,4 @@
-"""Design of a joint of two equal muscles: kinds and their dimensions, ranges over the angle, drawing, and file."""
+"""Design of a joint with two equal muscles: kinds and their dimensions, ranges over the angle, drawing, and file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ POSE = 40.0
 
 
 class JointDimension(NamedTuple):
-    """A number of a kind of joint: its label, unit, limits, step and first value."""
+    """A dimension of a kind of joint: its label, unit, limits, step and initial value."""
 
     label: str
     unit: str
@@ -42,7 +42,7 @@ class JointDimension(NamedTuple):
 
 
 class JointKind(NamedTuple):
-    """A kind of joint: its dimensions, and the geometry from these [mm] and the length [m] of the muscles at 0 deg."""
+    """A kind of joint: its dimensions, and its geometry from these [mm] and the muscle length [m] at 0 deg."""
 
     dimensions: dict[str, JointDimension]
     geometry: Callable[..., Geometry]
@@ -113,7 +113,7 @@ KINDS = {
 
 @dataclass
 class JointDesign:
-    """Numbers of the page, in the units that are shown; `dimensions` are those of the kind."""
+    """Numbers of the page, in shown units; `dimensions` belong to the kind."""
 
     muscle: str = next(iter(_MUSCLES))
     kind: str = next(iter(KINDS))
@@ -128,7 +128,7 @@ class JointDesign:
 
 
 class Designed(NamedTuple):
-    """A joint with its ranges over the angle, and at the angle that is drawn."""
+    """A joint with its ranges over the angle, and at the drawn angle."""
 
     joint: AntagonisticJoint
     stiffness: tuple[np.ndarray, np.ndarray]
@@ -137,7 +137,7 @@ class Designed(NamedTuple):
 
 
 class _Pose(NamedTuple):
-    """The joint at one angle; pairs are of muscles 1 and 2."""
+    """The joint at one angle; pairs refer to muscles 1 and 2."""
 
     stiffness: tuple[Array, Array]
     torque: tuple[Array, Array]
@@ -149,7 +149,7 @@ class _Pose(NamedTuple):
 def _ranges(
     joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
 ) -> tuple[Any, Any, _Pose]:
-    """Stiffness and torque over angles and at one of them; compiled once for each kind of law."""
+    """Stiffness and torque over angles and at one of them; compiled once per kind of law."""
     every = jnp.append(jnp.asarray(angles), jnp.asarray(angle))
     stiffness = joint.attainable_stiffness(every, torque, pressure_limits=limits)
     torques = joint.attainable_torque(every, pressure_limits=limits)
@@ -161,13 +161,13 @@ def _ranges(
 
 
 def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
-    """The joint of two such muscles; raises a `RangeError` for lengths that do not fit."""
+    """The joint with two such muscles; raises a `RangeError` for lengths that do not fit."""
     length = float(muscle.specimen.initial_length) * (1 - design.contraction * percent)
     return AntagonisticJoint(KINDS[design.kind].geometry(length, **design.dimensions), muscle, muscle)
 
 
 def connector_length(geometry: Any) -> float | None:
-    """Length of the connectors [m]; None for a geometry without."""
+    """Length of the connectors [m]; None for a geometry without connectors."""
     return getattr(getattr(geometry, "path1", geometry), "connector_length", None)
 
 
@@ -184,7 +184,7 @@ def compute(design: JointDesign, muscle: Muscle) -> Designed:
 
 
 def muscles(fitted: Muscle | None) -> dict[str, Muscle]:
-    """Muscles to choose from: of the catalog, and the one identified in this session."""
+    """Muscles to choose from: the catalog, and the one identified in this session."""
     known = {name: Muscle(catalog.specimen(name), catalog.law(law)) for name, law in _MUSCLES.items()}
     return known if fitted is None else {YOURS: fitted} | known
 
@@ -196,7 +196,7 @@ def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
 
 
 def _section(part: eqx.Module) -> dict[str, Any]:
-    """The section of a file that gives a component, with the units of its fields."""
+    """The section of a file that describes a component, with the units of its fields."""
     found: dict[str, Any] = {"class": type(part).__name__}
     for name, value in vars(part).items():
         mark = field_quantities(type(part)).get(name)
@@ -205,13 +205,13 @@ def _section(part: eqx.Module) -> dict[str, Any]:
 
 
 def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any]) -> str:
-    """SVG of a joint at an angle [rad], to scale; of numbers only."""
+    """SVG of a joint at an angle [rad], to scale; contains only numbers."""
     mechanism = Mechanism(joint.geometry, (-POSE * deg, POSE * deg))
     strands, height = mechanism.strands(angle), mechanism.height / mm
     bone, shank = 0.016 * height, 0.55 * mechanism.height
 
     def points(*places: Sequence[float] | Points) -> str:
-        """Places [m] in millimetres, where y points down."""
+        """Points [m] in millimetres, with y pointing down."""
         return " ".join(f"{x / mm:.2f},{-y / mm:.2f}" for x, y in places)
 
     def path(color: str, width: float, *places: Sequence[float] | Points) -> str:

@@ -1,4 +1,4 @@
-"""Page of the muscle: data in, force law, residuals and ranking out."""
+"""Muscle page: from data to force law, residuals and ranking."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from mckibben.web.layout import (
 from mckibben.web.security import LARGEST
 from mckibben.web.session import Jobs, session
 
-_LONGEST_PASTE = 400_000  # characters: a message of the browser holds a megabyte
+_LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_CURVES = 12
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _LENGTH: Quantity = Length.__metadata__[0]  # type: ignore[attr-defined]
@@ -69,13 +69,15 @@ def column_names(text: str) -> dict[str, str]:
     for number, one in enumerate(filter(str.strip, text.splitlines()), start=1):
         header, equals, name = (part.strip() for part in one.rpartition("="))
         if not (header and equals and name):
-            raise ParameterError(f"columns, line {number} is no pair", value=one, remedy="write HEADER = pressure_bar")
+            raise ParameterError(
+                f"columns, line {number} is not a pair", value=one, remedy="write HEADER = pressure_bar"
+            )
         found[header] = name
     return found
 
 
 def _refused_length(text: str | None) -> str | None:
-    """Why a text is no initial length; None if it is one, or empty."""
+    """Reason why a text is not an initial length; None if it is valid or empty."""
     try:
         _ = text and text.strip() and _LENGTH.read(text)
     except McKibbenError as error:
@@ -136,7 +138,7 @@ class _Page:
                     ui.input("initial length, such as 180 mm", validation=_refused_length).props("dense").classes(
                         "w-full"
                     ).mark("length").bind_value(state, "initial_length")
-                    ui.textarea("columns, one a line: HEADER = pressure_bar").props("dense autogrow").classes(
+                    ui.textarea("columns, one per line: HEADER = pressure_bar").props("dense autogrow").classes(
                         "w-full mono"
                     ).bind_value(state, "columns")
                     ui.button("Read again", on_click=self.read).props("flat no-caps")
@@ -156,7 +158,7 @@ class _Page:
         ui.timer(0.15, self.refresh)
 
     def refresh(self) -> None:
-        """Show progress, and results as soon as they are new."""
+        """Show progress, and new results as they appear."""
         jobs = self.state.jobs
         self.busy.visible = self.step.visible = jobs.busy
         if jobs.busy:
@@ -168,7 +170,7 @@ class _Page:
                 self.show()
 
     async def uploaded(self, event: events.UploadEventArguments) -> None:
-        """Keep an uploaded file under a name of ours, with its ending."""
+        """Store an uploaded file under our own name, with its ending."""
         ending = Path(event.file.name).suffix.lower()
         path = self.folder / f"data{ending if _READABLE.fullmatch(ending) else '.csv'}"
         await event.file.save(path)
@@ -181,12 +183,12 @@ class _Page:
         self.take("pasted table", path)
 
     def example(self, event: events.ValueChangeEventArguments) -> None:
-        """Take a dataset of the catalog."""
+        """Use a dataset from the catalog."""
         if event.value:
             self.take(event.value, None)
 
     def take(self, name: str, source: Path | None) -> None:
-        """Read a file, or a dataset of the catalog, in place of what was there."""
+        """Replace the data by a file or a dataset from the catalog."""
         state = self.state
         state.name, state.source = name, source
         length, columns = state.initial_length, state.columns
@@ -236,11 +238,11 @@ class _Page:
         state.jobs.start(lambda progress: rank(data, progress=progress), done, self.fail)
 
     def fail(self, error: McKibbenError) -> None:
-        """Keep an error, to be shown."""
+        """Store an error for display."""
         self.state.error = error
 
     def show(self) -> None:
-        """All that is known."""
+        """Show everything known."""
         state = self.state
         if state.error is not None:
             with panel(state.name):
@@ -249,7 +251,7 @@ class _Page:
             if state.error is None and not state.jobs.busy:
                 with panel("No points yet"):
                     ui.label(
-                        "A table with columns of pressure, force, and contraction or length, one row a point. Units "
+                        "A table with columns of pressure, force, and contraction or length, one row per point. Units "
                         "are read from the headers: pressure_bar, Force [N], length / mm."
                     ).classes("quiet")
             return
@@ -260,7 +262,7 @@ class _Page:
             self.show_ranking(state.ranking)
 
     def show_data(self, data: IsobaricDataset) -> None:
-        """Columns with their ranges, and remarks of the reader."""
+        """Columns with their ranges, and remarks from reading."""
         attrs = data.table.attrs
         with panel(self.state.name):
             ui.label(f"{len(data)} points, {len(data) - len(data.taut)} slack").classes("number")
@@ -313,7 +315,7 @@ class _Page:
                 rows.append((p.name, p.meaning, f"{fit.estimates[p.name] / scale:.5g}", shown, p.shown))
             table(("parameter", "meaning", "estimate", "95 % interval", "unit"), rows, left=2)
             unseen = fit.leave_one_pressure_out
-            held_out = f"; {unseen.rmse:.3g} N at pressures left out" if unseen else ""
+            held_out = f"; {unseen.rmse:.3g} N at left-out pressures" if unseen else ""
             ui.label(
                 f"residuals: RMSE {fit.rmse:.3g} N, at most {fit.max_error:.3g} N{held_out}; "
                 f"{fit.points_used} points used"
@@ -324,10 +326,10 @@ class _Page:
                 if self.state.muscle is not None:
                     ui.button("Design a joint with it", on_click=self.design).props("flat no-caps")
                 else:
-                    ui.label("give the initial length for a muscle of scenarios").classes("quiet")
+                    ui.label("give the initial length to use the muscle in scenarios").classes("quiet")
 
     def show_ranking(self, found: Ranking) -> None:
-        """Laws, the best first."""
+        """Laws, best first."""
         blocks = found.blocks
         rows = [
             (
@@ -344,7 +346,7 @@ class _Page:
             made.columns[-1]["align"] = "left"
 
     def download(self) -> None:
-        """Hand out fit.yaml and, where the length is known, muscle.yaml."""
+        """Offer fit.yaml and, if the length is known, muscle.yaml for download."""
         kept = io.BytesIO()
         with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED) as folder:
             for name in ("muscle.yaml", "fit.yaml") if self.state.muscle is not None else ("fit.yaml",):
@@ -352,7 +354,7 @@ class _Page:
         ui.download.content(kept.getvalue(), "muscle.zip")
 
     def design(self) -> None:
-        """Take the muscle to the page of the joint."""
+        """Use the muscle on the joint page."""
         from mckibben.web.design import YOURS, JointDesign
 
         session().state(JointDesign).muscle = YOURS

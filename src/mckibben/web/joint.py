@@ -1,4 +1,4 @@
-"""Page of the joint: geometry with a drawing, attainable stiffness and torque over the angle."""
+"""Joint page: geometry with a drawing, attainable stiffness and torque over the angle."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class _Page:
         with side():
             with ui.element("div").classes("pair narrow-first"):
                 with panel():
-                    self.drawing = ui.html("", sanitize=False).classes("w-full")  # lines at numbers, and nothing else
+                    self.drawing = ui.html("", sanitize=False).classes("w-full")  # only lines with numbers
                     with ui.row().classes("w-full justify-between no-wrap"):
                         self.contractions = [
                             ui.label()
@@ -112,13 +112,13 @@ class _Page:
 
     @staticmethod
     def fact(name: str) -> ui.label:
-        """A number with its name above."""
+        """A number with its name above it."""
         with ui.column().style("gap: 0"):
             ui.label(name).classes("quiet")
             return ui.label().classes("fact")
 
     def number(self, label: str, unit: str, name: str, limits: tuple[float, float], step: float) -> NumberSlider:
-        """A slider of a number of the design."""
+        """A slider for a number of the design."""
 
         async def changed(value: float) -> None:
             setattr(self.design, name, value)
@@ -127,7 +127,7 @@ class _Page:
         return NumberSlider(label, unit, limits, step, getattr(self.design, name), changed)
 
     def form(self) -> None:
-        """Sliders of the dimensions of this kind of joint."""
+        """Sliders for the dimensions of this kind of joint."""
         self.dimensions.clear()
         with self.dimensions:
             for name, one in KINDS[self.design.kind].dimensions.items():
@@ -139,23 +139,23 @@ class _Page:
                 NumberSlider(one.label, one.unit, one.limits, one.step, self.design.dimensions[name], changed)
 
     async def reshape(self, event: events.ValueChangeEventArguments) -> None:
-        """Take another kind of joint."""
+        """Change the kind of joint."""
         self.design.kind, self.design.dimensions = event.value, {}
         self.design.__post_init__()
         self.form()
         await self.again()
 
     async def first(self) -> None:
-        """The first curves; after it nothing of this kind of muscle is compiled."""
+        """Compute the first curves; afterwards nothing is compiled for this kind of muscle."""
         await self.again()
 
     async def again(self) -> None:
-        """Compute for the numbers of the sliders."""
+        """Compute for the slider values."""
         now = dataclasses.replace(self.design, dimensions=dict(self.design.dimensions))
         await self.latest(now, self.known[self.design.muscle])
 
     async def choose(self, event: events.ValueChangeEventArguments) -> None:
-        """Take another muscle; the joint gets as much longer as the muscle is."""
+        """Change the muscle; the joint's length changes with the muscle's."""
         before, self.design.muscle = self.known[self.design.muscle], event.value
         now = self.known[event.value]
         most = highest_pressure(now)
@@ -169,7 +169,7 @@ class _Page:
         await self.again()
 
     def show(self, found: Designed) -> None:
-        """Draw the stiffness, and leave the rest to `show_rest`."""
+        """Draw the stiffness; `show_rest` draws the rest."""
         angles = ANGLES / deg
         low, high = found.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
@@ -177,7 +177,7 @@ class _Page:
         self.found = found
 
     def mark(self) -> dict[str, Any]:
-        """Line at the angle that is drawn."""
+        """Line at the drawn angle."""
         look = {"color": BLACK, "type": [4, 3], "width": 1}
         data = [{"xAxis": self.design.angle}]
         return {
@@ -185,7 +185,7 @@ class _Page:
         }
 
     async def show_rest(self) -> None:
-        """Drawing, torque and texts of the newest joint, if they are not shown yet."""
+        """Show drawing, torque and texts of the newest joint, unless already shown."""
         found, self.found = self.found, None
         if found is None:
             return
@@ -210,7 +210,7 @@ class _Page:
         self.series.text = f"{connectors}muscles of {own:g} mm"
         (k1, k2), (t1, t2), arms = (tuple(float(x) for x in pair) for pair in (here.stiffness, here.torque, here.arms))
         self.facts[0].text = f"{k1:.3g} to {k2:.3g} N·m/rad" if math.isfinite(k1) else "the load is not held"
-        self.facts[1].text = f"{t1:.3g} to {t2:.3g} N·m" if math.isfinite(t1) else "a muscle is out of its range"
+        self.facts[1].text = f"{t1:.3g} to {t2:.3g} N·m" if math.isfinite(t1) else "a muscle is outside its range"
         self.facts[2].text = f"{arms[0] / mm:.1f} and {arms[1] / mm:.1f} mm"
         domain, names = muscle.domain, ("antagonist", "agonist")
         for text, name, one in zip(self.contractions, names, map(float, here.contractions), strict=True):
@@ -218,7 +218,7 @@ class _Page:
             text.text = f"{name} {one / percent:.1f} %" + ("" if inside else ", out of range")
 
     def fail(self, error: Exception) -> None:
-        """Show why there is no such joint."""
+        """Show why this joint is impossible."""
         self.errors.clear()
         self.found = None
         assert isinstance(error, McKibbenError)
@@ -232,18 +232,18 @@ class _Page:
         self.timer.active = self.play.value
 
     async def swing(self) -> None:
-        """The next angle of the motion."""
+        """Move to the next angle."""
         self.phase += 0.07
         self.design.angle = round(0.6 * POSE * math.sin(self.phase), 1)
         await self.again()
 
     def download(self) -> None:
-        """Hand out the joint as a section of a scenario."""
+        """Offer the joint as a scenario section for download."""
         text = scenario_lines(self.design, self.known[self.design.muscle])
         ui.download.content(text, "joint.yaml")
 
     def run(self) -> None:
-        """Take the joint to the page of runs."""
+        """Use the joint on the page of runs."""
         from mckibben.web.workbench import Workbench
 
         muscle = self.known[self.design.muscle]

@@ -1,6 +1,6 @@
-"""Frame of the pages, and the parts that they share: errors, tables, sliders, charts.
+"""Frame of the pages and their shared parts: errors, tables, sliders, charts.
 
-Text goes through labels and tables, which show it as it is: nothing of a file becomes HTML.
+Text goes through labels and tables, which show it verbatim: file content never becomes HTML.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#5f6b76"
 
 LATER = 0.05
-"""Seconds after which what a slider does not change first is sent: the browser draws the curves meanwhile."""
+"""Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/rig": "Rig"}
 _STYLE = """
@@ -75,7 +75,7 @@ def frame(here: str) -> Iterator[None]:
 
 @contextmanager
 def panel(title: str = "", *, stays: bool = False) -> Iterator[None]:
-    """A white box with a heading; on a narrow screen one that `stays` remains in sight."""
+    """A white box with a heading; on a narrow screen a box that `stays` remains visible."""
     with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px"):
         if title:
             ui.label(title).classes("heading")
@@ -90,7 +90,7 @@ def side() -> Iterator[None]:
 
 
 def show_error(error: McKibbenError) -> None:
-    """Message of an error; of a file each problem with its line and remedy."""
+    """Error message; for a file, each problem with its line and remedy."""
     if not isinstance(error, FileError):
         _message(error.message, error.remedy)
         return
@@ -119,7 +119,7 @@ def _message(message: str, remedy: str) -> None:
 
 
 def show_warnings(texts: Iterable[str]) -> None:
-    """Warnings, one a line."""
+    """Warnings, one per line."""
     for text in texts:
         with ui.row().classes("no-wrap items-start").style("gap: 8px"):
             ui.icon("warning_amber", color=ORANGE).style("font-size: 18px")
@@ -138,15 +138,15 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int 
 
 
 def text_area(label: str, longest: int, height: int, **options: Any) -> ui.textarea:
-    """A field of many lines, of at most so many characters, with a height in pixels."""
+    """A multi-line field with a maximum number of characters and a height in pixels."""
     look = f"outlined aria-label='{label}' maxlength={longest} spellcheck=false input-style='height: {height}px'"
     return ui.textarea(**options).props(look).classes("w-full mono")
 
 
 class NumberField(ui.number):
-    """A field of a number; what is none, or not allowed, is refused with a message at the field.
+    """A number field; invalid or disallowed input is refused with a message at the field.
 
-    `changed` is called with numbers that are allowed; `allowed` says in words which these are.
+    `changed` is called with allowed numbers; `allowed` describes them in words.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class PageSlider(ui.slider):
 
 
 class NumberSlider:
-    """A number with a slider and a field, in a unit that is shown."""
+    """A number with a slider and a field, in its shown unit."""
 
     def __init__(
         self,
@@ -225,7 +225,7 @@ class NumberSlider:
 
 
 def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | None]]:
-    """Pairs for a chart; at most so many, and gaps where a value is not finite."""
+    """Pairs for a chart, limited in number, with gaps where a value is not finite."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     step = max(1, -(-len(x) // most))
     kept = zip(x[::step].tolist(), y[::step].tolist(), strict=True)
@@ -246,7 +246,7 @@ def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = Fals
 
 
 def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -> list[dict[str, Any]]:
-    """The area between two curves, from two series on top of each other."""
+    """The area between two curves, from two stacked series."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     shared: dict[str, Any] = {
         "type": "line",
@@ -313,9 +313,9 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
 
 
 def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[str] | None = None) -> None:
-    """Replace the curves of a chart; the legend has all but the lower ends of bands.
+    """Replace the curves of a chart; the legend omits the lower ends of bands.
 
-    Where there are as many as before, only these are sent, straight to the chart: the page is not rendered anew.
+    If their number is unchanged, only the curves are sent, directly to the chart: the page is not rendered again.
     """
     series = list(series)
     names = [one["name"] for one in series if not one["name"].endswith(" from")] if legend is None else list(legend)

@@ -1,4 +1,4 @@
-"""Page of the rig: a test on the simulated rig, with live plots and a button that vents."""
+"""Rig page: a test on the simulated rig, with live plots and a vent button."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ protocol:
     samples: 1000
     repeats: 1
 """
-_PACES = {20: "20 times as fast", 100: "100 times as fast", 0: "as fast as it is computed"}
+_PACES = {20: "20 times as fast", 100: "100 times as fast", 0: "as fast as possible"}
 
 
 @dataclass
@@ -85,13 +85,13 @@ def checked(text: str, folder: Path) -> CheckedTest:
         raise ParameterError(
             f"the test has {found.dry_run.samples} samples, more than {_MOST_SAMPLES}",
             value=found.dry_run.samples,
-            remedy="take fewer points, or use `mckibben rig run`",
+            remedy="use fewer points, or use `mckibben rig run`",
         )
     return found
 
 
 def measure(state: RigState, text: str, folder: Path) -> IsobaricDataset:
-    """Run a test; the rows of the state grow with it, and its event `vent` stops it."""
+    """Run a test that appends rows to the state; the event `vent` stops it."""
     test = checked(text, folder.parent)
     shutil.rmtree(folder, ignore_errors=True)
     state.rows, state.points, state.total = [], 0, max(1, test.dry_run.plateaus)
@@ -144,7 +144,7 @@ class _Page:
         ui.timer(0.2, self.refresh)
 
     def refresh(self) -> None:
-        """Show what has been measured since."""
+        """Show new measurements."""
         state = self.state
         rows = state.rows
         self.bar.value = state.points / state.total if rows else 0.0
@@ -189,11 +189,11 @@ class _Page:
         state.jobs.start(compute, done, fail)
 
     def vent(self) -> None:
-        """Stop the test after the running cycle, and let the air out."""
+        """Stop the test after the current cycle, and vent."""
         self.state.vent.set()
 
     def identify(self) -> None:
-        """Take the points to the page of the muscle."""
+        """Use the points on the muscle page."""
         found = session().state(IdentificationState)
         found.name, found.data, found.source = "test on the simulated rig", self.state.data, self.state.source
         found.fit = found.ranking = found.error = None

@@ -1,4 +1,4 @@
-"""Page of runs: references, controller and gains, with plots that follow, and the scenario as YAML."""
+"""Page of runs: references, controller and gains, live plots, and the scenario as YAML."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class _Page:
                 ui.button("Remove kept runs", on_click=self.clear).props("flat no-caps")
                 with ui.row().classes("items-center no-wrap") as self.busy:
                     ui.spinner(size="20px")
-                    ui.label("computing; a new kind of controller compiles for some seconds").classes("quiet")
+                    ui.label("computing; a new kind of controller compiles for a few seconds").classes("quiet")
                     ui.button("Cancel", on_click=state.jobs.cancel).props("flat dense no-caps").mark("cancel")
             self.remarks = ui.column().classes("w-full")
             with panel("Angle", stays=True):
@@ -132,7 +132,7 @@ class _Page:
                     self.fields(state.scenario)
         if self.shown != state.jobs.version:
             self.shown = state.jobs.version
-            if self.text != state.text:  # else it may be being edited
+            if self.text != state.text:  # otherwise it may be being edited
                 self.text = self.yaml.value = state.text
             self.remarks.clear()
             with self.remarks:
@@ -146,12 +146,12 @@ class _Page:
                 self.plot(state.current)
 
     def change(self, make: Callable[[], Scenario], *, form: bool = True) -> None:
-        """Make another scenario and run it; with other fields if its form is another."""
+        """Change the scenario and run it; rebuild the fields if its structure changed."""
         state, folder = self.state, self.folder
 
         def run(progress: Callable[[str, float], None]) -> tuple[Scenario, Kept, list[str]]:
             scenario = make()
-            progress("run", 0.1)  # not if another has been asked for since
+            progress("run", 0.1)  # unless another has been requested since
             return scenario, *compute(scenario, folder)
 
         def done(found: tuple[Scenario, Kept, list[str]], heard: list[str]) -> None:
@@ -166,12 +166,12 @@ class _Page:
         state.jobs.start(run, done, fail)
 
     def apply_text(self, text: str) -> None:
-        """Run the scenario of a text."""
+        """Run the scenario in a text."""
         self.state.text = text
         self.change(lambda: parse(text, self.folder))
 
     def apply(self) -> None:
-        """Run the text as it stands in the page."""
+        """Run the text on the page."""
         self.apply_text(self.yaml.value or "")
 
     async def uploaded(self, event: events.UploadEventArguments) -> None:
@@ -180,24 +180,24 @@ class _Page:
         self.apply_text(content[: 4 * LONGEST_TEXT].decode("utf-8", errors="replace"))
 
     def download(self) -> None:
-        """Hand out the scenario that is shown."""
+        """Offer the shown scenario for download."""
         ui.download.content(self.state.text, "scenario.yaml")
 
     def section(self, section: str, *place: str) -> None:
-        """Run the scenario with another section."""
-        text = START if self.state.current is None else self.state.current.text  # one that could be run
+        """Run the scenario with a new section."""
+        text = START if self.state.current is None else self.state.current.text  # the last valid one
         self.change(lambda: parse(with_section(text, section, place), self.folder))
 
     def choose_controller(self, event: events.ValueChangeEventArguments) -> None:
-        """Take another kind of controller, with gains to begin with."""
+        """Change the kind of controller, with initial gains."""
         self.section(CONTROLLERS[event.value], "controller")
 
     def choose_angle(self, event: events.ValueChangeEventArguments) -> None:
-        """Take another kind of angle reference."""
+        """Change the kind of angle reference."""
         self.section(SIGNALS[event.value].format(**ANGLES), "reference", "angle")
 
     def choose_stiffness(self, event: events.ValueChangeEventArguments) -> None:
-        """Take another kind of stiffness reference, about the mean of the present one."""
+        """Change the kind of stiffness reference, keeping its mean."""
         now = self.state.current
         mean = 15.0 if now is None else float(np.mean(now.columns["desired_stiffness"]))
         low, high = f"{0.9 * mean:.3g} N*m/rad", f"{1.1 * mean:.3g} N*m/rad"
@@ -205,7 +205,7 @@ class _Page:
         self.section(SIGNALS[event.value].format(**parts), "reference", "stiffness")
 
     def fields(self, scenario: Scenario) -> None:
-        """Fields of the numbers of a scenario that are set."""
+        """Fields for the numbers set in a scenario."""
         every = [(one, one.nominal) for one in list_parameters(scenario) if one.nominal is not None]
         for prefix, title in _GROUPS.items():
             found = [one for one in every if one[0].name.startswith(prefix) and not _HIDDEN.search(one[0].name)]
@@ -215,7 +215,7 @@ class _Page:
                         self.number(one, nominal, one.name.removeprefix(prefix))
 
     def number(self, parameter: ScenarioParameter, nominal: float, name: str) -> None:
-        """A field of a number, in the unit of files."""
+        """A number field, in the unit of files."""
         scale = 1.0 if parameter.is_integer else factor(parameter.shown)
         unit = "" if parameter.shown == "1" else parameter.shown
 
@@ -247,12 +247,12 @@ class _Page:
             state.jobs.version += 1
 
     def clear(self) -> None:
-        """Keep no runs."""
+        """Remove all kept runs."""
         self.state.kept.clear()
         self.state.jobs.version += 1
 
     def plot(self, now: Kept) -> None:
-        """Curves of the current run over those kept."""
+        """Curves of the current run over the kept ones."""
         time, columns, overlays = now.columns["time"], now.columns, self.state.kept
         pairs = [(one, PALETTE[1 + i % _MOST_KEPT]) for i, one in enumerate(overlays)]
         desired = line("reference", time, columns["desired_angle"] / deg, BLACK, dash=True, width=1.5)

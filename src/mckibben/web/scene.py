@@ -1,4 +1,4 @@
-"""The joint of a run in space: bones, muscles as thick as they are, in the colour of their pressure."""
+"""3D view of the joint in a run: bones, and muscles to scale, coloured by pressure."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mckibben.web.layout import PageSlider
 from mckibben.web.workbench import Kept
 
 _HEIGHT = 10.0  # of the fixed limb, in the units of the scene
-_RATE = 12  # frames a second
+_RATE = 12  # frames per second
 _SLACK, _FULL = np.array([0xCC, 0xD9, 0xE6]), np.array([0xD5, 0x5E, 0x00])
 _BONE, _CABLE = "#b9c2cb", "#555f69"
 
 
 class JointScene:
-    """A scene with a slider of the time; the joint moves in the plane of x and z."""
+    """A scene with a time slider; the joint moves in the x-z plane."""
 
     def __init__(self) -> None:
         self._run: Kept | None = None
@@ -35,7 +35,7 @@ class JointScene:
         self._timer = ui.timer(1 / _RATE, self._step, active=False)
 
     def show(self, run: Kept) -> None:
-        """Take another run."""
+        """Show another run."""
         self._run = run
         if self._joint is None or not eqx.tree_equal(run.joint, self._joint):
             self._joint = run.joint
@@ -83,7 +83,7 @@ class JointScene:
         return self.slider.value or 0.0
 
     def _place(self, _: events.ValueChangeEventArguments | None = None) -> None:
-        """Move all to the time of the slider."""
+        """Move everything to the slider's time."""
         run = self._run
         if run is None:
             return
@@ -108,7 +108,7 @@ class JointScene:
         self._timer.active = self._play.value
 
     def _step(self) -> None:
-        """The next frame, in the time of the run; from the beginning after its end."""
+        """Advance by one frame in run time; restart after the end."""
         if self._run is not None:
             now, end = self._now, float(self._run.columns["time"][-1])
             self.slider.value = 0.0 if now >= end else min(now + 1 / _RATE, end)

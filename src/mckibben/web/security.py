@@ -1,4 +1,4 @@
-"""What requests the server takes: from its own pages on this machine, and of limited size."""
+"""Request filter of the server: only its own pages on this machine, and limited size."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _POLICY = (
 
 
 class _TooLargeError(Exception):
-    """A body is longer than it may be."""
+    """A request body is too long."""
 
 
 class Guard:
-    """Refuses other origins and bodies that are too large; lets pages load nothing from outside."""
+    """Refuses other origins and oversized bodies; prevents pages from loading external content."""
 
     def __init__(self, app: ASGIApp, largest: int = LARGEST) -> None:
         self._app, self._largest = app, largest
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or answer it."""
+        """Forward a request, or answer it."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -67,9 +67,9 @@ class Guard:
 
         try:
             await self._app(scope, limited, marked)
-        except* (ClientDisconnect, FormParserError):  # an upload that was broken off gets an answer that nobody reads
+        except* (ClientDisconnect, FormParserError):  # an aborted upload gets an answer that nobody reads
             if not began:
-                await _refuse(scope, receive, send, 400, "the upload is no form, or not all of it")
+                await _refuse(scope, receive, send, 400, "the upload is not a form, or is incomplete")
         except* _TooLargeError:
             if not began:
                 await _refuse(scope, receive, send, 413, self._too_large)

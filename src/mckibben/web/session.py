@@ -35,7 +35,7 @@ class Session:
         return Path(self._folder.name)
 
     def state(self, kind: type[T]) -> T:
-        """The state of a kind, made at the first call."""
+        """The state of a kind, created on first use."""
         return self._states.setdefault(kind, kind())
 
 
@@ -43,7 +43,7 @@ _sessions: OrderedDict[str, Session] = OrderedDict()
 
 
 def session() -> Session:
-    """The session of the browser that asks; the one unused for longest gives way to a new one."""
+    """The session of the requesting browser; the least recently used session gives way to a new one."""
     name = app.storage.browser["id"]
     found = _sessions.pop(name, None) or Session()
     _sessions[name] = found
@@ -61,7 +61,7 @@ _show_otherwise = warnings.showwarning
 
 
 def collect_warnings() -> None:
-    """Send warnings of ours to the computation that issues them: `warnings.catch_warnings` is for one thread only."""
+    """Route our warnings to the computation that issues them: `warnings.catch_warnings` is not thread-safe."""
     warnings.simplefilter("always", McKibbenWarning)
 
     def heard(message: Warning | str, category: type[Warning], *where: Any, **others: Any) -> None:
@@ -75,11 +75,11 @@ def collect_warnings() -> None:
 
 
 async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, list[str]]:
-    """Result of a function in a thread, and the warnings that it issued; any exception becomes a `McKibbenError`."""
+    """Run a function in a thread; return its result and warnings. Any exception becomes a `McKibbenError`."""
     kept: list[str] = []
 
     def run() -> T:
-        _heard.set(kept)  # of this context, which is the thread's own
+        _heard.set(kept)  # of this context, which belongs to the thread
         try:
             return function(*arguments)
         except (McKibbenError, _CancelledError):
@@ -92,7 +92,7 @@ async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, lis
 
 
 class Latest:
-    """A computation of what changes fast: always of the newest arguments, and those that came between are left out."""
+    """A computation for rapidly changing input: it uses the newest arguments and skips intermediate ones."""
 
     def __init__(self, compute: Callable[..., T], show: Callable[[T], None], fail: Callable[[Exception], None]) -> None:
         self._compute, self._show, self._fail = compute, show, fail
@@ -100,7 +100,7 @@ class Latest:
         self._busy = False
 
     async def __call__(self, *arguments: Any) -> None:
-        """Compute and show; returns at once while an earlier computation goes on, which takes these arguments next."""
+        """Compute and show; if an earlier computation is running, return at once and compute these arguments next."""
         self._waiting = arguments
         if self._busy:
             return
@@ -119,9 +119,9 @@ class Latest:
 
 
 class Jobs:
-    """At most one job of a page: it goes on when the page is closed, and a reloaded page sees where it is.
+    """At most one job per page: it continues when the page is closed, and a reloaded page shows its progress.
 
-    `version` grows whenever there is something new to show.
+    `version` increases whenever there is something new to show.
     """
 
     def __init__(self) -> None:
@@ -135,7 +135,7 @@ class Jobs:
         return self._running == self._number != 0
 
     def cancel(self) -> None:
-        """Stop at the next progress or evaluation of a fit; a run goes on, and its result is not taken."""
+        """Stop at the next progress report or evaluation of a fit; a run continues, but its result is discarded."""
         self._number += 1
         self.version += 1
 
@@ -145,7 +145,7 @@ class Jobs:
         done: Callable[[T, list[str]], None],
         fail: Callable[[McKibbenError], None],
     ) -> None:
-        """Compute in a thread, in place of a job that runs; then `done` with the warnings, or `fail`."""
+        """Compute in a thread, replacing a running job; then call `done` with the warnings, or `fail`."""
         self._number += 1
         number = self._running = self._number
         self.step, self.part = "", 0.0

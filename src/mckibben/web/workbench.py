@@ -1,4 +1,4 @@
-"""Scenarios and runs of the page of runs: texts to begin with, changes of sections, and the curves of a run."""
+"""Scenarios and runs of the page of runs: initial texts, section changes, and the curves of a run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mckibben.units import deg
 from mckibben.web.session import Jobs
 
 MOST_STEPS = 2_000_000
-"""Integration steps of a run; more are for the command line, where a run can be stopped."""
+"""Most integration steps of a run; the command line allows more, as a run can be stopped there."""
 START = """\
 name: knee
 joint:
@@ -88,7 +88,7 @@ class Kept:
 
 @dataclass
 class Workbench:
-    """State of the page; `joint` is a section of a scenario, to be taken over."""
+    """State of the page; `joint` is a scenario section to be adopted."""
 
     scenario: Scenario | None = None
     text: str = START
@@ -102,7 +102,7 @@ class Workbench:
 
 
 def parse(text: str, folder: Path) -> Scenario:
-    """A scenario that names no files but those of the session, and is no longer than a page can wait for."""
+    """Parse a scenario that names only files of the session, and is short enough for a page."""
     found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
     steps = found.duration / found.control_period * found.substeps
     if steps > MOST_STEPS:
@@ -143,7 +143,7 @@ def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
 
 
 def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
-    """The text of a scenario with another section at a place."""
+    """The text of a scenario with a section replaced."""
     data = _plain(read_document(text).data)
     inner: Any = data
     for key in place[:-1]:
@@ -153,14 +153,14 @@ def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
 
 
 def _plain(data: Any) -> Any:
-    """A document with dictionaries that may be changed, and lists."""
+    """A document as mutable dictionaries and lists."""
     if isinstance(data, dict):
         return {key: _plain(value) for key, value in data.items()}
     return [_plain(one) for one in data] if isinstance(data, tuple | list) else data
 
 
 def with_joint(text: str, joint: str, folder: Path) -> Scenario:
-    """The scenario with another joint, and a stiffness reference inside what that attains."""
+    """The scenario with a new joint and a stiffness reference inside its attainable range."""
     data = _plain(read_document(text).data)
     data["joint"] = _plain(read_document(joint).data)["joint"]
     scenario = parse(to_text(data), folder)
@@ -168,7 +168,7 @@ def with_joint(text: str, joint: str, folder: Path) -> Scenario:
     angles = jnp.linspace(-10.0, 10.0, 9) * deg
     low, high = plant.supplied_joint.attainable_stiffness(angles, -plant.load.gravity_torque(angles))
     lowest, highest = float(jnp.max(low)), float(jnp.min(high))
-    if not lowest < highest:  # as it is: the run says why
+    if not lowest < highest:  # unchanged: the run reports the reason
         return scenario
     before, after = (lowest + part * (highest - lowest) for part in (0.3, 0.6))
     data["reference"]["stiffness"] = {

@@ -1,5 +1,5 @@
-/* An instance of "$title" for the functions of FMI: variables of $name.c, their start, steps and saved states.
- * The standard's header, and fmu_reference for its references of values, come before. */
+/* An instance of "$title" for the FMI functions: variables of $name.c, start values, steps and saved states.
+ * Include after the standard's header and fmu_reference, the type of its value references. */
 #include "$name.h"
 
 #include <math.h>
@@ -9,7 +9,7 @@
 #include <string.h>
 
 enum { VARIABLES = $variables, STATES = $states, MODEL_EXCHANGE = $model_exchange, SAMPLED = $sampled };
-static const double LONGEST = $longest; /* s, of a call of advance; of a sampled function its period */
+static const double LONGEST = $longest; /* s, per call of advance; the period of a sampled function */
 
 typedef enum { BEFORE, INITIALIZATION, RUNNING } fmu_mode;
 
@@ -18,8 +18,8 @@ typedef struct {
 $structures
     double time;
     fmu_mode mode;
-    bool changed; /* parameters, since they were prepared */
-    bool fresh;   /* results are those of parameters, state and inputs */
+    bool changed; /* parameters, since the last prepare */
+    bool fresh;   /* results match parameters, state and inputs */
 } fmu_content;
 
 typedef struct {
@@ -176,7 +176,7 @@ static bool fmu_set_states(fmu_instance *self, const double values[], size_t cou
     return true;
 }
 
-/* Friction follows the motion that is left behind; no force changes by it, so this is no event. */
+/* Friction follows the completed motion; the forces do not change, so this is not an event. */
 static bool fmu_complete_step(fmu_instance *self)
 {
     fmu_refresh(&self->content);
@@ -195,7 +195,7 @@ static bool fmu_step(fmu_instance *self, double time, double step)
         return fmu_fail(self, "a step of %g s is no whole number of periods of %g s", step, LONGEST);
     if (!(step >= 0))
         return fmu_fail(self, "a step of %g s", step);
-    fmu_refresh(content); /* of a sampled function: results of the inputs at the beginning, held until others are set */
+    fmu_refresh(content); /* sampled function: results of the initial inputs, held until new inputs are set */
     for (number = 0; number < count && step > 0; ++number)
         fmu_advance(content, step / count);
     content->time = time + step;
@@ -206,7 +206,7 @@ static bool fmu_step(fmu_instance *self, double time, double step)
     return true;
 }
 
-/* A saved state is a copy of the content; its bytes are those of the copy. */
+/* A saved state is a copy of the content; its serialised form is the bytes of the copy. */
 static bool fmu_copy(fmu_instance *self, const void *bytes, size_t size, void **state)
 {
     if (size != sizeof(fmu_content))

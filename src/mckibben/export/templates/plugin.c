@@ -1,6 +1,6 @@
-/* MuJoCo plugin "$plugin": force of the muscles of ${name}.c as that of an actuator, never above 0 (muscles pull).
+/* MuJoCo plugin "$plugin": force of the muscles of ${name}.c as an actuator force, never above 0 (muscles pull).
  * Attribute "muscle": 1 to $count.
- * Activations: arms of the creep [N], state of the valve, pressure [Pa]. Plugin state: status, command of the last step,
+ * Activations: creep arms [N], valve state, pressure [Pa]. Plugin state: status, command of the last step,
  * anchors of the friction [m].
  */
 #include "$name.h"
@@ -10,7 +10,7 @@
 
 #include <mujoco/mujoco.h>
 
-enum { UNSET, SETTLED, STEPPED }; /* status: before the first call; since then; after a step of the integration */
+enum { UNSET, SETTLED, STEPPED }; /* status: before the first call; afterwards; after an integration step */
 
 typedef struct {
     $name model;

@@ -1,4 +1,4 @@
-# Builds the plugin against an installed MuJoCo: by default the one of Python.
+# Builds the plugin against an installed MuJoCo: default: Python's.
 CC ?= cc
 MUJOCO ?= $$(shell python3 -c "import mujoco, os; print(os.path.dirname(mujoco.__file__))")
 CFLAGS = -std=c99 -O2 -fPIC -Wall -Wextra

@@ -1,6 +1,6 @@
 /* Replays a recorded run: compares the commands of ${name}_step with the recorded ones, and times the steps.
  *     ./replay replay.csv [steps to time]
- * Exit code 1 if a command is further off than the tolerance.
+ * Exit code 1 if the error of a command exceeds the tolerance.
  */
 #include "$name.h"
 
@@ -22,7 +22,7 @@ static int read_table(const char *path)
         perror(path);
         return 0;
     }
-    while ((rest = fgetc(file)) != '\n' && rest != EOF) /* names of the columns */
+    while ((rest = fgetc(file)) != '\n' && rest != EOF) /* column names */
         ;
     for (row = 0; row < ROWS; ++row)
         for (column = 0; column < COLUMNS; ++column)

@@ -1,4 +1,4 @@
-// The controller of "$title" on an Arduino or Teensy. Fill in the three functions: sensors and valves are yours.
+// The controller of "$title" on an Arduino or Teensy. Fill in the three functions for your sensors and valves.
 #include "$name.h"
 
 static const uint32_t PERIOD = $microseconds; // us, control_period
@@ -7,7 +7,7 @@ static uint32_t next;
 
 static ${name}_measurement measure(); // angle in rad, gauge pressures in Pa
 static ${name}_setpoint reference(uint32_t milliseconds); // angle in rad, stiffness in N*m/rad
-static void apply(const ${name}_commands &commands); // gauge pressures in Pa, to be limited by you
+static void apply(const ${name}_commands &commands); // gauge pressures in Pa; limit them to your valves
 
 void setup()
 {

@@ -1,4 +1,4 @@
-"""Comparison: controllers tuned alike, and ranked on runs that none of them has seen."""
+"""Comparison of controllers with equal tuning budgets, ranked on unseen runs."""
 
 from mckibben.study.benchmark.benchmark import BenchmarkResult, compare, evaluate
 from mckibben.study.benchmark.runs import Runs, draw

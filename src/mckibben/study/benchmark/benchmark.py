@@ -41,8 +41,8 @@ from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory
 if TYPE_CHECKING:
     import xarray as xr
 
-_TUNING = 0.98  # share of the time of a controller
-_PENALTY = 10.0  # relative, of the angle error for an air or a stiffness error that is relatively too large
+_TUNING = 0.98  # share of a controller's time
+_PENALTY = 10.0  # penalty on the angle error, relative to the excess of air or stiffness error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,18 +54,18 @@ class BenchmarkResult:
     runs
         Evaluation runs.
     tuned
-        Tuned values [SI] by name; empty for one that was not tuned.
+        Tuned values [SI] by name; empty for an untuned controller.
     training_cost
-        Cost of a tuned controller on the training runs after and before tuning.
+        Cost of a tuned controller on the training runs, after and before tuning.
     at_bound
         Parameters at an end of their range.
     batches
         Results in the evaluation runs.
     trials
-        Trials of the tuning, with the median metrics of the training runs where none of these diverged.
+        Tuning trials, with the median metrics of the training runs if no run diverged.
     at_air
-        Evaluation at equal air: of each controller the trial of least angle error on its front with no more air than
-        the first has as tuned, both by the medians of the training runs. None if the first is not tuned.
+        Evaluation at equal air: for each controller, the trial of lowest angle error on its Pareto front with no more
+        air than the tuned first controller, by medians of the training runs. None if the first is not tuned.
     """
 
     suite: Suite
@@ -81,7 +81,7 @@ class BenchmarkResult:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
 
     def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, Result]]:
-        """Return the run with the median angle error of the first controller of all, and the results of some in it."""
+        """Return the run with the first controller's median angle error, and the results of some controllers in it."""
         errors = self.metric(next(iter(self.batches)), "angle_rmse")
         order = np.argsort(errors)  # NaN last
         run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
@@ -100,7 +100,7 @@ class BenchmarkResult:
 
     @property
     def started(self) -> NDArray[np.bool_]:
-        """Mask of the runs that could start, whatever the controller. Shape (runs,)."""
+        """Mask of the runs that could start, independent of the controller. Shape (runs,)."""
         return _started(next(iter(self.batches.values())))
 
     def metric(self, controller: str, name: str) -> Vector:
@@ -138,9 +138,9 @@ def compare(
     Parameters
     ----------
     folder, resume
-        Folder for the tuning histories, a file for each controller, and whether to continue those in it.
+        Folder for the tuning histories, one file per controller, and whether to continue existing ones.
     progress
-        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
+        Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def compare(
 def evaluate(
     runs: Runs, controller: str, values: Mapping[str, ArrayLike], *, metrics: Sequence[str] = Metrics._fields
 ) -> Batch:
-    """Simulate the runs with a controller of these values [SI], or all runs for each of several sets of values."""
+    """Simulate the runs with a controller of given values [SI], or all runs for each of several sets of values."""
     table = {name: np.atleast_1d(np.asarray(value)) for name, value in values.items()}
     return _simulated_all(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
 
@@ -205,8 +205,8 @@ def _none_starts(runs: str) -> ParameterError:
 class ControllerTuning:
     """Tuning of one controller of a suite on training runs.
 
-    After the searches for the least cost there is one for the least angle error at an air [m^3], both medians; at that
-    of the best trial so far if it is None.
+    The searches for the lowest cost are followed by one for the lowest angle error at a given air [m^3], both medians
+    (default: the air of the best trial so far).
     """
 
     suite: Suite
@@ -274,7 +274,7 @@ class ControllerTuning:
     def run(
         self, folder: Path | None, resume: bool, progress: Callable[[float], None]
     ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...], tuple[Trial, ...]]:
-        """Best values [SI], their cost and the nominal one, the parameters at a bound, and all trials."""
+        """Best values [SI], their cost and the nominal cost, the parameters at a bound, and all trials."""
         tuning, space = self.suite.tuning, self.space
         check_method(Method.CMA, numbers=max(len(space), 2), population=tuning.population)
         path = None if folder is None else folder / f"{filename(self.controller)}.journal"
@@ -284,7 +284,7 @@ class ControllerTuning:
             costs(first[None])
             starts = np.random.default_rng(tuning.seed).random((self._starts, len(space)))
             starts[0] = first
-            searched: list[Trial] = []  # by the cost: in a history that is continued there may be others
+            searched: list[Trial] = []  # by cost: a continued history may contain others
 
             def trials(points: Vector) -> list[Trial]:
                 costs(points)
@@ -312,7 +312,7 @@ class ControllerTuning:
             if best.cost >= FAILED_COST:
                 raise ParameterError(
                     f"{self.controller}: all {len(past.trials)} trials failed",
-                    remedy="search other ranges, or begin with other gains",
+                    remedy="search other ranges, or start from other gains",
                 )
             values = self.values(best)
             (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
@@ -327,7 +327,7 @@ class ControllerTuning:
         tuning, count = self.suite.tuning, start.size
         by_cma(
             lambda points: costs(points[:, :count]),
-            start if count >= 2 else np.append(start, 0.5),  # CMA-ES needs two parameters: one without effect
+            start if count >= 2 else np.append(start, 0.5),  # CMA-ES needs two parameters: add one without effect
             seed=seed,
             population=tuning.population,
             generations=tuning.generations,
@@ -336,7 +336,7 @@ class ControllerTuning:
 
 
 def _error_at_air(trial: Trial, air: float, stiffness: float) -> float:
-    """Angle error [rad] of a trial, raised by what exceeds an air [m^3] and a stiffness error [N*m/rad]."""
+    """Angle error [rad] of a trial, penalised for exceeding an air [m^3] and a stiffness error [N*m/rad]."""
     if trial.metrics is None:
         return FAILED_COST
     excess = max(trial.metrics["air"] / air - 1, 0) + max(trial.metrics["stiffness_rmse"] / stiffness - 1, 0)
@@ -344,7 +344,7 @@ def _error_at_air(trial: Trial, air: float, stiffness: float) -> float:
 
 
 def _controller(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:
-    """A controller with sets of values, each in all runs of a group: arrays of shape (sets * runs,)."""
+    """A controller with sets of values, each used in all runs of a group: arrays of shape (sets * runs,)."""
     suite, reference = runs.suite, next(iter(runs.suite.references))
     columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
     if controller not in suite.true_model:
@@ -363,12 +363,12 @@ def _controller(runs: Runs, group: Group, controller: str, table: dict[str, Any]
 
 
 def _lanes(rows: NDArray[np.int64], count: int, sets: int) -> NDArray[np.int64]:
-    """Numbers of some of so many runs, repeated for sets of values."""
+    """Indices of selected runs, repeated for sets of values."""
     return (np.arange(sets)[:, None] * count + rows).ravel()
 
 
 def _tiled(tree: Any, sets: int) -> Any:
-    """A batch of runs repeated for sets of values; leaves that do not vary stay as they are."""
+    """A batch of runs repeated for sets of values; leaves that do not vary are unchanged."""
     _, varying = lanes_of(tree)
     return jax.tree.map(
         lambda leaf, varies: np.tile(leaf, (sets, *[1] * (np.ndim(leaf) - 1))) if varies else leaf, tree, varying
@@ -441,7 +441,7 @@ def write_table(result: BenchmarkResult, path: Path) -> None:
 
 
 def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
-    """Suite, tuned values and number of runs of a file of `write_table`."""
+    """Suite, tuned values and number of runs from a file written by `write_table`."""
     from mckibben.dataset.schema import load_netcdf
 
     table = load_netcdf(path)
@@ -449,5 +449,5 @@ def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
         suite, tuned, count = table.attrs["suite"], json.loads(table.attrs["tuned"]), table.sizes["run"]
     except (KeyError, ValueError):
         remedy = "run the comparison again in another folder"
-        raise FileError(str(path), [Problem("it is no result of a comparison", remedy=remedy)]) from None
+        raise FileError(str(path), [Problem("it is not a result of a comparison", remedy=remedy)]) from None
     return Suite.parse(suite, source=str(path), folder=path.parent), tuned, count

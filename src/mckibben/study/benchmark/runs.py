@@ -27,12 +27,12 @@ Column = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Runs whose plants differ in numbers only, so that they are computed together.
+    """Runs whose plants differ only in numbers and can be batched.
 
     Attributes
     ----------
     rows
-        Numbers of these runs among all. Shape (count,).
+        Indices of these runs. Shape (count,).
     joint, reference_name
         Names of the joint and the reference of each run.
     plant, reference
@@ -62,9 +62,9 @@ class Runs:
     joint, reference_name
         Names of the joint and the reference of each run.
     conditions
-        Values [SI] of varied plant parameters by name, one a run.
+        Values [SI] of varied plant parameters by name, one per run.
     reference_values
-        Values [SI] of varied parameters by name, for each reference, one for each of its runs in order.
+        Values [SI] of varied parameters by name for each reference, one per run in order.
     groups
         Plants and references, by groups of runs.
     """
@@ -82,7 +82,7 @@ class Runs:
         return len(self.joint)
 
     def conditions_of(self, joint: str, rows: NDArray[np.int64]) -> dict[str, Column]:
-        """Values [SI] of the varied parameters that a plant has, in some of its runs."""
+        """Values [SI] of a plant's varied parameters in some of its runs."""
         return {name: column[rows] for name, column in self.conditions.items() if self.suite.has(joint, name)}
 
     def scenario(self, controller: str, run: int, values: dict[str, float] | None = None) -> Scenario:
@@ -101,13 +101,13 @@ class Runs:
 def draw(suite: Suite, count: int, seed: int) -> Runs:
     """Draw runs.
 
-    Joints and references come in their shares, in random order; parameters are scrambled Sobol points of their ranges.
-    Where the suite has sensors, each run has its own noise seed.
+    Joints and references occur in their shares, in random order; parameters are scrambled Sobol points of their ranges.
+    If the suite has sensors, each run has its own noise seed.
 
     Raises
     ------
     ParameterError
-        If the conditions of a run make no valid scenario.
+        If the conditions of a run do not give a valid scenario.
     SimulationError
         If a frequency of a reference is at or above half the control rate, or a plant needs more substeps.
     """
@@ -201,7 +201,7 @@ def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[st
 
 
 def merged(parts: list[tuple[NDArray[np.int64], Any]], count: int) -> Any:
-    """One tree of all runs from trees of some runs each, which have one structure."""
+    """One tree of all runs, merged from trees of equal structure with some runs each."""
 
     def join(*leaves: Any) -> Any:
         if not eqx.is_array_like(leaves[0]):

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from mckibben.study.benchmark.benchmark import BenchmarkResult
 
 MAIN = ("angle_rmse", "stiffness_rmse")
-"""Errors that are compared with those of the first controller."""
+"""Errors compared with those of the first controller."""
 TRADED = (*MAIN, "air")
 """Metrics of each trial of the tuning."""
-_SAME_STIFFNESS = 1.1  # largest stiffness error on a front, relative to that of the tuned controller
+_SAME_STIFFNESS = 1.1  # largest stiffness error on a Pareto front, relative to the tuned controller
 _RESAMPLES = 2000
 _MAX_RESAMPLED = 2_000_000  # values at once
 SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
@@ -90,9 +90,9 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
 
 
 def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
-    """Trials of which none has less air and less angle error, and their metrics [SI], by rising air.
+    """Pareto front of the trials (air, angle error) with their metrics [SI], by rising air.
 
-    Only those without diverged run, and with a stiffness error of at most 1.1 times that of the best.
+    Includes only trials in which no run diverged, with a stiffness error of at most 1.1 times that of the best trial.
     """
     known = [(trial, trial.metrics) for trial in trials if trial.metrics]
     limit = stiffness_limit(trials)
@@ -104,22 +104,22 @@ def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
 
 
 def stiffness_limit(trials: Sequence[Trial]) -> float:
-    """Largest stiffness error [N*m/rad] on the front: 1.1 times that of the best trial."""
+    """Largest stiffness error [N*m/rad] on the Pareto front: 1.1 times that of the best trial."""
     return _SAME_STIFFNESS * _best(trials).get("stiffness_rmse", np.inf)
 
 
 def air_of(trials: Sequence[Trial]) -> float:
-    """Air [m^3] of the trial of least cost, median of the training runs; NaN if it is not known."""
+    """Air [m^3] of the trial of lowest cost, median of the training runs; NaN if unknown."""
     return _best(trials).get("air", np.nan)
 
 
 def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
-    """Trial of least angle error on the front with at most this air [m^3], if there is one."""
+    """Trial of lowest angle error on the Pareto front with at most the given air [m^3], if any."""
     return next((trial for trial, at in reversed(front(trials)) if at["air"] <= air), None)
 
 
 def _best(trials: Sequence[Trial]) -> dict[str, float]:
-    """Metrics [SI] of the trial of least cost; empty if there is none without diverged run."""
+    """Metrics [SI] of the trial of lowest cost; empty if runs diverged in all trials."""
     known = [trial for trial in trials if trial.metrics]
     return min(known, key=lambda trial: (trial.cost, trial.point)).metrics or {} if known else {}
 
@@ -143,7 +143,7 @@ def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str,
             rows = generator.integers(0, values.size, (some, values.size))
             found = np.median(values[rows], axis=1) / np.median(first[rows], axis=1)
             ratios = np.append(ratios, found)
-    ratios = ratios[~np.isnan(ratios)]  # of two infinite medians
+    ratios = ratios[~np.isnan(ratios)]  # ratio of two infinite medians
     low, high = np.percentile(ratios, [2.5, 97.5], method="nearest") if ratios.size else (np.nan, np.nan)
     return {"ratio": float(ratio), "low": float(low), "high": float(high)}
 

@@ -44,7 +44,7 @@ def filename(name: str) -> str:
 
 
 def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Problem]:
-    """Problems of parts that depend on one another; `nominal` is the reserved name of the suite's own joint."""
+    """Problems of interdependent parts; `nominal` is the reserved name of the suite's own joint."""
     found: list[Problem] = []
 
     def check(place: tuple[str | int, ...], call: Callable[[], object]) -> None:
@@ -113,18 +113,20 @@ def _check_controller(suite: Suite, name: str) -> None:
 def _check_differs(suite: Suite) -> None:
     first, *others = suite.references.values()
     if not (others or first.over or suite.conditions or suite.has_noise or suite.other_joints):
-        raise ParameterError("nothing differs from run to run", remedy="give conditions, or `over` of a reference")
+        raise ParameterError("all runs are identical", remedy="give conditions, or `over` of a reference")
 
 
 def _check_cost(suite: Suite) -> None:
     """Check that every run has a value of each metric."""
     steps = all(isinstance(case.reference.stiffness, Step) for case in suite.references.values())
     if "coupling" in suite.cost.metrics and not steps:
-        raise ParameterError("coupling is of steps of the stiffness", remedy="leave it out, or let all references step")
+        raise ParameterError(
+            "coupling is defined for stiffness steps only", remedy="leave it out, or let all references step"
+        )
 
 
 def _check_joint(suite: Suite, name: str) -> None:
-    """Check that the conditions are of its plant as well."""
+    """Check that the conditions apply to the joint's plant as well."""
     parse_sweeps([text for text in suite.conditions if suite.has(name, text)], suite.example(joint=name))
     suite.example(joint=name).plant()
 
@@ -140,7 +142,7 @@ def _check_within(sections: tuple[str, ...], over: Sequence[SweptParameter]) -> 
             whole = {"reference": "the reference", "controller": "the controller"}.get(sections[0], "the plant")
             raise ParameterError(
                 f"{one.name} is not a parameter of {whole}",
-                remedy=f"give a number of {', '.join(sections)}: conditions vary the plant, `over` the reference",
+                remedy=f"give a parameter of {', '.join(sections)}: conditions vary the plant, `over` the reference",
             )
 
 
@@ -149,7 +151,7 @@ _Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
 
 NOMINAL_JOINT = "nominal"
-"""Name of the suite's own joint, that of the controllers' models, as the plant of a run."""
+"""Plant name of the suite's own joint, which the controllers' models use."""
 
 
 def start_of(reference: Reference) -> Start:
@@ -158,7 +160,7 @@ def start_of(reference: Reference) -> Start:
 
 
 class PlantCase(ConfigModel):
-    """A joint, valves or both in place of the suite's own, and their share of the runs."""
+    """A joint, valves or both that replace the suite's own, and their share of the runs."""
 
     share: _Share = 1
     joint: JointPart | None = None
@@ -173,7 +175,7 @@ class PlantCase(ConfigModel):
 
 
 class ReferenceCase(ConfigModel):
-    """A reference, its parameters that vary from run to run, and its share of the runs."""
+    """A reference, the parameters that vary between runs, and its share of the runs."""
 
     share: _Share = 1
     reference: ReferencePart
@@ -181,16 +183,16 @@ class ReferenceCase(ConfigModel):
 
 
 class TuningSettings(ConfigModel):
-    """Tuning of each controller by CMA-ES, with the same budget for all but those of `starts_of`."""
+    """Tuning of each controller by CMA-ES, with the same budget except for those in `starts_of`."""
 
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
-    runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs a point
+    runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs per point
     seed: _Seed = 99
     starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
-    starts_of: dict[str, Annotated[int, BoundedInt(1, 1000)]] = Field(default_factory=dict)  # of single controllers
+    starts_of: dict[str, Annotated[int, BoundedInt(1, 1000)]] = Field(default_factory=dict)  # of individual controllers
     generations: Annotated[int, BoundedInt(1, 100_000)] = 40
     population: Annotated[int, BoundedInt(4, 10_000)] = 16
-    decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains of the file
+    decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains in the file
     over: dict[str, tuple[str, ...]] = Field(default_factory=dict)  # other parameters and ranges, by controller
     untuned: tuple[str, ...] = ()  # controllers
 
@@ -205,7 +207,7 @@ class TuningSettings(ConfigModel):
 
 
 class EvaluationSettings(ConfigModel):
-    """Runs on which controllers are compared, with another seed than those of the tuning."""
+    """Runs on which controllers are compared, with a seed different from the tuning."""
 
     runs: Annotated[int, BoundedInt(2, _MOST)] = 512
     seed: _Seed = 1
@@ -214,23 +216,23 @@ class EvaluationSettings(ConfigModel):
 class Suite(RunSettings):
     """A benchmark suite: plants, references, conditions and controllers.
 
-    The models of all controllers are the nominal `joint`, `load` and `valve`, whatever the plant of a run.
+    All controllers' models are the nominal `joint`, `load` and `valve`, independent of the plant of a run.
 
     Attributes
     ----------
     other_joints, joint_share
-        Joints and valves in place of the suite's own in a share of the runs; share of the suite's own. Conditions on
-        the `valve` are of the suite's own one.
+        Joints and valves that replace the suite's own in a share of the runs, and the share of the suite's own.
+        Conditions on the `valve` apply to the suite's own valve.
     conditions
         Plant parameters that vary, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
     references
         References by name. The coupling needs one whose stiffness steps.
     max_angular_acceleration
-        Largest angular acceleration [rad/s^2] of a reference, to which sines are scaled down.
+        Largest angular acceleration [rad/s^2] of a reference; sines are scaled down to it.
     controllers
-        Controllers by name; the others are compared with the first.
+        Controllers by name; all are compared with the first.
     true_model
-        Controllers whose model is the plant of each run: what knowledge of the plant would be worth.
+        Controllers whose model is the plant of each run, to show the value of exact plant knowledge.
     tuning, evaluation
         Training runs and budget, and evaluation runs.
     """
@@ -261,7 +263,9 @@ class Suite(RunSettings):
     def _other_seed(cls, value: EvaluationSettings, info: ValidationInfo) -> EvaluationSettings:
         tuning = info.data.get("tuning")
         if tuning is not None and tuning.seed == value.seed:
-            fail_validation("has the seed of the tuning", "give another: the training runs are no evaluation")
+            fail_validation(
+                "equals the seed of the tuning", "give another seed: training runs do not count as evaluation"
+            )
         return value
 
     @classmethod
@@ -290,7 +294,7 @@ class Suite(RunSettings):
 
     @property
     def plants(self) -> dict[str, PlantCase]:
-        """Joint and valves of all plants by name, each with its share; the nominal one comes first."""
+        """Joint and valves of all plants by name, each with its share; the nominal plant comes first."""
         own = {"joint": self.joint, "valve": self.valve}
         others = {
             name: other.model_copy(update={key: part for key, part in own.items() if getattr(other, key) is None})
@@ -299,12 +303,12 @@ class Suite(RunSettings):
         return {NOMINAL_JOINT: PlantCase.model_construct(share=self.joint_share, **own), **others}
 
     def has(self, joint: str, condition: str) -> bool:
-        """Whether a condition is of a plant: other valves are as they are given."""
+        """Whether a condition applies to a plant: other valves are used as given."""
         other = self.other_joints.get(joint)
         return other is None or other.valve is None or not condition.strip().startswith("valve.")
 
     def scenario(self, controller: str, reference: str, joint: str = NOMINAL_JOINT) -> Scenario:
-        """Scenario of a run before its conditions; the controller has the nominal model, or the plant's own."""
+        """Scenario of a run before its conditions; the controller has the nominal model or the plant's own."""
         control = self.controllers[controller]
         if controller not in self.true_model:
             control = independent(inherit(control, {"joint": self.joint, "load": self.load, "valve": self.valve}))
@@ -344,9 +348,7 @@ class Suite(RunSettings):
             return parse_ranges(self.tuning.over[controller], scenario)
         gains = gain_ranges(scenario, float(self.tuning.decades))
         if not gains:
-            raise ParameterError(
-                f"{controller} has no gain that is not zero", remedy="name it in tuning.over or tuning.untuned"
-            )
+            raise ParameterError(f"{controller} has no nonzero gain", remedy="name it in tuning.over or tuning.untuned")
         return sweep_parameters(scenario, gains)
 
     def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:

@@ -43,7 +43,7 @@ _ROUNDING = 1e-6  # N*m/rad
 
 
 class _Case(NamedTuple):
-    """A plant, the reference that it is to follow, and the amplitude [rad] of its stiffness."""
+    """A plant, its reference, and the amplitude [rad] of its stiffness."""
 
     plant: JointPlant
     reference: Reference
@@ -51,7 +51,7 @@ class _Case(NamedTuple):
 
 
 def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArray[np.float64]]:
-    """Variables of `FEASIBILITY` of each run at some instants; the shortfall is NaN if no angle can be held."""
+    """Variables of `FEASIBILITY` of each run at several instants; the shortfall is NaN if no angle can be held."""
     many = batched(scenario, table)
     case = numeric(_Case(many.plant(), many.reference(), many.controller.stiffness_amplitude))
     times = sampling_times(scenario.duration, scenario.control_period)
@@ -59,7 +59,7 @@ def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArra
     instants = times[np.unique(np.linspace(0, times.size - 1, count).round().astype(int))]
     rows = len(next(iter(table.values())))
     varied_rows, varying = lanes_of(case)
-    if varied_rows is None:  # only the controller differs from run to run
+    if varied_rows is None:  # only the controller differs between runs
         nothing = _Case(None, None)  # type: ignore[arg-type]
         found = {name: np.asarray(value) for name, value in _feasibility(nothing, case, instants, 1).items()}
         return {name: np.broadcast_to(value, rows).copy() for name, value in found.items()}
@@ -74,7 +74,7 @@ def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArra
 
 @compiled_batch
 def _feasibility(varied: _Case, shared: _Case, instants: ArrayLike, size: int) -> dict[str, Array]:
-    """Scan over instants, all runs at once: a joint with springs needs much memory an instant."""
+    """Scan over instants, with all runs in parallel: a joint with springs needs much memory per instant."""
 
     def shortfall(lane: _Case, instant: Array) -> Array:
         plant, reference, amplitude = eqx.combine(lane, shared)
@@ -94,11 +94,11 @@ def _feasibility(varied: _Case, shared: _Case, instants: ArrayLike, size: int) -
 
 
 Columns = dict[str, NDArray]
-"""Results by name, one value a run."""
+"""Results by name, one value per run."""
 
 
 def software() -> dict[str, str]:
-    """Versions and platform, on which the last bits depend."""
+    """Versions and platform, which determine the last bits."""
     return {"mckibben": mckibben.__version__, "jax": jax.__version__, "platform": jax.default_backend()}
 
 
@@ -109,12 +109,12 @@ class BatchTask:
     scenario: Scenario
     metrics: tuple[str, ...]
     precision: int  # bits
-    batch_size: int  # tables are padded to a multiple of it, so that a run does not depend on others
-    software: dict[str, str]  # versions that the process must have
+    batch_size: int  # tables are padded to a multiple, so that runs do not depend on one another
+    software: dict[str, str]  # versions required of the process
     known: tuple[str, ...] = ()  # plant parameters that the controller's model follows
 
     def __call__(self, table: Table) -> Columns:
-        """Return the results of some rows; raises SimulationError where the software is another."""
+        """Return the results of some rows; raises SimulationError if the software differs."""
         here = software()
         if here != self.software:
             raise SimulationError(
@@ -143,7 +143,7 @@ def _listed(software: dict[str, str]) -> str:
 
 
 LOCAL = "local"
-_DEATHS = 5  # workers that may die over one block before the scheduler gives it up
+_DEATHS = 5  # workers that may die on one block before the scheduler gives up
 _RETRIES = 2  # resubmissions of a block whose workers died
 _WAIT = 60  # s for the first worker
 _SCHEMES = ("tcp://", "tls://", "ws://", "wss://", "ucx://")
@@ -155,7 +155,7 @@ Blocks = Iterable[tuple[int, Table]]
 def compute_on_threads(
     task: BatchTask, blocks: Blocks, keep: Callable[[int, Columns], None], workers: int | None = None
 ) -> Iterator[int]:
-    """Compute blocks on threads, which call `keep`; yields finished blocks. Closed early, it keeps those under way."""
+    """Compute blocks on threads, which call `keep`; yield finished blocks. If closed early, running blocks are kept."""
     listed = list(blocks)
 
     def compute(piece: slice) -> int:
@@ -170,10 +170,10 @@ def compute_on_threads(
 
 
 def check_cluster(address: str) -> None:
-    """Raise ParameterError unless dask is installed and can connect to such an address."""
+    """Raise ParameterError unless dask is installed and the address has a valid form."""
     if address != LOCAL and not address.startswith(_SCHEMES):
         raise ParameterError(
-            f"{address!r} is no dask cluster", value=address, remedy="give local, or an address like tcp://host:8786"
+            f"{address!r} is not a dask cluster", value=address, remedy="give local, or an address like tcp://host:8786"
         )
     try:
         import distributed  # noqa: F401
@@ -186,7 +186,7 @@ def check_cluster(address: str) -> None:
 def compute_on_cluster(
     task: BatchTask, blocks: Blocks, keep: Callable[[int, Columns], None], address: str, workers: int | None = None
 ) -> Iterator[int]:
-    """Compute blocks on a dask cluster and call `keep` here; yields finished blocks. Dead workers are replaced."""
+    """Compute blocks on a dask cluster and call `keep` here; yield finished blocks. Dead workers are replaced."""
     from distributed import CancelledError, as_completed
     from distributed.comm.core import CommClosedError
     from distributed.scheduler import KilledWorker
@@ -198,7 +198,7 @@ def compute_on_cluster(
         pending: dict[Any, int] = {}
 
         def submit(block: int) -> Any:
-            # A unique key: what a scheduler remembers of an earlier one may come of other software.
+            # A unique key: a scheduler's earlier results may come from other software.
             future = client.submit(task, tables[block], key=f"mckibben-sweep-{block}-{uuid.uuid4().hex}")
             pending[future] = block
             return future
@@ -238,12 +238,12 @@ def compute_on_cluster(
                 remedy="continue with --resume (resume=True)",
             ) from None
         except KilledWorker as error:
-            raise SimulationError(f"workers die again and again: {error}", remedy="see their logs") from None
+            raise SimulationError(f"workers die repeatedly: {error}", remedy="see their logs") from None
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence dask's tracebacks about lost connections, which become errors of ours."""
+    """Silence dask's tracebacks about lost connections, which we report as errors."""
     loggers = [
         logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado.application", "asyncio")
     ]
@@ -283,10 +283,10 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
                 threads_per_worker=1,
                 processes=True,
                 dashboard_address=None,  # type: ignore[arg-type]  # none
-                memory_limit=0,  # a share of the memory says nothing about what a block needs
+                memory_limit=0,  # a share of the memory is unrelated to the needs of a block
                 silence_logs=logging.CRITICAL,
             )
-        except (OSError, RuntimeError, TimeoutError) as error:  # such as of a worker that was killed meanwhile
+        except (OSError, RuntimeError, TimeoutError) as error:  # for example of a worker killed in the meantime
             message = f"the workers on this machine did not start ({error})"
             raise SimulationError(message, remedy="run it again with --resume, or without dask") from error
         with cluster, Client(cluster, set_as_default=False) as client:
@@ -295,11 +295,11 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
 
 
 def _unanswered(what: str, error: BaseException) -> McKibbenError:
-    return SimulationError(f"no answer: {what} ({error})", remedy="is the scheduler running, and has it workers?")
+    return SimulationError(f"no answer: {what} ({error})", remedy="is the scheduler running, and does it have workers?")
 
 
 def _ignore_interrupts() -> Any:
-    """Plugin of local workers: Ctrl-C reaches all processes of the terminal, and only the client handles it."""
+    """Plugin of local workers: Ctrl-C reaches all processes of the terminal, but only the client handles it."""
     from distributed import WorkerPlugin
 
     class IgnoreInterrupts(WorkerPlugin):

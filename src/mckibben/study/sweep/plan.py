@@ -1,4 +1,4 @@
-"""Plan of a sweep: its options, its table of values, and the manifest that identifies it."""
+"""Plan of a sweep: options, table of values, and identifying manifest."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ FORMAT, VERSION = "mckibben sweep", 3
 _SAMPLES = 1024
 _MIN_BATCHES = 16  # of a sweep on a CPU, as long as they fill a vector
 _MAX_BLOCKS = 256
-_MAX_BATCHES = 64  # in a block: an interruption loses one block a thread
+_MAX_BATCHES = 64  # per block: an interruption loses one block per thread
 
 Sweepable = Sequence[str | SweptParameter] | Mapping[str, Distribution]
-"""Parameters and their distributions: texts as `parse_sweep` takes them, or objects."""
+"""Parameters and their distributions: texts for `parse_sweep`, or objects."""
 
 
 def manifest_differences(begun: Mapping[str, Any], now: Mapping[str, Any]) -> list[Problem]:
-    """Differences between the manifests of a sweep that was begun and of one that is to continue it."""
+    """Differences between the manifests of a sweep and of its continuation."""
     found = header_differences(
         begun,
         now,
         "the sweep",
-        remedy="give the same, or leave it out to take what the sweep was begun with, or choose another folder",
+        remedy="give the same, or leave it out to use the sweep's original value, or choose another folder",
         ignore=("source", "values", "model"),
     )
     if found:
         return found
-    remedy = "begin anew in another folder"
+    remedy = "start again in another folder"
     if begun.get("values") != now.get("values"):
-        message = "the same design gives other values here: another SciPy or processor"
+        message = "the same design gives other values here: another version of SciPy or another processor"
         found.append(Problem(message, field="over", remedy=remedy))
     if begun.get("model") != now.get("model"):
-        message = "a file that it names has changed since, or the catalog"
+        message = "a file that it names, or the catalog, has changed since"
         found.append(Problem(message, field="scenario", remedy=remedy))
     return found
 
 
 class SweepOptions(NamedTuple):
-    """Options of a sweep; None where left out."""
+    """Options of a sweep; None if left out."""
 
     over: Sweepable | None = None
     design: str | None = None
@@ -66,7 +66,7 @@ class SweepOptions(NamedTuple):
     known: Known | None = None
 
     def completed(self, begun: Mapping[str, Any]) -> SweepOptions:
-        """Options with those left out taken from a manifest."""
+        """Options, with missing ones taken from a manifest."""
         kind = begun["design"] if self.design is None else self.design
         own = self._replace(samples=self.samples if kind != "grid" or self.samples is not None else None)
         values = {name: begun[name] for name in self._fields if name != "samples"}
@@ -77,21 +77,21 @@ class SweepOptions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SweepPlan:
-    """A sweep before it is run."""
+    """A sweep before it runs."""
 
     task: BatchTask
     swept: tuple[SweptParameter, ...]
-    table: Table  # one row a run
+    table: Table  # one row per run
     block: int  # rows that are computed and stored together
-    manifest: dict[str, Any]  # all that determines the numbers, as JSON
+    manifest: dict[str, Any]  # everything that determines the numbers, as JSON
 
     @classmethod
     def of(cls, scenario: Scenario, options: SweepOptions, *, folder: str = ".", source: str = "") -> SweepPlan:
-        """Make and check the table; `folder` is that of paths in the manifest, `source` the origin of the scenario."""
+        """Make and check the table; `folder` is the base of the manifest's paths, `source` the scenario's origin."""
         method = "sobol" if options.design is None else options.design
         if method == "grid" and options.samples is not None:
             raise ParameterError(
-                "a grid has as many runs as its points make",
+                "the points of a grid determine the number of runs",
                 value=options.samples,
                 remedy="leave the number of samples out, or choose another design",
             )
@@ -100,7 +100,7 @@ class SweepPlan:
         samples = _SAMPLES if options.samples is None else options.samples
         seed = 0 if options.seed is None or method == "grid" else options.seed
         table = sample(swept, method, samples, seed)  # type: ignore[arg-type]  # checks the method itself
-        many = batched(scenario, table)  # a combination that is not allowed is found before the work
+        many = batched(scenario, table)  # find invalid combinations before the computation
         check_frequencies(many.reference(), scenario.control_period)
         rows = len(next(iter(table.values())))
         batch_size, block = _sizes(rows, options.block)
@@ -153,12 +153,12 @@ class SweepPlan:
 
 
 def _plain(text: str) -> str:
-    """Text that UTF-8 can hold: the bytes of a path need not be any."""
+    """Text that is valid UTF-8: the bytes of a path may not be."""
     return text.encode(errors="backslashreplace").decode()
 
 
 def parse_metrics(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Metrics by their names in `Metrics` or in results; all for None."""
+    """Metrics by their names in `Metrics` or in results; None for all."""
     if names is None:
         return Metrics._fields
     if isinstance(names, str):
@@ -178,7 +178,7 @@ def _swept(over: Sweepable | None, scenario: Scenario) -> tuple[SweptParameter, 
     if isinstance(over, Mapping) and over:
         return sweep_parameters(scenario, over)
     if not over:
-        raise ParameterError("nothing is varied", remedy="say what, like --over 'load.mass2=0.2 kg..1.0 kg'")
+        raise ParameterError("nothing is varied", remedy="give a parameter, such as --over 'load.mass2=0.2 kg..1.0 kg'")
     parsed = iter(parse_sweeps([one for one in over if isinstance(one, str)], scenario))
     return tuple(next(parsed) if isinstance(one, str) else one for one in over)  # type: ignore[misc]
 
@@ -190,15 +190,15 @@ def _precision(bits: int | None) -> int:
 
 
 def _sizes(rows: int, block: int | None) -> tuple[int, int]:
-    """Runs computed together, and runs in a block; functions of the number of runs and the platform alone."""
+    """Runs per batch, and runs per block; functions of the number of runs and the platform alone."""
     cpu = jax.default_backend() == "cpu"
     batches, largest = (_MIN_BATCHES, CHUNK) if cpu else (1, ON_ACCELERATOR)
-    batches = max(batches, -(-rows // largest))  # all of one size, so that the last one needs little padding
+    batches = max(batches, -(-rows // largest))  # of equal size, so that the last one needs little padding
     batch_size = _full_vectors(-(-rows // batches))
     if block is None:
         return batch_size, batch_size * min(max(rows // (batch_size * _MAX_BLOCKS), 1), _MAX_BATCHES if cpu else 4)
     if isinstance(block, bool) or not isinstance(block, int) or block < 1:
-        raise ParameterError(f"a block of {block!r} runs", value=block, remedy="give a whole number from 1 up")
+        raise ParameterError(f"a block of {block!r} runs", value=block, remedy="give a whole number, 1 or more")
     return min(batch_size, _full_vectors(block)), block
 
 
@@ -215,7 +215,7 @@ def _digest_of_table(table: Table) -> str:
 
 
 def digest_of_model(scenario: Scenario, table: Table, known: Known) -> str:
-    """Digest of all numbers of the first run, so also of the files and catalog entries that it names."""
+    """Digest of all numbers of the first run, including the files and catalog entries that it names."""
     first = batched(scenario, {name: column[:1] for name, column in table.items()}, known=known)
     leaves = jax.tree_util.tree_leaves_with_path((first.plant(), first.control(), first.reference()))
     digest = hashlib.sha256()

@@ -31,7 +31,7 @@ _KIND = "mckibben sweep"
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """Results of a sweep, `computed` of them by this call; the others were stored before.
+    """Results of a sweep; `computed` runs come from this call, the others were stored before.
 
     The table has along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their
     unit in files), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), ``shortfall_max`` (largest
@@ -44,7 +44,7 @@ class SweepResult:
 
     @classmethod
     def of(cls, plan: SweepPlan, columns: Columns, computed: int = 0) -> Self:
-        """From a plan and the results of all its blocks."""
+        """Result from a plan and the results of all its blocks."""
         import xarray as xr
 
         variables: dict[str, Any] = {}
@@ -110,10 +110,10 @@ class SweepResult:
         return np.array([outcome.failed for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
-        """Scenario of one run, from 0, its controller's model written out if the plant varied.
+        """Scenario of one run, numbered from 0; the controller's model is explicit if the plant varied.
 
-        The folder is that of the sweep, for a scenario that names files. Raises ParameterError if there is no such run,
-        and FileError if a file or an entry of the catalog that the scenario names has changed since.
+        `folder` is the sweep's folder, for a scenario that names files. Raises ParameterError if there is no such run,
+        and FileError if a file or catalog entry that the scenario names has changed since.
         """
         if not 0 <= run < self.count:
             raise ParameterError(f"there is no run {run}", value=run, remedy=f"choose 0 to {self.count - 1}")
@@ -123,7 +123,7 @@ class SweepResult:
         if digest_of_model(nominal, columns, manifest["known"]) != manifest["model"]:
             problem = Problem(
                 "a file or catalog entry that the scenario names has changed, or another version made the sweep",
-                remedy="give the sweep's folder, with the files as they were, and take the version of its manifest",
+                remedy="give the sweep's folder with the original files, and use the version in its manifest",
             )
             raise FileError(os.fspath(folder), [problem])
         return with_values(
@@ -136,12 +136,12 @@ class SweepResult:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `to_netcdf` wrote; raises FileError if it is missing, damaged, or no sweep."""
+        """Read a file written by `to_netcdf`; raises FileError if it is missing, damaged, or not a sweep."""
         source = str(path)
         table = load_netcdf(Path(path))
         missing = [name for name in ("outcome", *FEASIBILITY) if name not in table or table[name].dims != ("run",)]
         if table.attrs.get("kind") != _KIND or missing:
-            raise FileError(source, [Problem("it is no sweep", remedy="give the sweep.nc of `mckibben sweep`")])
+            raise FileError(source, [Problem("it is not a sweep", remedy="give the sweep.nc of `mckibben sweep`")])
         codes = table["outcome"].to_numpy()
         if codes.dtype.kind not in "iu" or np.any((codes < 0) | (codes >= len(OUTCOMES))):
             raise FileError(source, [Problem("it has unknown outcomes", field="outcome")])
@@ -149,9 +149,9 @@ class SweepResult:
 
 
 MAIN = ("angle_rmse", "stiffness_rmse", "coupling")
-"""Metrics of correlations and figures, where they were computed."""
+"""Metrics used in correlations and figures, if they were computed."""
 
-_MIN_RUNS = 3  # of a rank correlation: with fewer, every order is a perfect one
+_MIN_RUNS = 3  # of a rank correlation: with fewer, every order is perfect
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 
 
@@ -168,7 +168,7 @@ def summary(sweep: SweepResult) -> dict[str, Any]:
     numbers
         ``scenario``, ``runs``, ``failed``; ``outcomes``: counts. ``metrics``, under the names and in the units of
         results, over the runs that did not fail: ``median``, ``percentile_5``, ``percentile_95``, ``worst``,
-        ``worst_run`` (from 0), and the number of ``runs`` with a value; None where there is none. ``correlations``:
+        ``worst_run`` (from 0), and the number of ``runs`` with a value; None if there is none. ``correlations``:
         Spearman's rank correlation of each input with each main metric and with failing, the strongest first.
         ``feasibility``: numbers of runs with references that the joint cannot hold.
     """
@@ -194,7 +194,7 @@ def main_metrics(sweep: SweepResult) -> tuple[str, ...]:
 
 
 def spearman(x: ArrayLike, y: ArrayLike) -> float:
-    """Spearman's rank correlation of two columns, with mean ranks for ties; NaN where a column is constant."""
+    """Spearman's rank correlation of two columns, with mean ranks for ties; NaN if a column is constant."""
     from scipy.stats import rankdata
 
     ranks = [rankdata(np.asarray(values, float)) for values in (x, y)]
@@ -293,7 +293,7 @@ def metric_rows(numbers: Mapping[str, Any]) -> list[Row]:
 
 
 def correlation_rows(numbers: Mapping[str, Any]) -> list[Row]:
-    """Input, metric and rank correlation, the strongest few."""
+    """Input, metric and rank correlation of the strongest few."""
     return [
         (each["input"], _label(each["with"]), f"{each['spearman']:+.2f}")
         for each in numbers["correlations"][:_MAX_CORRELATIONS]

@@ -24,11 +24,11 @@ from mckibben.study.sweep.result import SweepResult
 
 JOURNAL = "sweep.journal"
 TABLE = "sweep.nc"
-_BLOCK, _TABLE = b"B", b"T"  # kinds of records; that of the table holds the digest of its file
+_BLOCK, _TABLE = b"B", b"T"  # kinds of records; the table's record holds the digest of its file
 
 
 class SweepStore:
-    """Blocks of a sweep in a journal, whose header is the manifest; use `begin` or `resume` inside of `lock`."""
+    """Blocks of a sweep in a journal with the manifest as header; use `begin` or `resume` inside `lock`."""
 
     def __init__(self, folder: Path, plan: SweepPlan) -> None:
         self.folder = folder
@@ -38,7 +38,7 @@ class SweepStore:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other processes out; the folder is made if need be."""
+        """Lock out other processes; creates the folder if needed."""
         make_folder(self.folder)
         writing = explain_write_errors(self.folder, self._kept, "make room, and continue with --resume (resume=True)")
         with file_lock(self.folder / ".lock", "computing this sweep"), writing:
@@ -57,7 +57,7 @@ class SweepStore:
         self._journal = Journal.create(self.folder / JOURNAL, self.plan.manifest)
 
     def resume(self) -> None:
-        """Open the journal and find the intact blocks; warns of damaged ones, which count as missing."""
+        """Open the journal and find the intact blocks; warn of damaged ones, which count as missing."""
         reader = JournalReader(self.folder / JOURNAL)
         self.kept = {record.number for record in reader if record.kind == _BLOCK}
         self._journal = Journal.resume(reader)
@@ -87,7 +87,7 @@ class SweepStore:
             if record.kind == _BLOCK:
                 parts[record.number] = unpack_arrays(record.payload)
         if len(parts) < self.plan.blocks:
-            problem = Problem("blocks are damaged", remedy="compute them again with --resume (resume=True)")
+            problem = Problem("blocks are damaged", remedy="recompute them with --resume (resume=True)")
             raise FileError(str(self.folder / JOURNAL), [problem])
         ordered = [parts[block] for block in range(self.plan.blocks)]
         return {name: np.concatenate([part[name] for part in ordered]) for name in ordered[0]}
@@ -99,7 +99,7 @@ class SweepStore:
         self._journal.append(pack(_TABLE, 0, self._digest()))
 
     def read_table(self) -> SweepResult | None:
-        """The table, if it is the file that was written."""
+        """The table, if the file is unchanged."""
         digests = [record.payload for record in JournalReader(self.folder / JOURNAL) if record.kind == _TABLE]
         try:
             return SweepResult.from_netcdf(self.folder / TABLE) if digests[-1:] == [self._digest()] else None
@@ -112,10 +112,10 @@ class SweepStore:
 
 
 def check_unused(folder: Path) -> None:
-    """Raise if a folder has a sweep, or files of the same names."""
+    """Raise an error if a folder contains a sweep, or files of the same names."""
     if (folder / JOURNAL).exists():
         remedy = "continue it with --resume (resume=True), or choose another folder"
-        raise FileError(str(folder), [Problem("there is a sweep already", remedy=remedy)])
+        raise FileError(str(folder), [Problem("a sweep already exists", remedy=remedy)])
     check_free(folder, [JOURNAL, TABLE])
 
 
@@ -128,7 +128,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 class InterruptedSweep(KeyboardInterrupt):
-    """Ctrl-C during a sweep; its text says how many runs are stored, and where."""
+    """Ctrl-C during a sweep; the text says how many runs are stored, and where."""
 
 
 def sweep(
@@ -151,8 +151,8 @@ def sweep(
 ) -> SweepResult:
     """Simulate a scenario many times with some of its parameters varied.
 
-    The runs are computed in blocks, each stored when it is finished. The numbers are the same to the last bit however
-    many threads or processes compute them, and however often the sweep was interrupted.
+    The runs are computed in blocks, each stored when finished. The numbers are identical to the last bit for any number
+    of threads or processes, and after any number of interruptions.
 
     Parameters
     ----------
@@ -161,36 +161,36 @@ def sweep(
     over
         Varied parameters: texts such as "load.mass2=0.2 kg..1.0 kg" (see `parse_sweep`), or distributions [SI] by name.
     out
-        Output folder; without one nothing is stored.
+        Output folder. Default: nothing is stored.
     design, samples, seed
         Sampling as for `mckibben.study.parameters.sample`. Defaults: "sobol", 1024 and 0.
     metrics
         Metrics to compute. Default: all.
     precision
-        64 or 32 bits; 32 takes half the time and leaves five digits, fewer with an encoder. Default: 64.
+        64 or 32 bits; 32 bits take half the time and give five digits, fewer with an encoder. Default: 64.
     resume
-        Continue the sweep in `out`. Options left out are taken from there; others must be the same.
+        Continue the sweep in `out`. Options left out are taken from it; others must match.
     dask
         "local" for processes on this machine, or the address of a dask scheduler. Default: threads.
     workers
-        Threads or local processes. Default: one a core.
+        Threads or local processes. Default: one per core.
     block
-        Runs of a block. Default: chosen by the number of runs.
+        Runs per block. Default: chosen by the number of runs.
     known
-        Varied plant parameters that the controller's model follows, "all" for all of them. Default: none, the
-        controller's model is that of the scenario in all runs.
+        Varied plant parameters that the controller's model follows, "all" for all of them. Default: none; the
+        controller's model is the scenario's in all runs.
     source
         Origin of the scenario, for the record.
     progress
-        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
+        Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
 
     Raises
     ------
     ParameterError
-        If an option is invalid, or a row of values makes no valid scenario.
+        If an option is invalid, or a row of values does not give a valid scenario.
     FileError
-        If `out` has a sweep or other files of these names and `resume` is not set; with `resume`, if it has none or
-        another one; if another process is computing it; or if the disk is full.
+        If `out` contains a sweep or files of these names and `resume` is not set; with `resume`, if it contains none or
+        a different one; if another process is computing it; or if the disk is full.
     InterruptedSweep
         On Ctrl-C; finished blocks are stored.
 
@@ -207,7 +207,7 @@ def sweep(
     engine = (dask, workers, progress or notebook_progress())
     if out is None:
         if resume:
-            raise ParameterError("there is no sweep to continue", remedy="say in which folder it is")
+            raise ParameterError("there is no sweep to continue", remedy="give its folder")
         with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
             store = SweepStore(Path(folder), SweepPlan.of(scenario, options, source=source))
             with store.lock():
@@ -224,7 +224,7 @@ def sweep(
         if (finished := store.read_table()) is not None:
             return finished
         with store.lock():
-            if (finished := store.read_table()) is not None:  # by another process meanwhile
+            if (finished := store.read_table()) is not None:  # by another process in the meantime
                 return finished
             store.resume()
             return _stored(store, *engine)
@@ -236,7 +236,7 @@ def sweep(
 
 
 def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:
-    """Callback for the number of finished runs, which reports their rate too."""
+    """Callback for the number of finished runs that also reports their rate."""
     calls, began = 0, (0.0, 0)
 
     def report(done: int) -> None:

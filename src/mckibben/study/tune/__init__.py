@@ -1,4 +1,4 @@
-"""Tuning: scenario parameters of least cost, by gradient, differential evolution or CMA-ES."""
+"""Tuning: minimisation of a cost over scenario parameters, by gradient, differential evolution or CMA-ES."""
 
 from mckibben.study.tune.margin import on_small_step, stability_margin
 from mckibben.study.tune.objective import Cost, Term, parse_cost

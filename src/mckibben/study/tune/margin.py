@@ -18,7 +18,7 @@ from mckibben.units import deg
 SMALL_STEP = 0.2 * deg
 _STEP_AT = 0.1  # of the duration
 _FACTORS = 64
-_OF_STEP = ("start", "reference", "disturbance")  # what `on_small_step` replaces
+_OF_STEP = ("start", "reference", "disturbance")  # sections that `on_small_step` replaces
 
 
 def on_small_step(scenario: Scenario) -> Scenario:
@@ -38,35 +38,36 @@ def stability_margin(
     conditions: Table | None = None,
     known: Known = (),
 ) -> float:
-    """Return the factor by which parameters may rise together before the loop oscillates.
+    """Return the factor by which parameters may be increased together before the loop oscillates.
 
-    The scenario runs once for each of 64 factors from 1 to `largest`; a loop is taken for unstable from the first run
-    on that fails, or whose RMS angle error is `growth` times that of factor 1. Pressure limits turn an unstable loop
-    into a limit cycle, which only a reference that moves little, such as that of `on_small_step`, tells from slow
-    tracking.
+    The scenario runs once for each of 64 factors from 1 to `largest`; the loop is assumed unstable from the first run
+    that fails or whose RMS angle error is `growth` times that of factor 1. Pressure limits turn an unstable loop into a
+    limit cycle, which can be distinguished from slow tracking only with a small reference motion, as in
+    `on_small_step`.
 
     Parameters
     ----------
     names
-        Parameters: all gains of a loop for its gain margin, ``valve.time_constant`` for that of an unmodelled lag.
+        Parameters: all gains of a loop for its gain margin, ``valve.time_constant`` for the margin to an unmodelled
+        lag.
     largest, growth
         Largest factor, and ratio of errors, both above 1.
     conditions
-        Values [SI] of other parameters by name; the margin is then the least of all rows.
+        Values [SI] of other parameters by name; the margin is then the smallest over all rows.
     known
         Plant parameters that the controller's model follows, "all" for all of them. Default: none.
 
     Returns
     -------
     float
-        Largest factor below the first unstable one, to a step of the factors (3.7 % for 10); infinite where all are
+        Largest factor below the first unstable one, to a step of the factors (3.7 % for 10); infinite if all are
         stable.
 
     Raises
     ------
     ParameterError
-        If a parameter is unknown, is zero or has no value, or a factor takes it outside its range; if the run fails as
-        it is; or a number is not above 1.
+        If a parameter is unknown, zero or has no value, or a factor takes it outside its range; if the nominal run
+        fails; or if a number is not above 1.
     """
     for what, number in (("largest", largest), ("growth", growth)):
         if not (np.isfinite(number) and number > 1):
@@ -76,21 +77,21 @@ def stability_margin(
     table = {name: np.repeat(column, _FACTORS) for name, column in conditions.items()}
     for each in find_parameters(scenario, names):
         if not each.nominal:
-            raise ParameterError(f"{each.name} has no value to multiply", remedy="give it one in the scenario")
+            raise ParameterError(f"{each.name} has no value to multiply", remedy="set it in the scenario")
         table[each.name] = np.tile(each.nominal * factors, rows)
     batch = run_many(scenario, table, known=known, metrics=("angle_rmse",))
     error = np.where(batch.failed, np.inf, batch["angle_rmse"]).reshape(rows, _FACTORS)
     if not np.isfinite(error[:, 0]).all():
-        raise ParameterError("the run fails as it is", remedy="simulate it, and see why")
+        raise ParameterError("the nominal run fails", remedy="simulate it to see why")
     unstable = (error > growth * error[:, :1]).any(axis=0)
     return float(factors[np.argmax(unstable) - 1]) if unstable.any() else np.inf
 
 
 class Robustness(NamedTuple):
-    """A scenario in conditions: RMS angle errors [rad], infinite where diverged, and stability on a small step.
+    """A scenario under conditions: RMS angle errors [rad], infinite if diverged, and stability on a small step.
 
-    `unstable` counts the conditions in which the error of the step exceeds the step; the gain margin is then 0. It is
-    None where there are no gains.
+    `unstable` counts the conditions in which the error exceeds the step; the gain margin is then 0. It is None if there
+    are no gains.
     """
 
     angle_rmse: NDArray[np.float64]
@@ -101,7 +102,7 @@ class Robustness(NamedTuple):
 def in_conditions(
     scenario: Scenario, gains: Sequence[str], conditions: Table, *, largest: float, known: Known = ()
 ) -> Robustness:
-    """Return errors in conditions and the margin of nonzero gains, at most `largest` or their range."""
+    """Return errors under conditions and the margin of nonzero gains, at most `largest` or their range."""
 
     def errors(of: Scenario, rows: Table) -> NDArray[np.float64]:
         batch = run_many(of, rows, known=known, metrics=("angle_rmse",))
@@ -111,7 +112,7 @@ def in_conditions(
     if not gains:
         return Robustness(moved, 0, None)
     tuned = find_parameters(scenario, gains)
-    same = {tuned[0].name: np.full(moved.size, tuned[0].nominal)}  # conditions may be of the reference alone
+    same = {tuned[0].name: np.full(moved.size, tuned[0].nominal)}  # conditions may concern only the reference
     small, rows = (
         on_small_step(scenario),
         same | {n: x for n, x in conditions.items() if n.split(".")[0] not in _OF_STEP},

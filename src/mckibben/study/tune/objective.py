@@ -1,4 +1,4 @@
-"""Objective of a tuning: a cost of metrics, its values for many sets of parameters, and its gradient."""
+"""Tuning objective: a cost of metrics, its values for many sets of parameters, and its gradient."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ SMOOTH = (
 )
 """Metrics that are differentiable almost everywhere; the others count control periods."""
 
-_PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not that of 1e+3
+_PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not the sign of 1e+3
 _TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(?:/\s*(?P<scale>.+))?")
 
 
@@ -62,12 +62,12 @@ class Term:
     def __post_init__(self) -> None:
         if self.metric not in Metrics._fields:
             raise ParameterError(
-                f"{self.metric!r} is no metric", value=self.metric, remedy=suggest(self.metric, Metrics._fields)
+                f"{self.metric!r} is not a metric", value=self.metric, remedy=suggest(self.metric, Metrics._fields)
             )
         for name, value in (("scale", self.scale), ("weight", self.weight)):
             if not (np.isfinite(value) and value > 0):
                 raise ParameterError(
-                    f"the {name} of {self.metric} is {value:g}", value=value, remedy="give one above 0"
+                    f"the {name} of {self.metric} is {value:g}", value=value, remedy="give a number above 0"
                 )
 
 
@@ -75,19 +75,19 @@ class Term:
 class Cost:
     """Weighted sum of metrics over their scales.
 
-    Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of that of the
-    parameters, and of that with all tuned controller gains multiplied by the margin.
+    Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of the cost of the
+    parameters and the cost with all tuned controller gains multiplied by the margin.
 
     Parameters
     ----------
     terms
         Summands.
     gain_margin
-        Factor by which the gains may rise; 1 for no margin.
+        Factor by which the gains may increase; 1 for no margin.
     worst
-        Of several scenarios or conditions, count the worst instead of the mean.
+        Whether to use the worst of several scenarios or conditions instead of the mean.
     percentile
-        Of several scenarios or conditions, count the cost that this percentage of them does not exceed instead.
+        Use this percentile of the cost over several scenarios or conditions instead of the mean.
 
     Examples
     --------
@@ -107,7 +107,7 @@ class Cost:
         twice = [name for name in names if names.count(name) > 1]
         if not names or twice:
             raise ParameterError(
-                f"{twice[0]} is there twice" if twice else "the cost has no term", remedy="name each metric once"
+                f"{twice[0]} appears twice" if twice else "the cost has no term", remedy="name each metric once"
             )
         if not (np.isfinite(self.gain_margin) and self.gain_margin >= 1):
             raise ParameterError(
@@ -116,7 +116,9 @@ class Cost:
         if self.percentile is not None:
             if not 0 < self.percentile <= 100:
                 raise ParameterError(
-                    f"the percentile is {self.percentile:g}", value=self.percentile, remedy="give above 0, up to 100"
+                    f"the percentile is {self.percentile:g}",
+                    value=self.percentile,
+                    remedy="give a number above 0, up to 100",
                 )
             if self.worst:
                 raise ParameterError("the worst is the percentile 100", remedy="give one of the two")
@@ -130,7 +132,7 @@ class Cost:
         worst: bool = False,
         percentile: float | None = None,
     ) -> Self:
-        """From metrics and their scales [SI]."""
+        """Cost from metrics and their scales [SI]."""
         return cls(tuple(Term(name, scale) for name, scale in scales.items()), gain_margin, worst, percentile)
 
     @property
@@ -151,7 +153,7 @@ class Cost:
 def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False, percentile: float | None = None) -> Cost:
     """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
 
-    A single metric needs no scale; of several each does, since their units differ.
+    A single metric needs no scale; each of several metrics needs one, since their units differ.
 
     Raises
     ------
@@ -169,7 +171,7 @@ def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False, perc
         found = _TERM.fullmatch(part)
         if found is None:
             raise ParameterError(
-                f"{part!r} is no term of a cost", value=part, remedy="write it like angle_rmse/0.1 deg"
+                f"{part!r} is not a term of a cost", value=part, remedy="write it like angle_rmse/0.1 deg"
             )
         metric, scale = found["metric"], found["scale"]
         Term(metric, 1.0)  # raises for an unknown metric
@@ -186,7 +188,7 @@ def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False, perc
         except UnitError as error:
             raise ParameterError(f"{part!r}: {error}", value=part) from None
         except ValueError:
-            raise ParameterError(f"{found['weight']!r} is no number", value=part, remedy="write 2*metric") from None
+            raise ParameterError(f"{found['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
         terms.append(Term(metric, size, weight))
     return Cost(tuple(terms), gain_margin, worst, percentile)
 
@@ -203,7 +205,7 @@ def _unit(metric: str) -> str:
 
 
 FAILED_COST = 1e6
-"""Cost of parameters that are not valid, or whose runs fail."""
+"""Cost of parameters that are invalid or whose runs fail."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,7 @@ class TuningProblem:
     space: SearchSpace
     cost: Cost
     known: Known = ()  # plant parameters that the controllers' models follow
-    conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs in every row of them
+    conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs under every row of them
     _leaf_names: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -233,7 +235,7 @@ class TuningProblem:
                 muscles = zip((scenario.joint.muscle1, scenario.joint.muscle2), scenario.joint.springs, strict=True)
                 for muscle, is_spring in muscles:
                     if not is_spring:
-                        muscle.specimen.braid("the use of air")
+                        muscle.specimen.braid("the air consumption")
 
     @classmethod
     def of(
@@ -267,19 +269,19 @@ class TuningProblem:
             return self._combine(np.concatenate([self.cost(each).reshape(self._draws, -1) for each in measured]))[0]
 
     def costs_and_gradients(self, values: Vector) -> tuple[Vector, Vector]:
-        """Costs of rows of values [SI], shape (n, parameters), and their derivatives by the values."""
+        """Costs of rows of values [SI], shape (n, parameters), and their derivatives with respect to the values."""
         rows = self._with_margin(values)
         found = [self._derivatives(scenario, rows) for scenario in self.scenarios]
         total, shares = self._combine(np.concatenate([cost.reshape(self._draws, -1) for cost, _ in found]))
         size = len(self.space)
         slopes = shares[..., None] * np.concatenate([slope.reshape(self._draws, -1, size) for _, slope in found])
         slopes = np.sum(slopes, axis=0).reshape(-1, *values.shape)
-        # The rows with the margin hold the values multiplied by it.
+        # The rows with the margin contain the values multiplied by it.
         gradient = slopes[0] + (slopes[1] * self._gain_factors() if len(slopes) > 1 else 0.0)
         return total, np.where(total[:, None] < FAILED_COST, gradient, 0.0)
 
     def check_smooth(self) -> None:
-        """Raise if the cost is not differentiable by the parameters."""
+        """Raise an error if the cost is not differentiable with respect to the parameters."""
         rough = [name for name in self.cost.metrics if name not in SMOOTH]
         if rough:
             raise ParameterError(
@@ -294,14 +296,14 @@ class TuningProblem:
         return np.where([is_gain(name) for name in self.space.names], self.cost.gain_margin, 1.0)
 
     def _with_margin(self, values: Vector) -> Vector:
-        """Rows of values, then those with the margin; all of them for each condition."""
+        """Rows of values, then the rows with the margin, repeated for each condition."""
         if self.cost.gain_margin != 1.0:
             lower, upper = np.array([(each.parameter.lower, each.parameter.upper) for each in self.space.swept]).T
             values = np.concatenate([values, np.clip(values * self._gain_factors(), lower, upper)])
         return np.tile(values, (self._draws, 1))
 
     def _combine(self, costs: Vector) -> tuple[Vector, Vector]:
-        """Combine costs, shape (runs, rows), to one for each set of values; also the weight of each in it."""
+        """Combine costs, shape (runs, rows), into one per set of values; also return their weights."""
         count, rows = costs.shape
         sets = rows if self.cost.gain_margin == 1.0 else rows // 2
         costs = np.where(np.isfinite(costs), np.minimum(costs, FAILED_COST), FAILED_COST)
@@ -367,7 +369,7 @@ class TuningProblem:
         return np.where(good, self.cost(found.values), np.nan), np.stack(slopes, axis=1)
 
     def _leaves(self, scenario: Scenario, each: SweptParameter) -> list[str]:
-        """Tree paths of the leaves of plant, controller, reference and start that hold a parameter."""
+        """Tree paths of the leaves of plant, controller, reference and start that contain a parameter."""
         key = (id(scenario), each.name)
         if key not in self._leaf_names:
             self._leaf_names[key] = self._find_leaves(scenario, each)

@@ -22,12 +22,12 @@ Vector = NDArray[np.float64]
 AT_BOUND = 0.01
 """Distance from a face of the unit cube within which a parameter counts as at its bound."""
 
-_DIGITS = 6  # of values that are written to files
+_DIGITS = 6  # digits of values written to files
 
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """Parameters with a range each (else raises ParameterError); points of the unit cube map to their values [SI]."""
+    """Parameters with ranges (else raises ParameterError); points of the unit cube map to their values [SI]."""
 
     swept: tuple[SweptParameter, ...]
 
@@ -36,7 +36,9 @@ class SearchSpace:
             raise ParameterError("nothing to tune", remedy="give at least one parameter")
         for each in self.swept:
             if not isinstance(each.distribution, Uniform | LogUniform):
-                raise ParameterError(f"{each.name} has no range to search", remedy="give one, like `1..10 bar/rad log`")
+                raise ParameterError(
+                    f"{each.name} has no range to search", remedy="give one, such as `1..10 bar/rad log`"
+                )
 
     def __len__(self) -> int:
         return len(self.swept)
@@ -48,7 +50,7 @@ class SearchSpace:
 
     @property
     def nominal(self) -> Vector:
-        """Nominal values [SI]; the middle of the range where there is none."""
+        """Nominal values [SI]; the middle of the range if there is none."""
         middle = self.values(np.full((1, len(self)), 0.5))[0]
         nominal = (each.parameter.nominal for each in self.swept)
         return np.array([m if n is None else float(n) for n, m in zip(nominal, middle, strict=True)])
@@ -77,7 +79,7 @@ class SearchSpace:
         return tuple(each.name for each, at in zip(self.swept, point, strict=True) if min(at, 1 - at) < AT_BOUND)
 
     def slopes(self, values: Vector) -> Vector:
-        """Derivatives of values [SI], shape (n, parameters), by points of the cube."""
+        """Derivatives of values [SI], shape (n, parameters), with respect to the points of the cube."""
         slopes = np.empty_like(values)
         for i, each in enumerate(self.swept):
             low, high = each.distribution.bounds
@@ -96,7 +98,7 @@ def is_gain(name: str) -> bool:
 
 
 def gain_ranges(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
-    """Logarithmic ranges around all nonzero gains of a scenario, by so many powers of ten down and up.
+    """Logarithmic ranges around all nonzero gains of a scenario, a number of decades down and up.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> gain_ranges(scenario, 1.0)["controller.position.kp"]
@@ -109,7 +111,7 @@ def gain_ranges(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUnifor
 def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
     """Parse parameters and their ranges from texts: ``NAME=LOW..HIGH``, followed by ``log`` for a logarithmic one.
 
-    A name alone gets a range from a hundredth to a hundredfold of its value; no text at all gives all gains.
+    A name alone gets a range from 0.01 to 100 times its value; without texts, all gains are used.
 
     Raises
     ------
@@ -125,7 +127,7 @@ def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParamet
     if not texts:
         gains = gain_ranges(scenario)
         if not gains:
-            raise ParameterError("all gains are zero", remedy="say what to search with --parameters 'NAME=LOW..HIGH'")
+            raise ParameterError("all gains are zero", remedy="give parameters with --parameters 'NAME=LOW..HIGH'")
         return tuple(SweptParameter(find_parameter(scenario, name), around) for name, around in gains.items())
 
     def parse(text: str) -> SweptParameter:
@@ -152,10 +154,10 @@ def _range_around(parameter: ScenarioParameter, decades: float) -> LogUniform:
 Points = NDArray[np.float64]
 Costs = Callable[[Points], NDArray[np.float64]]
 Fraction = Callable[[float], None]
-"""Called with the finished fraction of a search, 0 to 1."""
+"""Called with the completed fraction of a search, 0 to 1."""
 CostsAndGradients = Callable[[Points], tuple[NDArray[np.float64], Points]]
 
-_LINE_SEARCH = 8  # evaluations along a direction: a chattering loop has huge slopes, on which it would not end
+_LINE_SEARCH = 8  # evaluations along a direction: the huge slopes of a chattering loop would prevent termination
 _STEP = 0.25
 """Initial step of CMA-ES, relative to each range."""
 
@@ -179,13 +181,13 @@ _MIN_POPULATION = {Method.EVOLUTION: 5, Method.CMA: 4}
 
 
 def check_method(method: Method, *, numbers: int, population: int) -> None:
-    """Check that a method can search so many parameters with a population."""
+    """Check that a method can search a number of parameters with a population."""
     if method is Method.CMA and numbers < 2:
         raise ParameterError("CMA-ES needs at least two parameters", remedy="use gradient or evolution")
     least = _MIN_POPULATION.get(method, 1)
     if population < least:
         raise ParameterError(
-            f"{method.value} with {population} points a generation", value=population, remedy=f"give at least {least}"
+            f"{method.value} with {population} points per generation", value=population, remedy=f"give at least {least}"
         )
 
 
@@ -198,7 +200,7 @@ def by_gradient(
     seed: int,
     progress: Fraction,
 ) -> None:
-    """L-BFGS-B (Byrd et al., SIAM J. Sci. Comput. 16 (1995) 1190) from the first and Sobol points, side by side."""
+    """L-BFGS-B (Byrd et al., SIAM J. Sci. Comput. 16 (1995) 1190) from the first and Sobol points, in parallel."""
     from scipy.optimize import minimize  # 0.3 s at import
     from scipy.stats import qmc
 
@@ -230,7 +232,7 @@ def by_gradient(
 def side_by_side(
     function: CostsAndGradients, searches: list[Callable[[Callable[[Points], tuple[float, Points]]], None]]
 ) -> None:
-    """Run searches in threads; `function` gets the points that all of them wait for, shape (n, parameters)."""
+    """Run searches in threads; `function` gets the points that all of them are waiting for, shape (n, parameters)."""
     meeting = threading.Condition()
     asked: dict[int, Points] = {}
     answers: dict[int, tuple[float, Points]] = {}
@@ -249,7 +251,7 @@ def side_by_side(
     def search(number: int) -> None:
         try:
             searches[number](lambda point: ask(number, point))
-        except BaseException as error:  # raised again by the caller
+        except BaseException as error:  # re-raised by the caller
             failures.append(error)
         finally:
             with meeting:
@@ -272,7 +274,7 @@ def side_by_side(
             with meeting:
                 answers.update(zip(numbers, found, strict=True))
                 meeting.notify_all()
-    except BaseException as error:  # end every search, also at an interruption
+    except BaseException as error:  # end every search, also on interruption
         failures.insert(0, error)
     with meeting:
         meeting.notify_all()

@@ -1,4 +1,4 @@
-"""Tuning of scenario parameters: search for the least cost, with a history from which a search can be continued."""
+"""Tuning of scenario parameters: search for the lowest cost, with a history for resuming."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from mckibben.study.tune.search import (
 
 FORMAT, VERSION = "mckibben tuning history", 2
 _TRIAL = b"T"
-_MAX_SEED = 2**32 - 1  # what all methods accept
+_MAX_SEED = 2**32 - 1  # arguments common to all methods
 
 
 class Trial(NamedTuple):
-    """A tried point of the unit cube, its cost, and the derivative of the cost and metrics [SI], if they are known."""
+    """An evaluated point of the unit cube, its cost and, if known, derivative of the cost and metrics [SI]."""
 
     point: tuple[float, ...]
     cost: float
@@ -48,7 +48,7 @@ class Trial(NamedTuple):
 
 
 class Evaluated(NamedTuple):
-    """Costs of rows of values, their derivatives by the values, and the metrics [SI] of each row that has any."""
+    """Costs of rows of values, their derivatives with respect to the values, and metrics [SI] per row, if any."""
 
     costs: Vector
     gradients: Vector | None = None
@@ -56,7 +56,7 @@ class Evaluated(NamedTuple):
 
 
 class TuningHistory:
-    """Trials, on the disk before the search continues; repeated, it is answered from them until a point is new."""
+    """Trials, stored on disk before the search continues; a repeated search reads them up to the first new point."""
 
     def __init__(self, trials: Sequence[Trial] = (), journal: Journal | None = None) -> None:
         self._by_point = {trial.point: trial for trial in trials}
@@ -65,7 +65,7 @@ class TuningHistory:
     @classmethod
     @contextmanager
     def open(cls, path: Path | None, about: Mapping[str, Any], *, resume: bool = False) -> Iterator[Self]:
-        """Open the history of a search (None: in memory); `about` determines the trials. Warns of damaged ones."""
+        """Open the history of a search (None: in memory); `about` determines the trials. Warns of damaged trials."""
         if path is None:
             yield cls()
             return
@@ -90,7 +90,7 @@ class TuningHistory:
     def _created(cls, path: Path, about: Mapping[str, Any]) -> Iterator[Self]:
         if path.exists():
             remedy = "continue it (--resume), or choose another folder"
-            raise FileError(str(path), [Problem("there is the history of a search already", remedy=remedy)])
+            raise FileError(str(path), [Problem("a search history already exists", remedy=remedy)])
         with Journal.create(path, {"format": FORMAT, "version": VERSION, **about}) as journal:
             yield cls((), journal)
 
@@ -98,7 +98,7 @@ class TuningHistory:
     @contextmanager
     def _resumed(cls, path: Path, about: Mapping[str, Any]) -> Iterator[Self]:
         wanted = json.loads(json.dumps({"format": FORMAT, "version": VERSION, **about}))
-        remedy = "give the same again, or choose another folder; nothing was changed"
+        remedy = "give the same, or choose another folder; nothing was changed"
         if found := header_differences(read_header(path, FORMAT, VERSION), wanted, "the search", remedy=remedy):
             raise FileError(str(path), found)
         reader = JournalReader(path)
@@ -114,7 +114,7 @@ class TuningHistory:
 
     @property
     def best(self) -> Trial:
-        """Trial of the least cost; among equals the first by its point, whatever their order."""
+        """Trial of the lowest cost; among equals the first by its point, independent of their order."""
         return min(self._by_point.values(), key=lambda trial: (trial.cost, trial.point))
 
     def find(self, point: Vector) -> Trial | None:
@@ -139,7 +139,7 @@ def _trials(reader: JournalReader) -> list[Trial]:
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """Intact trials of a tuning history; raises FileError if the file is none."""
+    """Intact trials of a tuning history; raises FileError if the file is not a history."""
     read_header(path, FORMAT, VERSION)
     return _trials(JournalReader(path))
 
@@ -151,13 +151,13 @@ class TuningResult:
     Attributes
     ----------
     values
-        Tuned values [SI] by name, rounded to six digits in the unit of files unless that costs more.
+        Tuned values [SI] by name, rounded to six digits in the unit of files unless that increases the cost.
     scenarios
         Scenarios with these values.
     cost, cost_before
-        Cost of these values, and of those of the first scenario in all scenarios (NaN where they are not valid).
+        Cost of these values, and cost of the first scenario's values in all scenarios (NaN if invalid).
     evaluated, trials
-        Number of points that were tried, and all of them in order.
+        Number of evaluated points, and all trials in order.
     at_bound
         Names of parameters within 1 % of an end of their range: a wider range may have better values.
     """
@@ -197,14 +197,14 @@ def tune(
     conditions: Table | None = None,
     progress: Progress | None = None,
 ) -> TuningResult:
-    """Search scenario parameters within ranges for the least cost.
+    """Search scenario parameters within ranges for the lowest cost.
 
     Parameters
     ----------
     scenarios
-        Scenarios whose runs count together; the search starts at the values of the first.
+        Scenarios whose costs are combined; the search starts at the values of the first.
     over
-        Parameters and their ranges, `Uniform` or `LogUniform`, or texts as those of `mckibben tune`.
+        Parameters and their ranges, `Uniform` or `LogUniform`, or texts as for `mckibben tune`.
     cost
         Cost of the runs, or its text.
     method
@@ -214,19 +214,19 @@ def tune(
     iterations
         Steps of each descent, or generations.
     population
-        Points of a generation.
+        Points per generation.
     seed
         Seed of the search.
     history, resume
-        File in which every trial is stored, and whether to continue the search in it.
+        File that stores every trial, and whether to continue its search.
     known
         Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
     conditions
-        Values [SI] of other parameters by name, such as a `sample` of them: every trial is simulated in all rows, and
-        the cost combines them as it does scenarios.
+        Values [SI] of other parameters by name, such as a `sample` of them: every trial is simulated under all rows,
+        and the cost combines them like scenarios.
     progress
-        Called with the present step and the finished fraction, 0 to 1, first when all arguments have been checked; a
-        progress bar in notebooks.
+        Called with the current step and the completed fraction, 0 to 1, first after all arguments have been checked.
+        Default: a progress bar in notebooks.
 
     Raises
     ------
@@ -234,8 +234,8 @@ def tune(
         If a parameter is not in every scenario or has no range, the method cannot search the space, the cost is not
         differentiable, or no trial succeeded.
     FileError
-        If there is a history and `resume` is not set; with `resume`, if there is none, or that of another search; if
-        another process has it.
+        If a history exists and `resume` is not set; with `resume`, if there is none or it belongs to another search; or
+        if another process is using it.
     """
     for name, count in (("starts", starts), ("iterations", iterations), ("population", population)):
         check_count(name, count, 1, 10**9)
@@ -292,10 +292,10 @@ def tune(
 
 
 def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector], float]) -> TuningResult:
-    """The best trial, with values that can be written to a file."""
+    """The best trial, with values rounded for files."""
     if past.best.cost >= FAILED_COST:
         raise ParameterError(
-            f"none of the {len(past.trials)} points that were tried has a cost: their values are not valid together, "
+            f"none of the {len(past.trials)} evaluated points has a cost: their values are not valid together, "
             "their runs fail, or a metric is not defined for them",
             remedy="search other ranges, from more starts, by another method or with another cost",
         )
@@ -305,7 +305,7 @@ def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector]
     rounded = space.rounded(values)
     before = cost(space.nominal)
     limit = past.best.cost * (1 + 1e-3)
-    if before > past.best.cost * (1 - 1e-9):  # rounding must not give more than the cost before
+    if before > past.best.cost * (1 - 1e-9):  # rounding must not raise the cost above the initial cost
         limit = min(limit, max(before, past.best.cost))
     cost_after = cost(rounded)
     if cost_after > limit:  # six digits are too few
@@ -323,13 +323,13 @@ def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector]
 
 
 def _digest(scenario: Scenario) -> str:
-    """Digest of all numbers of a run, so also of the files and catalog entries that the scenario names."""
+    """Digest of all numbers of a run, including the files and catalog entries that the scenario names."""
     leaves = jax.tree.leaves((scenario.plant(), scenario.control(), scenario.reference()))
     return hashlib.sha256(repr([np.asarray(leaf).tolist() for leaf in leaves]).encode()).hexdigest()
 
 
 class Evaluator:
-    """Trials at points, from the history, or computed a fixed number at once from values [SI]."""
+    """Trials at points, from the history or computed from values [SI] in batches of fixed size."""
 
     def __init__(
         self, space: SearchSpace, past: TuningHistory, batch: int, compute: Callable[[Vector], Evaluated]
@@ -362,5 +362,5 @@ class Evaluator:
         return float(self._compute(self._padded(values[None])).costs[0])
 
     def _padded(self, rows: Vector) -> Vector:
-        """Rows with the last one repeated, for one compiled program."""
+        """Rows padded with the last one, for one compiled program."""
         return np.concatenate([rows, np.repeat(rows[-1:], self._batch - len(rows), axis=0)])

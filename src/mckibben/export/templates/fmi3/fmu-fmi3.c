@@ -18,7 +18,7 @@ static fmi3Status fmu_status(fmi3Instance instance, bool done)
     return done ? fmi3OK : fmi3Error;
 }
 
-/* Whether there are as many values as references; all variables are scalars. */
+/* Whether the numbers of values and references are equal; all variables are scalars. */
 static bool fmu_check_values(fmu_instance *self, size_t count, size_t values)
 {
     return count == values || fmu_fail(self, "%u values of %u variables", (unsigned)values, (unsigned)count);
