@@ -156,6 +156,7 @@ def test_a_closed_pipe_is_one_line_and_exit_1():
     assert found.stderr == f"failed: not all could be printed: {os.strerror(errno.EPIPE)}\n"
 
 
+@pytest.mark.slow
 def test_names_that_the_terminal_cannot_show_are_escaped(tmp_path, shortened):
     text = shortened("pre-contracted-step-pid")
     name = re.search("^name: (.*)$", text, re.MULTILINE)[1]

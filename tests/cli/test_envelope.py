@@ -75,6 +75,7 @@ def test_a_load_that_is_too_heavy(cli, printed):
     assert (printed / "kept" / "envelope.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_design(cli, printed):
     target = "stiffness 14..18 N*m/rad over -15..15 deg"
     vary = ("--vary", "connector_length=190..240 mm", "--vary", "joint_radius=20..50 mm")

@@ -181,6 +181,7 @@ def test_a_folder_that_cannot_be_made_is_said_before_the_work(cli, tmp_path):
     assert (found.code, found.out) == (2, "")
 
 
+@pytest.mark.slow
 class TestEveryLaw:
     @pytest.fixture
     def ranked(self, cli, tmp_path):
@@ -205,6 +206,7 @@ class TestEveryLaw:
         assert (folder / "ranking.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_a_ranking_without_pressure_levels_says_so(cli, tmp_path):
     law = catalog.law("lei-mas-10-180n")
     bars, contractions = (2.1, 3.7, 2.9, 5.2, 4.3, 4.8, 3.1, 5.9, 2.5), np.linspace(0, 0.06, 9)

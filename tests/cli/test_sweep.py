@@ -176,6 +176,7 @@ def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
     assert found.err == "interrupted: 512 of 1024 runs are kept in kept; continue with --resume\n"
 
 
+@pytest.mark.slow
 def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path):
     asked = (*MASS, "--samples", "512", "--metrics", "angle_rmse")
     path = tmp_path / "kept" / "sweep.journal"

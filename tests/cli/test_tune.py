@@ -75,7 +75,7 @@ def mistaken(cli, tmp_path, scenario):
     return call
 
 
-@pytest.mark.parametrize("method", ["cma", "gradient", "evolution"])
+@pytest.mark.parametrize("method", ["cma", pytest.param("gradient", marks=pytest.mark.slow), "evolution"])
 def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     found = cli("tune", "s.yaml", *SMALL, "--method", method)
     assert found.code == 0
@@ -265,6 +265,7 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     assert {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()} == before
 
 
+@pytest.mark.slow
 class TestCutOff:
     """The same search undisturbed, and cut off twice; then they are the same."""
 

@@ -118,6 +118,7 @@ def test_an_amplitude_of_zero_is_refused(joint, load, name):
     assert refused.value.field == "stiffness_amplitude"
 
 
+@pytest.mark.slow
 def test_a_simulation_compares_the_stiffness_of_that_size(joint, load, plant):
     controller = controllers(joint, load)["PID"]
     short = {"duration": 0.8, "control_period": PERIOD}

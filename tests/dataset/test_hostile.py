@@ -80,6 +80,7 @@ def content_of(name):
         return path.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FILES, "rig.nc"])
 @SEEDED
 @given(seed=st.integers(0, 2**32))

@@ -52,6 +52,7 @@ def assert_same(a: IsobaricDataset, b: IsobaricDataset) -> None:
     assert {name: a.table[name].dtype for name in a.table} == {name: b.table[name].dtype for name in b.table}
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(data=datasets())
 def test_netcdf_gives_the_same_dataset_back(data, tmp_path):

@@ -121,6 +121,7 @@ def test_drift_may_be_left_out():
     assert not found.offset.any()
 
 
+@pytest.mark.slow
 def test_a_form_that_the_data_do_not_determine_is_refused():
     data = loops("coulomb")
     with pytest.raises(IdentificationError, match="three pressures"):

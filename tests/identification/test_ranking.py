@@ -52,6 +52,7 @@ def rankings():
     return {name: rank(catalog.dataset(name), kinds) for name in (MAP, CHART)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "exponential", "ratio"), [(MAP, 1.34, 0.9), (CHART, 3.42, 0.3)], ids=["measured map", "maker's chart"]
 )

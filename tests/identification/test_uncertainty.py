@@ -371,6 +371,7 @@ def test_a_linear_parameter_has_no_profile(fit):
 # --- bootstrap ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_bootstrap_agrees_with_the_sandwich_and_with_refits_to_repeated_points(map_of_martens):
     fit = identify(ExponentialLaw, map_of_martens)
     found = bootstrap(fit, 300, seed=1)

@@ -69,7 +69,7 @@ def test_a_muscle_of_unknown_volume_is_drawn_slender(landing):
     np.testing.assert_allclose(one.diameter, 0.07 * one.length)
 
 
-@pytest.mark.parametrize("suffix", ["webp", "gif"])
+@pytest.mark.parametrize("suffix", ["webp", pytest.param("gif", marks=pytest.mark.slow)])
 def test_an_animation_shows_leg_and_curves(suffix, landing, tmp_path):
     plant, run = landing
     try:
