@@ -34,6 +34,7 @@ def start(plant: LegPlant) -> LegStart:
     return LegStart(angles, plant.leg.pressures_for(angles, (0.0, 0.0), (None, 15.0)), upward_speed=-1.0)
 
 
+@pytest.mark.slow
 def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     run = simulate_leg(plant, schedule, start, substeps=1, **STEP)

@@ -64,6 +64,7 @@ def test_between_two_periods_it_is_their_mean(late, playback, start):
     assert np.abs(found - expected).max() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["xla", "native"])
 def test_runs_of_a_batch_are_those_alone(late, engine):
     scenario = Scenario.parse(SCENARIO)
