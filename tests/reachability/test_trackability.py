@@ -188,6 +188,7 @@ def test_static_envelope_over_the_angle(plant, paper_precontracted):
     assert np.nanmin(found.map_stiffness.width) > -1e-9
 
 
+@pytest.mark.slow
 def test_a_joint_with_springs_is_scanned(as_printed, load):
     spring = SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
     joint = AntagonisticJoint(as_printed.geometry, as_printed.muscle1, as_printed.muscle2, spring)

@@ -312,6 +312,7 @@ def springy(knee, load, specimen):
     return JointPlant(joint, load, IdealValve())
 
 
+@pytest.mark.slow
 def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(springy, knee):
     gravity = np.array([9.81, 9.7, 9.9, 9.81, 3.7])
     plant = put(springy, "load.gravity", gravity)
