@@ -228,6 +228,7 @@ def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path)
     assert stopped > 2.5 * len(trials.faults.FAULTS)
 
 
+@pytest.mark.slow
 def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(trials, tmp_path, monkeypatch):
     """200 kills: `python benchmarks/kill.py`."""
     monkeypatch.setattr(trials.kill.recorder, "PERIOD", trials.kill.PERIOD)
