@@ -162,6 +162,7 @@ def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
         assert caught.value.value == field
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change", [lambda r: {"angle": -r.angle}, lambda r: {"pressures": r.pressures[:, ::-1]}], ids=["sign", "order"]
 )

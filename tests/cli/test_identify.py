@@ -226,6 +226,7 @@ def test_a_law_is_named_with_or_without_hyphens(cli):
     assert "tondu-lopez" in cli("identify", FESTO, "--law", "tondu").err
 
 
+@pytest.mark.slow
 def test_how_sure_a_fit_is(cli, tmp_path):
     options = ("--level", "0.9", "--profile", "--bootstrap", "20")
     found = cli("identify", FESTO, *options, "--out", "kept")
@@ -248,6 +249,7 @@ def test_how_sure_a_fit_is(cli, tmp_path):
         assert re.search(said, refused.err)
 
 
+@pytest.mark.slow
 def test_hysteresis_is_found_with_the_law(cli, tmp_path):
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     protocol = IsobaricProtocol(pressures=[2 * bar, 4 * bar, 6 * bar], step=2 * mm, repeats=2, samples=50)

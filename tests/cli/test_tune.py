@@ -108,6 +108,7 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     assert json.loads(again.out)["metrics"] == run["tuned"]
 
 
+@pytest.mark.slow
 def test_a_search_over_conditions_has_their_margin(cli, scenario, tmp_path):
     found = cli(
         *("tune", "s.yaml", "--parameters", "controller.position.kp=1..4 bar/rad", "--method", "evolution"),

@@ -72,6 +72,7 @@ def controllers(joint, load):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["PID", "inverse model", "decoupling", "predictive"])
 def test_a_motion_of_the_size_meets_the_stiffness_asked_for(joint, load, plant, settle, name):
     controller = controllers(joint, load)[name]

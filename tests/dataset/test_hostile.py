@@ -174,6 +174,7 @@ def test_a_damaged_recording_gives_a_recording_or_an_error_of_ours(name, seed, t
         assert sum(points.counts.values()) == len(record)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["plain.mat", "version4.mat", "rig.tdms"])
 def test_no_number_in_a_head_makes_a_huge_array(name, tmp_path):
     """Each aligned word of the head in turn claims a large number."""

@@ -155,6 +155,7 @@ def test_a_missing_netcdf_file_and_renamed_columns_are_refused(tmp_path):
         read_dataset(tmp_path / "none.nc", columns={"a": "force_N"})
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cut=st.floats(0, 1, exclude_max=True))
 def test_a_netcdf_file_that_lost_values_is_refused(cut, tmp_path):

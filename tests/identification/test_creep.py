@@ -31,6 +31,7 @@ def crept():
     return data, identify_creep(data, **TIMES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stiffness", "tau"), [(1000.0, 3.0), (1000.0, 8.0), (400.0, 40.0), (1500.0, 300.0)])
 def test_an_arm_is_found_within_its_errors(stiffness, tau):
     far = []

@@ -487,6 +487,7 @@ def test_a_fit_stays_a_value(fit):
         fit.regression.points = None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("relative", "grows"), [(0.0, False), (0.01, True)])
 def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, grows):
     law, random = catalog.law("lei-mas-10-180n"), np.random.default_rng(1)

@@ -124,6 +124,7 @@ def test_contact_pushes_only_and_begins_at_nought() -> None:
     assert caught.value.field == "stiffness"  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_friction_of_muscles_moves_with_the_leg(plant: LegPlant) -> None:
     """A muscle with friction and creep in the leg has the state that it has in the joint."""
     pair = plant.leg.joints[1].muscles

@@ -232,6 +232,7 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, mon
     assert len(study.rows()[1]) == 2 and "mm" in study.describe()
 
 
+@pytest.mark.slow
 def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> None:
     file = tmp_path / "leg.yaml"
     file.write_text(scenario.dumps(), encoding="utf-8")

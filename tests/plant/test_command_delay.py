@@ -82,6 +82,7 @@ def test_runs_of_a_batch_are_those_alone(late, engine):
     assert 0 < np.abs(between - early).max() < np.abs(last - early).max()
 
 
+@pytest.mark.slow
 def test_the_derivative_is_that_of_differences(late):
     scenario, by = Scenario.parse(SCENARIO), 1e-6
     parts, times = (scenario.control(), scenario.reference()), {"duration": 0.1, "control_period": PERIOD}

@@ -139,6 +139,7 @@ LENGTHS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OWN)
 def test_lengths_of_any_geometry_have_exact_derivatives(plant, name):
     own, h = with_paths(plant, *OWN[name]), 1e-7

@@ -66,6 +66,7 @@ class Tried:
         return held, held and min(commands) >= 0 and max(commands) <= 8e5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "frequency", "lag"), [(10, 1.5, 1.0), (15, 4.0, 0.02), (15, 0.5, 1.0)])
 def test_the_bands_are_those_of_trying_all_stiffnesses(knee, load, paper_precontracted, amplitude, frequency, lag):
     plant = JointPlant(knee, load, FirstOrderValve(lag))
@@ -214,6 +215,7 @@ def test_times_have_to_go_together(plant):
         check_trackability(plant, Reference(0.0, 15.0), duration=1.0, control_period=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("valve", [FlowValve(0.4 * L_PER_S_BAR, 7 * bar), FirstOrderValve(0.02, rate=5 * bar)])
 def test_a_limited_flow_or_rate_leaves_slow_motion_trackable(as_printed, load, valve):
     bands = on(JointPlant(as_printed, load, valve), Reference(Sine(1 * deg, 0.5), 72.8)).bands

@@ -202,6 +202,7 @@ def test_each_run_of_a_batch_is_the_single_run(everything, alone):
     assert not np.isfinite(everything.metrics["angle_max"][special("diverged")])
 
 
+@pytest.mark.slow
 def test_a_loop_with_the_wrong_sign_has_diverged_and_a_slow_one_not(parts, knee):
     """Its pressures end at their limits, and the joint far away from a reference that moves by 3.4 deg."""
     plant, control = parts
@@ -582,6 +583,7 @@ def test_setpoints_do_not_depend_on_the_precision(rough, everything):
         assert not wrong, (name, wrong)
 
 
+@pytest.mark.slow
 def test_learning_loops_run_in_32_bits_throughout(parts, knee, alone):
     plant, _ = parts
     control = put(learner(knee, 3), "position.learning_rate", np.array([0.0, 50.0]))
