@@ -172,6 +172,11 @@ class ArrayRules:
     def _split(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
         return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
 
+    def _unstack(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
+        """Of JAX 0.12 and newer."""
+        axis = parameters["axis"]
+        return [np.squeeze(one, axis) for one in np.split(x, x.shape[axis], axis)]
+
     def _slice(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         strides = parameters["strides"] or [1] * x.ndim
         ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
