@@ -1,13 +1,18 @@
-# Two commands do everything; the virtual environment they need is made by themselves, once.
+# The virtual environment that these commands need is made by themselves, once.
 #   make reproduce   the paper, end to end, to build/report/report.html
-#   make test        lint, layers, types, doctests and tests
+#   make test        linters, layers, types, and the tests of everything that a change can break
+#   make verify      the same with all tests: statistical, exhaustive and long ones too
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= build/report
 WORKERS ?= 2
+COUNT  ?= 27
+SEED   ?= 0
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: reproduce test lint style types tests format bench docs wheel clean help
+.PHONY: reproduce test verify lint style types quick-tests all-tests format hooks mutants lock bench docs wheel clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -19,19 +24,12 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(INSTALL) --editable .
 	@touch $@
 
-$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	@touch $(VENV)/.installed $@
-
-$(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,bench]'
-	@touch $(VENV)/.installed $(VENV)/.installed-dev $@
-
-$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+$(VENV)/.installed-%: pyproject.toml | $(BIN)/python
+	$(INSTALL) 'pip>=25.1'  # an older one knows no groups
+	$(INSTALL) --editable . --group $*
 	@touch $(VENV)/.installed $@
 
 reproduce: $(VENV)/.installed
@@ -47,19 +45,37 @@ style: $(VENV)/.installed-dev
 types: $(VENV)/.installed-dev
 	$(BIN)/pyright
 
-tests: $(VENV)/.installed-dev
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+quick-tests: $(VENV)/.installed-dev
+	$(PYTEST) -m "not slow"
+
+all-tests: $(VENV)/.installed-dev
+	$(PYTEST)
 
 test: style
-	@$(MAKE) --no-print-directory --jobs 2 types tests  # the checker of types leaves all cores but one idle
+	@$(MAKE) --no-print-directory --jobs 2 types quick-tests  # the checker of types leaves all cores but one idle
+
+verify: style
+	@$(MAKE) --no-print-directory --jobs 2 types all-tests
 
 #   make format      put the code in its house style
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+#   make hooks       check each commit and push with the tools of make test
+hooks: $(VENV)/.installed-dev
+	$(BIN)/pre-commit install --hook-type pre-commit --hook-type pre-push
+
+#   make mutants     small random faults in a copy of the source, and which of them no test notices (COUNT=27 SEED=0)
+mutants: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/mutants.py --count $(COUNT) --seed $(SEED)
+
+#   make lock        write the versions of this environment to requirements-dev.lock
+lock: $(VENV)/.installed-dev
+	$(BIN)/python -m pip freeze --disable-pip-version-check --exclude-editable > requirements-dev.lock
+
 #   make bench       ratios against plain C and others, measured in one run, to build/benchmarks.md and .json
-bench: $(VENV)/.installed-bench
+bench: $(VENV)/.installed-dev $(VENV)/.installed-bench
 	@mkdir -p build
 	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --markdown build/benchmarks.md
 

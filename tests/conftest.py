@@ -36,7 +36,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # run in the background: 
 QUICK = "MCKIBBEN_FULL_COMPILATION" not in os.environ
 if QUICK and jax.__version_info__ >= (0, 10):
     passes = "while-loop-invariant-code-motion,tuple-simplifier"  # they take a third of the time to compile
-    flags = f"--xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes={passes}"  # an older code generator
+    flags = f"--xla_disable_hlo_passes={passes}"
+    if jax.__version_info__ < (0, 11):
+        flags += " --xla_cpu_use_fusion_emitters=false"  # an older code generator, which newer versions do not have
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
 
 

@@ -92,6 +92,7 @@ def outside(tmp_path):
     return {"cwd": tmp_path, "env": {k: v for k, v in os.environ.items() if k not in dropped and "PYTEST" not in k}}
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel):
     held = {name for name in zipfile.ZipFile(wheel).namelist() if not re.match(r"mckibben-[^/]*\.dist-info/", name)}
     there = (path for path in (ROOT / "src").rglob("*") if path.is_file() and "__pycache__" not in path.parts)
@@ -99,12 +100,14 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel):
     assert {"py.typed", "__init__.pyi", "report/explorers.js"} <= {name.partition("/")[2] for name in held}
 
 
+@pytest.mark.slow
 def test_the_installed_command_fits_data_of_the_catalog_outside_of_the_checkout(bare, outside):
     told = run(bare / "mckibben", "identify", "dmsp-10-250-martens2017", "--out", "fit", **outside)
     assert "ExponentialLaw" in told
     assert {"fit.yaml", "muscle.yaml"} <= {path.name for path in (outside["cwd"] / "fit").iterdir()}
 
 
+@pytest.mark.slow
 def test_no_import_needs_what_windows_lacks(bare, outside):
     assert run(bare / "python", "-c", IMPORT_ALL, **outside).strip() == VERSION
 

@@ -84,3 +84,23 @@ def test_plain_python_runs_our_episode(bench):
     _, record = jax.block_until_ready(compiled_episode(*traced, reference.SUBSTEPS))
     angles = bench.plain_python.angles(problem)()
     assert np.abs(angles - np.asarray(record.state.angle)).max() < 1e-12
+
+
+def test_a_mutant_changes_one_part_and_afterwards_the_file_is_as_before(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    tool = importlib.import_module("mutants")
+    file, seen = tmp_path / "src" / "mckibben" / "joint" / "part.py", []
+    file.parent.mkdir(parents=True)
+    text = "def é(x: int = 3) -> float:\n    if x <= 2:\n        raise ValueError(4)\n    return -x + 1\n"
+    file.write_text(text, encoding="utf-8")
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    found = tool.mutants(file)
+    assert {one.before: one.after for one in found} == {
+        "3": "6", "x <= 2": "x < 2", "2": "4", "raise ValueError(4)": "pass", "-x + 1": "(-x - 1)", "-x": "(x)",
+        "1": "2",
+    }  # fmt: skip
+    assert {one.line for one in found} == {1, 2, 3, 4}
+    monkeypatch.setattr(tool, "passes", lambda copy, tests: seen.append(file.read_text(encoding="utf-8")))
+    assert not any(tool.survives(tmp_path, one, everything=True) for one in found)
+    assert len(set(seen)) == len(seen) == len(found) and text not in seen
+    assert file.read_text(encoding="utf-8") == text

@@ -129,6 +129,7 @@ def test_under_one_load_the_stiffness_stays_uncertain(recorded, with_weight):
     assert not alone.quantities["added_mass"].determined
 
 
+@pytest.mark.slow
 def test_load_cells_take_the_place_of_the_weight_and_tell_creep():
     rng, creep = np.random.default_rng(7), 1200.0
     made = recording(TRUE, TRUE_LOAD, 0.0, rng, seconds=30.0, creep=creep)
@@ -161,6 +162,7 @@ def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
         assert caught.value.value == field
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change", [lambda r: {"angle": -r.angle}, lambda r: {"pressures": r.pressures[:, ::-1]}], ids=["sign", "order"]
 )

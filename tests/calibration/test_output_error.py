@@ -93,6 +93,7 @@ def test_what_has_one_scale_is_told_up_to_a_factor(found):
         assert abs(one.value - true) < 3 * one.deviation
 
 
+@pytest.mark.slow
 def test_the_joints_own_friction_is_told_apart_or_said_not_to_be():
     true, before = JointFriction(0.15, 1 * deg), JointFriction(0.3, 1 * deg)
     one = recorded(4, friction=true)

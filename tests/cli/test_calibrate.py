@@ -28,6 +28,7 @@ def calibrated(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
     before, after = Scenario.read(EXAMPLE), Scenario.read(calibrated / "scenario.yaml")
     true, believed, found = before.joint, before.controller.model, after.controller.model
@@ -41,6 +42,7 @@ def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
     assert not numbers["quantities"]["added_mass"]["determined"]  # the weight is the scale
 
 
+@pytest.mark.slow
 def test_files_name_the_model(calibrated, tmp_path):
     text = EXAMPLE.read_text(encoding="utf-8").replace("../comparison", str(EXAMPLE.parents[1] / "comparison"))
     start, end = text.index("  model:"), text.index("  decoupling:")
@@ -53,6 +55,7 @@ def test_files_name_the_model(calibrated, tmp_path):
     assert "/Pa" not in (calibrated / "model.yaml").read_text(encoding="utf-8"), "one unit a quantity"
 
 
+@pytest.mark.slow
 def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
     files = ("--recording", calibrated / "bare" / "result.nc", "--weighted", calibrated / "weighted" / "result.nc")
     found = cli("calibrate", str(EXAMPLE), *WEIGHT, *map(str, files), "--out", "again", "--json")
@@ -81,6 +84,7 @@ def test_mistakes_are_refused_before_anything_moves(cli, tmp_path, arguments):
     assert not list(tmp_path.glob("x/*/record*"))
 
 
+@pytest.mark.slow
 def test_a_muscle_against_a_return_spring_is_calibrated_on_sweeps_of_the_angle(cli, tmp_path):
     text = EXAMPLE.parents[1] / "pre-contracted-step-pid.yaml"
     spring = "muscle1: {class: return_spring, rate: 4 N/mm, free_length: 130 mm}\n  muscle2: "
@@ -94,6 +98,7 @@ def test_a_muscle_against_a_return_spring_is_calibrated_on_sweeps_of_the_angle(c
     assert "the weight" not in found.out, "there was none"
 
 
+@pytest.mark.slow
 def test_a_calibrated_model_is_not_calibrated_again(cli, calibrated):
     found = cli("calibrate", str(calibrated / "scenario.yaml"), *WEIGHT, "--out", "x")
     assert found.code == 2
@@ -150,6 +155,7 @@ def stepped(tmp_path_factory):
     return files
 
 
+@pytest.mark.slow
 def test_recordings_of_commands(cli, stepped, tmp_path):
     files = ("--recording", stepped[0], "--held-out", stepped[1])
     found = cli("calibrate", str(EXAMPLE), *files, "--out", "commands", "--json")

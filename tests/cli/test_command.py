@@ -51,6 +51,7 @@ def test_help_names_every_command_and_the_exit_codes(cli):
     assert "0 done, 1 failed, 2 bad input" in text
 
 
+@pytest.mark.slow
 def test_a_process_that_is_done_ends_with_0(tmp_path):
     found = run("identify", "festo-tool-10mm", "--json", cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path))
     assert (found.returncode, found.stderr) == (0, "")
@@ -156,6 +157,7 @@ def test_a_closed_pipe_is_one_line_and_exit_1():
     assert found.stderr == f"failed: the output is incomplete: {os.strerror(errno.EPIPE)}\n"
 
 
+@pytest.mark.slow
 def test_names_that_the_terminal_cannot_show_are_escaped(tmp_path, shortened):
     text = shortened("pre-contracted-step-pid")
     name = re.search("^name: (.*)$", text, re.MULTILINE)[1]

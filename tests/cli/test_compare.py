@@ -49,6 +49,7 @@ def results(folder):
     return json.loads((folder / "results.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
     drawn, draw = [], report.write_benchmark
     monkeypatch.setattr(report, "write_benchmark", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))

@@ -32,6 +32,7 @@ def test_a_trackable_reference(cli, shortened, tmp_path):
     assert "nearest" not in found.out
 
 
+@pytest.mark.slow
 def test_an_infeasible_reference_and_the_nearest(cli, printed):
     found = cli("envelope", "s.yaml", "--out", "kept")
     assert (found.code, found.err) == (0, "")
@@ -75,6 +76,7 @@ def test_a_load_that_is_too_heavy(cli, printed):
     assert (printed / "kept" / "envelope.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_design(cli, printed):
     target = "stiffness 14..18 N*m/rad over -15..15 deg"
     vary = ("--vary", "connector_length=190..240 mm", "--vary", "joint_radius=20..50 mm")
@@ -92,6 +94,7 @@ def test_a_design(cli, printed):
     assert (printed / "kept" / "design.svg").exists()
 
 
+@pytest.mark.slow
 def test_a_design_of_one_muscle_leaves_the_other(cli, printed):
     target, vary = "stiffness 10..12 N*m/rad over -1..1 deg", ("--vary", "muscle2_length=175..178 mm")
     found = cli("envelope", "s.yaml", "--design", target, *vary, "--out", "kept", "--force")

@@ -181,6 +181,7 @@ def test_a_folder_that_cannot_be_made_is_said_before_the_work(cli, tmp_path):
     assert (found.code, found.out) == (2, "")
 
 
+@pytest.mark.slow
 class TestEveryLaw:
     @pytest.fixture
     def ranked(self, cli, tmp_path):
@@ -205,6 +206,7 @@ class TestEveryLaw:
         assert (folder / "ranking.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_a_ranking_without_pressure_levels_says_so(cli, tmp_path):
     law = catalog.law("lei-mas-10-180n")
     bars, contractions = (2.1, 3.7, 2.9, 5.2, 4.3, 4.8, 3.1, 5.9, 2.5), np.linspace(0, 0.06, 9)
@@ -224,6 +226,7 @@ def test_a_law_is_named_with_or_without_hyphens(cli):
     assert "tondu-lopez" in cli("identify", FESTO, "--law", "tondu").err
 
 
+@pytest.mark.slow
 def test_how_sure_a_fit_is(cli, tmp_path):
     options = ("--level", "0.9", "--profile", "--bootstrap", "20")
     found = cli("identify", FESTO, *options, "--out", "kept")
@@ -246,6 +249,7 @@ def test_how_sure_a_fit_is(cli, tmp_path):
         assert re.search(said, refused.err)
 
 
+@pytest.mark.slow
 def test_hysteresis_is_found_with_the_law(cli, tmp_path):
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     protocol = IsobaricProtocol(pressures=[2 * bar, 4 * bar, 6 * bar], step=2 * mm, repeats=2, samples=50)

@@ -3,6 +3,7 @@
 import pytest
 
 
+@pytest.mark.slow
 def test_a_run_that_swings_over_has_failed(cli, tmp_path, shortened):
     text = shortened("pre-contracted-step-pid").replace("ki: 60 bar/(rad*s)", "ki: 60 bar/(deg*s)")
     text = text.replace("duration: 200 ms", "duration: 4 s")

@@ -22,6 +22,7 @@ def short(shortened, tmp_path):
     (tmp_path / "short.yaml").write_text(shortened(NAME), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced", "--ideal", "--json")
     assert (found.code, found.err.splitlines()[-1]) == (

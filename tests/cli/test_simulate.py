@@ -32,6 +32,7 @@ def test_an_example_in_full(cli):
     assert numbers["metrics"]["estimate_rmse"] < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_every_example_runs_and_its_numbers_are_those_of_the_run(cli, tmp_path, shortened, name):
     (tmp_path / "short.yaml").write_text(shortened(name), encoding="utf-8")

@@ -8,6 +8,7 @@ import pytest
 FRICTION = "law: lei-mas-10-180n, friction: {half_width: 7.5 N, presliding_length: 0.5 mm}}"
 
 
+@pytest.mark.slow
 def test_closed_forms_simulation_and_the_controller(cli, shortened, tmp_path):
     text = shortened("pre-contracted-step-pid").replace("law: lei-mas-10-180n}", FRICTION)
     text = text.replace("before: 13 N*m/rad", "before: 38 N*m/rad").replace(

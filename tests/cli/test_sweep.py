@@ -50,6 +50,7 @@ def scenario(tmp_path, shortened) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
     asked = (*MASS, "--over", "start.stiffness=12 N*m/rad, 30 N*m/rad", "--samples", "40", "--seed", "1")
     found = cli("sweep", "s.yaml", *asked, "--out", "kept")
@@ -175,6 +176,7 @@ def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
     assert found.err == "interrupted: 512 of 1024 runs are kept in kept; continue with --resume\n"
 
 
+@pytest.mark.slow
 def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path):
     asked = (*MASS, "--samples", "512", "--metrics", "angle_rmse")
     path = tmp_path / "kept" / "sweep.journal"

@@ -75,7 +75,7 @@ def mistaken(cli, tmp_path, scenario):
     return call
 
 
-@pytest.mark.parametrize("method", ["cma", "gradient", "evolution"])
+@pytest.mark.parametrize("method", ["cma", pytest.param("gradient", marks=pytest.mark.slow), "evolution"])
 def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     found = cli("tune", "s.yaml", *SMALL, "--method", method)
     assert found.code == 0
@@ -108,6 +108,7 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     assert json.loads(again.out)["metrics"] == run["tuned"]
 
 
+@pytest.mark.slow
 def test_a_search_over_conditions_has_their_margin(cli, scenario, tmp_path):
     found = cli(
         *("tune", "s.yaml", "--parameters", "controller.position.kp=1..4 bar/rad", "--method", "evolution"),
@@ -265,6 +266,7 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     assert {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()} == before
 
 
+@pytest.mark.slow
 class TestCutOff:
     """The same search undisturbed, and cut off twice; then they are the same."""
 

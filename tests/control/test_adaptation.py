@@ -206,6 +206,7 @@ def test_it_takes_no_estimate_further_off_than_three_deviations(estimated):
     assert strengths == pytest.approx((0.82, 0.82), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_with_a_drift_time_it_follows_a_strength_that_drifts_and_forgets_within_the_prior(
     listened, records, knee, paper_precontracted
 ):

@@ -230,6 +230,7 @@ def unseen(count, seed, joint):
     return over
 
 
+@pytest.mark.slow
 def test_on_unseen_conditions_it_is_far_better_than_a_tuned_pid(knee, load, plant):
     """Encoder, noise, lag, hysteresis, mass and each muscle's law are off; the PID was tuned for such conditions."""
     rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(1e-6, 0.5 * mm, elements=1))
@@ -256,6 +257,7 @@ def test_on_unseen_conditions_it_is_far_better_than_a_tuned_pid(knee, load, plan
     assert np.median(stiffness_after) < 1.02 * np.median(stiffness_before)
 
 
+@pytest.mark.slow
 def test_expected_friction_is_part_of_the_torque(knee, load):
     """Drawn along the setpoint it is made up for at once, and the observer is told of it."""
     rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(12.0, 0.5 * mm, elements=1))

@@ -100,6 +100,7 @@ def run(knee, load):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
 def test_the_commands_follow_from_what_was_told(run, knee, load, name):
     control = CONTROLLERS[name](knee, load)

@@ -33,6 +33,7 @@ def predictive(load):
     return lambda model: PredictiveControl(model, load, adaptation=LawAdaptation(SPREAD))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["decoupling", "predictive"])
 def test_strengths_that_were_learned_are_as_good_as_a_model_that_has_them(kind, request, barely_compiled, knee):
     """In motion, stiffness estimate and commands."""

@@ -94,3 +94,9 @@ def test_a_damping_outside_its_range_is_refused():
     with pytest.raises(RangeError) as caught:
         ExtendedStateObserver(damping=1.5)
     assert (caught.value.field, caught.value.value) == ("damping", 1.5)
+
+
+def test_without_a_bandwidth_it_is_200_rad_per_s():
+    """A step of the sensors at commands that agree with the estimate is taken over by 1 - exp(-0.2) in 1 ms."""
+    estimated = PressureObserver().step((1e5, 1e5), (1e5, 1e5), (2e5, 1e5), 0.05, PERIOD)
+    assert [float(one) for one in estimated] == pytest.approx([1e5 + 1e5 * (1 - np.exp(-0.2)), 1e5])

@@ -72,6 +72,7 @@ def controllers(joint, load):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["PID", "inverse model", "decoupling", "predictive"])
 def test_a_motion_of_the_size_meets_the_stiffness_asked_for(joint, load, plant, settle, name):
     controller = controllers(joint, load)[name]
@@ -118,6 +119,7 @@ def test_an_amplitude_of_zero_is_refused(joint, load, name):
     assert refused.value.field == "stiffness_amplitude"
 
 
+@pytest.mark.slow
 def test_a_simulation_compares_the_stiffness_of_that_size(joint, load, plant):
     controller = controllers(joint, load)["PID"]
     short = {"duration": 0.8, "control_period": PERIOD}

@@ -139,6 +139,7 @@ def controllers(load):
 REFERENCE = Reference(Sine(5 * deg, 1.0, phase=np.pi / 2), Step(14.0, 16.0, 0.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["decoupling", "predictive"])
 def test_a_controller_with_it_is_nearly_as_good_as_one_that_knows_its_valves(kind, controllers, knee, load):
     """Slow valves of 50 ms, 20 ms in the model; errors after the first third of a second."""
@@ -158,6 +159,7 @@ def test_a_controller_with_it_is_nearly_as_good_as_one_that_knows_its_valves(kin
     assert errors[1] < 1.15 * errors[2] and errors[1] < 0.3 * errors[0], errors
 
 
+@pytest.mark.slow
 def test_runs_of_a_batch_are_those_alone(controllers, knee, load):
     lags = np.array([10 * ms, 40 * ms])
     plants = JointPlant(knee, load, FirstOrderValve(lags))

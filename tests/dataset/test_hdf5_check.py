@@ -78,6 +78,7 @@ def test_a_group_in_itself_ends(netcdf):
     assert refused(netcdf).field == "again"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "wait"), [("rig.h5", 60.0), ("rig.nc", 1.5)])  # the child's limit, the parent's
 def test_a_heap_in_which_the_library_loops_is_an_error_and_the_next_file_is_read(
     tmp_path, netcdf, dataset, monkeypatch, name, wait

@@ -80,6 +80,7 @@ def content_of(name):
         return path.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FILES, "rig.nc"])
 @SEEDED
 @given(seed=st.integers(0, 2**32))
@@ -173,6 +174,7 @@ def test_a_damaged_recording_gives_a_recording_or_an_error_of_ours(name, seed, t
         assert sum(points.counts.values()) == len(record)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["plain.mat", "version4.mat", "rig.tdms"])
 def test_no_number_in_a_head_makes_a_huge_array(name, tmp_path):
     """Each aligned word of the head in turn claims a large number."""

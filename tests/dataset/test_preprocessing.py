@@ -5,7 +5,7 @@ import pytest
 
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
 from mckibben.dataset.plausibility import check_points
-from mckibben.dataset.preprocessing import group_pressures, nominal_pressures, passes, slack_force
+from mckibben.dataset.preprocessing import group_pressures, half_sample_mode, nominal_pressures, passes, slack_force
 from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
 from mckibben.units import bar, mm
 
@@ -235,3 +235,28 @@ def test_thousands_separators_that_can_be_nothing_else(tmp_path):
 
 def test_an_empty_dataset_stays_empty():
     assert len(IsobaricDataset.of(pressure=[], contraction=[], force=[])) == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "mode"),
+    [
+        ([0.0, 0.1, 5.0, 5.4, 5.8], 5.4),  # three of five within 0.8, though two of the others within 0.1
+        ([1.0, 4.0, 4.5, 9.0], 4.25),
+        ([2.0, 3.0, 7.0], 3.0),
+        ([2.0, 3.0], 2.5),
+    ],
+)
+def test_the_mode_is_in_the_densest_half(values, mode):
+    assert half_sample_mode(np.array(values)) == pytest.approx(mode)
+
+
+@pytest.mark.parametrize(
+    ("pasted", "count"), [([5, 6, 7], 0), ([5, 6, 7, 8], 4), ([1, 2, 3, 4, 20, 21, 22, 23, 24], 9)]
+)
+def test_four_rows_in_the_same_order_are_copies(pasted, count):
+    contraction = np.linspace(0, 0.25, 30)
+    pressure, force = np.full(30, 3e5), 400 * (1 - contraction / 0.3)
+    rows = np.column_stack([pressure, contraction, force])
+    told = check_points(*np.vstack([rows, rows[pasted]]).T, 0.0, LENGTH).warnings
+    repeats = [one for one in told if "repeat others" in one]
+    assert [int(one.split()[0]) for one in repeats] == ([count] if count else [])

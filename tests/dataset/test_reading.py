@@ -357,6 +357,7 @@ def only_dataset_errors(path, **more) -> None:
             assert np.isfinite([data.pressure, data.contraction, data.force]).all()
 
 
+@pytest.mark.slow
 @FUZZ
 @given(content=st.binary(max_size=300) | st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace")))
 def test_random_bytes_raise_nothing_but_dataset_errors(content, file):

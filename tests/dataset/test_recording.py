@@ -232,6 +232,7 @@ def test_whatever_the_record_all_samples_are_accounted_for_and_plateaus_are_stea
         assert np.abs(points.dataset.contraction[:, None] - planned).min(axis=1).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_five_million_samples_take_a_second_or_so():
     test = Run(rate=43_000)
     record = test.record()

@@ -52,6 +52,7 @@ def assert_same(a: IsobaricDataset, b: IsobaricDataset) -> None:
     assert {name: a.table[name].dtype for name in a.table} == {name: b.table[name].dtype for name in b.table}
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(data=datasets())
 def test_netcdf_gives_the_same_dataset_back(data, tmp_path):
@@ -154,6 +155,7 @@ def test_a_missing_netcdf_file_and_renamed_columns_are_refused(tmp_path):
         read_dataset(tmp_path / "none.nc", columns={"a": "force_N"})
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cut=st.floats(0, 1, exclude_max=True))
 def test_a_netcdf_file_that_lost_values_is_refused(cut, tmp_path):

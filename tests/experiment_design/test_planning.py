@@ -417,6 +417,7 @@ def knee_of(paper, family, theta):
 SETS = 400
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lei-mas-10-180n", "sarosi-dmsp-10"])
 def test_planned_points_beat_as_many_evenly_spaced_ones_in_fact(name, paper, as_printed, specimen):
     truth = catalog.law(name)

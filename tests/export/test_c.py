@@ -37,7 +37,10 @@ def scenarios(board):
     return board.scenarios(0.3)
 
 
-@pytest.mark.parametrize("name", REPLAYED)
+LONG = {"BP", "decoupling, adapted", "predictive"}  # the others have their operations
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one in LONG)) for one in REPLAYED])
 def test_it_repeats_the_recorded_run(scenarios, name, tmp_path):
     export(scenarios[name], "c", tmp_path, name="knee", **REPLAYED[name])
     subprocess.run(["make", "-s", "replay"], cwd=tmp_path, check=True)
@@ -45,6 +48,7 @@ def test_it_repeats_the_recorded_run(scenarios, name, tmp_path):
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if REPLAYED[name] else 1e-11)
 
 
+@pytest.mark.slow
 def test_all_compile_without_warnings(board, scenarios, tmp_path):
     for name, scenario in scenarios.items():
         module, _ = controller_program(controller_functions(scenario), "knee")

@@ -1,6 +1,7 @@
 """FMUs against the simulation, in fmpy."""
 
 import dataclasses
+import importlib.util
 import shutil
 import subprocess
 from pathlib import Path
@@ -19,9 +20,9 @@ from mckibben.scenario import Scenario
 from mckibben.simulation.loop import compiled_episode
 from mckibben.simulation.problem import sampled
 
-fmpy = pytest.importorskip("fmpy", reason="needs fmpy, of the extra dev")
-validation = pytest.importorskip("fmpy.validation", reason="needs fmpy, of the extra dev")
-build = pytest.importorskip("fmpy.build", reason="needs fmpy, of the extra dev")
+fmpy = pytest.importorskip("fmpy", reason="needs the extra fmu")
+validation = pytest.importorskip("fmpy.validation", reason="needs the extra fmu")
+build = pytest.importorskip("fmpy.build", reason="needs the extra fmu")
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler, for the FMU's binary")
 
 TEXT = """
@@ -333,3 +334,15 @@ def test_nothing_is_written_for_numbers_of_32_bits(scenario, tmp_path):
         export(scenario, "fmu", tmp_path / "out", single=True)
     assert caught.value.field == "single"
     assert not (tmp_path / "out").exists()
+
+
+def test_the_headers_of_the_standard_are_those_of_fmpy(scenario, tmp_path, monkeypatch):
+    export(scenario, "fmu-muscle", tmp_path)
+    sources = Path(fmpy.extract(tmp_path / "muscle.fmu", tmp_path / "muscle")) / "sources"
+    for name in ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"):
+        assert (sources / name).read_text() == (Path(fmpy.__file__).parent / "c-code" / name).read_text()
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ExportError) as caught:
+        export(scenario, "fmu", tmp_path / "without")
+    assert caught.value.field == "fmpy" and "mckibben[fmu]" in caught.value.remedy
+    assert not (tmp_path / "without").exists()

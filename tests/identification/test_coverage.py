@@ -24,6 +24,7 @@ def knee():
     return coverage.pre_contracted_knee()
 
 
+@pytest.mark.slow
 def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points, knee):
     found = coverage.shares(points, knee, SETS, common=False)
     for by, share in found.items():
@@ -38,6 +39,7 @@ def test_samples_of_a_plateau_are_no_independent_points(points):
     assert np.std(samples.mean(axis=-1)) > 3 * promised
 
 
+@pytest.mark.slow
 def test_an_error_common_to_a_stroke_is_covered_where_strokes_are_the_groups(points, knee):
     assert coverage.stroke_labels(points).max() + 1 == 18
     found = coverage.shares(points, knee, SETS, common=True)

@@ -31,6 +31,7 @@ def crept():
     return data, identify_creep(data, **TIMES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stiffness", "tau"), [(1000.0, 3.0), (1000.0, 8.0), (400.0, 40.0), (1500.0, 300.0)])
 def test_an_arm_is_found_within_its_errors(stiffness, tau):
     far = []
@@ -45,6 +46,7 @@ def test_an_arm_is_found_within_its_errors(stiffness, tau):
     assert np.abs(far).max() < 3.5 and np.abs(np.mean(far)) < 1.7
 
 
+@pytest.mark.slow
 def test_the_errors_are_as_large_as_the_scatter():
     few = dataclasses.replace(PROTOCOL, pressures=[4 * bar], repeats=1)
     found = [
@@ -56,6 +58,7 @@ def test_the_errors_are_as_large_as_the_scatter():
     assert np.mean([one.time_constant_interval[0] <= 8.0 <= one.time_constant_interval[1] for one in found]) >= 0.85
 
 
+@pytest.mark.slow
 def test_noise_in_common_within_a_plateau_is_allowed_for():
     """A slow wander of the sensor within each plateau: errors of independent samples would be too small."""
     few = dataclasses.replace(PROTOCOL, pressures=[4 * bar], repeats=2)

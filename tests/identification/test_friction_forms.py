@@ -61,6 +61,7 @@ def law_error(law):
     return float(np.sqrt(np.mean((forces(law, contraction, pressure) - true)[known] ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["coulomb", "pressure", "tension", "viscous"])
 def test_the_form_is_found_by_held_out_loops(kind):
     found = identify_hysteresis(ExponentialLaw, loops(kind))
@@ -87,6 +88,7 @@ def test_a_wrong_form_is_rejected_and_another_offered(given, kind):
     assert any("rejected" in warning for warning in found.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("few", [False, True])
 def test_a_dependence_that_no_form_has_is_named(few):
     """Also by few paths, in which a growth with tension passes for it."""
@@ -121,6 +123,7 @@ def test_drift_may_be_left_out():
     assert not found.offset.any()
 
 
+@pytest.mark.slow
 def test_a_form_that_the_data_do_not_determine_is_refused():
     data = loops("coulomb")
     with pytest.raises(IdentificationError, match="three pressures"):

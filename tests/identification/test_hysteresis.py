@@ -37,6 +37,7 @@ def drifting():
     return data, identify_hysteresis(ExponentialLaw, data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3])
 @pytest.mark.parametrize("sensor", [{}, {"force_drift": -0.5, "force_wander": 0.1}])
 def test_hysteresis_and_law_are_found_as_well_as_the_law_without(seed, sensor):
@@ -209,6 +210,7 @@ def test_a_law_of_another_kind_leaves_what_it_cannot_say_to_the_residuals():
     assert any("decay is held at the bound" in warning for warning in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_law_that_fits_badly_is_said_to_spoil_the_friction(drifting):
     data, found = drifting
     assert found.rmse < 0.25 * 10

@@ -182,6 +182,7 @@ def test_standard_errors_cover_the_truth():
 # --- errors at unseen pressures -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law_type", [ExponentialLaw, ChouLaw])
 def test_leaving_one_pressure_out_equals_a_loop_over_identify(law_type):
     data = grid(EQ_3, pressures=np.arange(1, 7) * bar, noise=2.0)

@@ -45,6 +45,7 @@ def plane(offsets, noise):
     return IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force)
 
 
+@pytest.mark.slow
 def test_with_gaussian_errors_and_a_linear_law_it_is_the_classical_t():
     fit = identify(PlaneLaw, plane(offsets=0.0, noise=2.0))
     found = posterior(fit, draws=800, warmup=200, chains=1, seed=1)
@@ -61,6 +62,7 @@ def test_with_gaussian_errors_and_a_linear_law_it_is_the_classical_t():
     assert found.noise["sigma"].mean() == pytest.approx(2.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_errors_common_to_a_group_are_found_and_widen_what_they_blur():
     """On the chart, whose law misses whole pressures by some 3 N."""
     fit = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))

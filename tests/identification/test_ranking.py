@@ -52,6 +52,7 @@ def rankings():
     return {name: rank(catalog.dataset(name), kinds) for name in (MAP, CHART)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "exponential", "ratio"), [(MAP, 1.34, 0.9), (CHART, 3.42, 0.3)], ids=["measured map", "maker's chart"]
 )
@@ -150,6 +151,7 @@ def test_ours_is_a_muscle_where_its_data_are(rankings, name):
     assert unphysical(fit.law) == ""
 
 
+@pytest.mark.slow
 def test_ours_is_closed_under_size_and_stroke():
     """A muscle of another size pulls more, and over another stroke: the form fits it as well as this one."""
     chart = catalog.dataset(CHART)
@@ -251,6 +253,7 @@ def test_data_without_set_pressures_are_ranked_and_keep_a_flagged_law_that_fits_
     assert dataclasses.replace(found, entries=(flagged, *found.entries[1:])).best is flagged
 
 
+@pytest.mark.slow
 def test_friction_of_the_data_does_not_reorder_the_laws():
     truth = identify(OURS, catalog.dataset(CHART)).law
     made = made_by(truth, noise=1.0, repeats=2)

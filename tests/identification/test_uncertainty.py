@@ -371,6 +371,7 @@ def test_a_linear_parameter_has_no_profile(fit):
 # --- bootstrap ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_bootstrap_agrees_with_the_sandwich_and_with_refits_to_repeated_points(map_of_martens):
     fit = identify(ExponentialLaw, map_of_martens)
     found = bootstrap(fit, 300, seed=1)
@@ -486,6 +487,7 @@ def test_a_fit_stays_a_value(fit):
         fit.regression.points = None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("relative", "grows"), [(0.0, False), (0.01, True)])
 def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, grows):
     law, random = catalog.law("lei-mas-10-180n"), np.random.default_rng(1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mckibben import catalog
 from mckibben.errors import DomainWarning
 from mckibben.joint import AntagonisticJoint, SeriesSpring
-from mckibben.muscle import ChouLaw, Muscle
+from mckibben.muscle import ChouLaw, MaxwellCreep, Muscle
 
 ANGLES = np.radians(np.linspace(-30, 30, 13))
 TAUT = [(4e5, 4e5), (3.5e5, 4.5e5), (5.5e5, 4.6e5)]
@@ -145,3 +145,24 @@ def test_a_joint_prints_in_one_line(knee):
     muscle = "Muscle(MAS-10-180N-AA-MC-O, ExponentialLaw)"
     assert repr(knee) == f"AntagonisticJoint({muscle}, {muscle}, RigidTendon)"
     assert repr(knee.muscle1.specimen) == "Specimen(MAS-10-180N-AA-MC-O)"
+
+
+def test_creep_follows_the_lengths_of_both_muscles(knee):
+    """Each relaxes after a stretch of its own; both resist the turn."""
+    muscle = dataclasses.replace(knee.muscle1, creep=MaxwellCreep(stiffness=3000.0, time_constant=8.0))
+    creeping = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
+    angle, velocity, pressures, step = 0.1, 0.7, (3e5, 4e5), 1e-6
+    states = creeping.init_state(angle, pressures)
+    before, after = (creeping.geometry.path_lengths(angle + velocity * side) for side in (-step, step))
+    stretching = [float(b - a) / (2 * step) for a, b in zip(before, after, strict=True)]
+    rates = creeping.state_rate(states, angle, velocity)
+    assert stretching[0] > 0 > stretching[1]
+    for held, rate, found in zip(states, stretching, rates, strict=True):
+        expected = [float(one) for one in jax.tree.leaves(muscle.state_rate(held, rate))]
+        assert [float(one) for one in jax.tree.leaves(found)] == pytest.approx(expected, rel=1e-6)
+        assert expected[0] * rate > 0
+    turned = jax.tree.map(lambda x: x * 1e-3, rates)
+    resisting = float(creeping.creep_torque(angle, pressures, turned))
+    assert resisting < -1e-4
+    whole = creeping.forces(angle, 0.0, pressures, turned).torque - creeping.torque(angle, pressures)
+    assert resisting == pytest.approx(float(whole), rel=1e-9)

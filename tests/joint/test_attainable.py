@@ -204,6 +204,7 @@ def test_the_ends_of_the_band_belong_to_it(knee, end):
     assert float(knee.stiffness(0.0, held)) == pytest.approx(stiffness, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_stiffness_that_a_spring_jumps_over_is_refused_not_replaced_by_another(as_printed):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=100.0, travel=0.02))
     try:
@@ -225,7 +226,7 @@ together = jax.jit(solve_static_and_range)  # one program a kind of joint, for a
 
 
 @pytest.mark.parametrize("stiffness", [12.0, math.nan])
-@pytest.mark.parametrize("spring", [None, SeriesSpring(20e3, 50.0, 0.018)])
+@pytest.mark.parametrize("spring", [None, pytest.param(SeriesSpring(20e3, 50.0, 0.018), marks=pytest.mark.slow)])
 def test_one_pass_holds_the_first_of_many_angles_and_gives_the_range_at_all(knee, spring, stiffness):
     joint = knee if spring is None else dataclasses.replace(knee, tendon=spring)
     angles, torques = np.linspace(0.0, 0.3, 4), np.linspace(-1.0, 1.0, 4)

@@ -26,12 +26,12 @@ def volume(contraction):
     return (thread**2 - length**2) / (4 * math.pi * turns**2) * length
 
 
-def locked(pressure, before, now, index):
+def locked(pressure, before, now, index, dead):
     """The gauge pressure of air that was locked in at one contraction, at another."""
-    return (pressure + ATMOSPHERE) * (volume(before) / volume(now)) ** index - ATMOSPHERE
+    return (pressure + ATMOSPHERE) * ((volume(before) + dead) / (volume(now) + dead)) ** index - ATMOSPHERE
 
 
-def slope_of_locked_torque(paper, angle, held, index, spring=None):
+def slope_of_locked_torque(paper, angle, held, index, spring=None, dead=0.0):
     def contraction(path, pressure_at):
         """In a path, where the pressure depends on the contraction."""
         if spring is None:
@@ -53,7 +53,7 @@ def slope_of_locked_torque(paper, angle, held, index, spring=None):
     def torque(at):
         forces = []
         for span, p, before in zip(paper.spans(at), held, start, strict=True):
-            pressure_at = lambda c, p=p, before=before: locked(p, before, c, index)  # noqa: E731
+            pressure_at = lambda c, p=p, before=before: locked(p, before, c, index, dead)  # noqa: E731
             c = contraction(span - paper.connectors, pressure_at)
             forces.append(max(paper.eq3(c, pressure_at(c)), 0.0))
         d1, d2 = paper.eq5(at)
@@ -92,3 +92,11 @@ def test_it_broadcasts(knee):
     got = closed(knee, angles, held, 1.0)
     assert got.shape == (3, 2)
     assert float(got[2, 1]) == pytest.approx(float(closed(knee, 0.1, (4e5, 3e5), 1.0)), rel=1e-10)
+
+
+def test_a_dead_volume_makes_it_softer(knee, paper_precontracted):
+    angle, held, dead = 0.1, (3e5, 4e5), 1e-5
+    got = float(knee.closed_valve_stiffness(angle, held, polytropic_index=1.4, dead_volume=dead))
+    expected = -slope_of_locked_torque(paper_precontracted, angle, held, 1.4, dead=dead)
+    assert got == pytest.approx(expected, rel=1e-6)
+    assert float(isobaric(knee, angle, held)) < got < 0.99 * float(closed(knee, angle, held, 1.4))

@@ -48,9 +48,9 @@ def controller_of(kind, plant):
     ("name", "kind", "valve", "largest"),
     [
         ("bone and cam", "decoupling", mk.FirstOrderValve(0.02), 0.2),
-        ("bone and cam", "loops", AIR, 2.0),
-        ("table and pulley", "predictive", mk.FirstOrderValve(0.02), 0.2),
-        ("table and pulley", "inverse", mk.FirstOrderValve(0.02), 0.5),
+        pytest.param("bone and cam", "loops", AIR, 2.0, marks=pytest.mark.slow),
+        pytest.param("table and pulley", "predictive", mk.FirstOrderValve(0.02), 0.2, marks=pytest.mark.slow),
+        pytest.param("table and pulley", "inverse", mk.FirstOrderValve(0.02), 0.5, marks=pytest.mark.slow),
     ],
 )
 def test_controllers_follow_and_runs_of_a_batch_are_the_same(name, kind, valve, largest):
@@ -65,6 +65,7 @@ def test_controllers_follow_and_runs_of_a_batch_are_the_same(name, kind, valve, 
     np.testing.assert_allclose(many["angle_rmse"][0], alone.metrics["angle_rmse"], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_numbers_of_a_path():
     plant, step = plant_of("bone and cam", mk.FirstOrderValve(0.02)), 1e-5
     controller, name = controller_of("loops", plant), "plant.joint.geometry.path2.arm"

@@ -51,6 +51,7 @@ def test_moment_arms_and_stiffness_are_derivatives(joint):
     assert np.shape(paths) == (2, ANGLES.size)
 
 
+@pytest.mark.slow
 def test_pressures_for_a_torque_and_a_stiffness_are_found_in_the_attainable_set(joint):
     torque = 1.5
     low, high = joint.attainable_stiffness(0.05, torque)

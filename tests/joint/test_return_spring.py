@@ -107,7 +107,7 @@ def test_a_torque_has_one_stiffness(side):
     np.testing.assert_allclose(joint.attainable_stiffness(0.05, torque), (stiffness, stiffness), rtol=1e-9)
 
 
-@pytest.mark.parametrize("side", [1, 2])
+@pytest.mark.parametrize("side", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("name", "largest"), [("pid", 1.5), ("decoupling", 0.1), ("predictive", 0.1), ("inverse", 0.5)]
 )
@@ -136,6 +136,7 @@ def test_every_controller_holds_the_angle(name, largest, side):
         assert result["valve_time_constant_estimate"][-1] == pytest.approx(0.02, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_envelope_says_that_angle_and_stiffness_are_not_independent():
     found = envelope(read())
     np.testing.assert_allclose(*found.static.stiffness, rtol=1e-9)

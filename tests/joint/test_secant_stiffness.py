@@ -81,6 +81,7 @@ def test_a_large_motion_meets_the_whole_band_once(knee, paper_precontracted):
     assert added == pytest.approx(band / (2 * amplitude), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [1.0, 1.4])
 def test_closed_valves_with_a_spring_in_series(as_printed, index):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=60.0, travel=0.01))

@@ -120,3 +120,14 @@ def test_a_spring_widens_the_range_of_the_knee_as_printed(as_printed, springy, l
     )
     low, high = jax.jit(springy.attainable_torque)(math.radians(15))
     assert float(low) < float(holding) < float(high)
+
+
+def test_permitted_tensions_put_the_muscle_at_the_ends_of_its_domain(muscle):
+    path = muscle.specimen.length_at(muscle.domain.contraction_max) + 0.004  # the spring is extended by 4 mm there
+    highest = float(SPRING.permitted(muscle, path)[1])
+    assert highest == pytest.approx(60.0 + 2e4 * 0.004)
+    assert float(SPRING.extension(highest)) == pytest.approx(0.004)
+    path = muscle.specimen.length_at(muscle.domain.contraction_min) + 0.003
+    lowest = float(SPRING.permitted(muscle, path)[0])
+    assert lowest == pytest.approx(60.0 + 2e4 * 0.003)
+    assert float(SPRING.extension(lowest)) == pytest.approx(0.003)

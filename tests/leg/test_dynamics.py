@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import approx_fprime
+from scipy.optimize import approx_fprime, fsolve
 
 import mckibben as mk
 from mckibben import catalog
@@ -124,6 +124,7 @@ def test_contact_pushes_only_and_begins_at_nought() -> None:
     assert caught.value.field == "stiffness"  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_friction_of_muscles_moves_with_the_leg(plant: LegPlant) -> None:
     """A muscle with friction and creep in the leg has the state that it has in the joint."""
     pair = plant.leg.joints[1].muscles
@@ -143,19 +144,43 @@ def test_friction_of_muscles_moves_with_the_leg(plant: LegPlant) -> None:
     )
 
 
+def foot_of(leg: Leg, at: np.ndarray) -> np.ndarray:
+    """The foot [m] forwards and up of the hip."""
+    absolute = np.cumsum([joint.link_angle + angle for joint, angle in zip(leg.joints, at, strict=True)])
+    lengths = np.array([link.length for link in leg.links])
+    return np.array([np.sum(lengths * np.sin(absolute)), -np.sum(lengths * np.cos(absolute))])
+
+
+def foot_jacobian(leg: Leg, at: np.ndarray) -> np.ndarray:
+    absolute = np.cumsum([joint.link_angle + angle for joint, angle in zip(leg.joints, at, strict=True)])
+    lengths = np.array([link.length for link in leg.links])
+    moved = np.stack([lengths * np.cos(absolute), lengths * np.sin(absolute)])
+    return moved @ np.tril(np.ones((len(lengths), len(lengths))))
+
+
+@pytest.mark.parametrize("force", [(0.0, 6.0), (5.0, 3.0)])
+def test_foot_stiffness_under_a_force_is_that_of_the_bent_leg(plant: LegPlant, force: tuple[float, float]) -> None:
+    """Springs at the joints hold the force; of a little more the foot gives way as the compliance says."""
+    leg, angles, stiffness = plant.leg, np.array([0.02, -0.2]), np.array([18.0, 14.0])
+    rest = angles - foot_jacobian(leg, angles).T @ force / stiffness
+
+    def bent(by: np.ndarray) -> np.ndarray:
+        return fsolve(lambda q: stiffness * (q - rest) - foot_jacobian(leg, q).T @ (force + by), angles, xtol=1e-13)
+
+    found = foot_stiffness(leg, angles, stiffness, force=force).compliance
+    assert not np.allclose(found, foot_stiffness(leg, angles, stiffness).compliance, rtol=0.02)
+    for more in (np.array([1e-3, 0.0]), np.array([0.0, 1e-3])):
+        moved = (foot_of(leg, bent(more)) - foot_of(leg, bent(-more))) / 2
+        assert moved == pytest.approx(found @ more, rel=1e-4, abs=1e-9)
+
+
 def test_foot_stiffness_is_that_of_small_displacements(plant: LegPlant) -> None:
     leg, angles, stiffness = plant.leg, (0.02, -0.2), (18.0, 14.0)
     found = foot_stiffness(leg, angles, stiffness)
-
-    def foot(at: np.ndarray) -> np.ndarray:
-        absolute = np.cumsum([joint.link_angle + angle for joint, angle in zip(leg.joints, at, strict=True)])
-        lengths = np.array([link.length for link in leg.links])
-        return np.array([np.sum(lengths * np.sin(absolute)), -np.sum(lengths * np.cos(absolute))])
-
     force = np.array([0.3, -0.2]) * 1e-3
-    jacobian = approx_fprime(np.array(angles), foot, 1e-7)
+    jacobian = approx_fprime(np.array(angles), lambda at: foot_of(leg, at), 1e-7)
     bent = np.array(angles) + (jacobian.T @ force) / stiffness
-    assert foot(bent) - foot(np.array(angles)) == pytest.approx(found.compliance @ force, rel=1e-3)
+    assert foot_of(leg, bent) - foot_of(leg, np.array(angles)) == pytest.approx(found.compliance @ force, rel=1e-3)
     assert found.principal[0] < found.principal[1]
     low, high = leg.joints[1].muscles.attainable_stiffness(-0.2, 0.0)
     attainable = attainable_foot_stiffness(leg, angles, (0.0, 0.0), levels=3)

@@ -34,6 +34,7 @@ def start(plant: LegPlant) -> LegStart:
     return LegStart(angles, plant.leg.pressures_for(angles, (0.0, 0.0), (None, 15.0)), upward_speed=-1.0)
 
 
+@pytest.mark.slow
 def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     run = simulate_leg(plant, schedule, start, substeps=1, **STEP)
@@ -211,3 +212,15 @@ def test_hopping_in_place_settles_to_equal_hops() -> None:
     assert flights.size >= 8
     assert flights[-5:].std() < 0.03 * flights[-5:].mean()
     assert set(np.unique(run["phase"])) == {0, 1, 2, 3}
+
+
+def test_the_air_of_a_run_is_that_which_flows_in(plant: LegPlant, start: LegStart) -> None:
+    """One muscle is filled, its antagonist emptied: what leaves is no consumption, nor does it count against it."""
+    filled = tuple((p, p + (0.5e5 if number % 2 else -0.5e5)) for number, p in enumerate(start.pressures))
+    schedule = PressureSchedule(filled, tuple((0.02,) for _ in filled))
+    high = start._replace(clearance=0.3)
+    run = simulate_leg(plant, schedule, high, substeps=1, **STEP)
+    steps = np.diff(run["air_mass"].to_numpy(), axis=run["air_mass"].get_axis_num("time"))
+    table = simulate_legs(plant, schedule, high, over={"start.upward_speed": [-1.0, -0.9]}, substeps=1, **STEP)
+    assert -steps[steps < 0].sum() > 0.2 * steps[steps > 0].sum() > 0
+    assert float(table["air_mass"][0]) == pytest.approx(steps[steps > 0].sum(), rel=2e-3)

@@ -194,6 +194,7 @@ def test_draws_scatter_about_the_nominal_leg(scenario: LegScenario) -> None:
     assert mass[0] == 1.5 and mass[1:].std() == pytest.approx(0.03 * 1.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> None:
     plant = scenario.plant()
     angles = (0.0, -0.35)
@@ -216,6 +217,7 @@ def test_standing_is_the_highest_posture(scenario: LegScenario) -> None:
     assert 0.75 < hip < 0.79 and np.ptp(standing) > 0
 
 
+@pytest.mark.slow
 def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jumping, "_GENERATIONS", 4)
     monkeypatch.setattr(jumping, "_POPULATION", 2)
@@ -230,6 +232,7 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, mon
     assert len(study.rows()[1]) == 2 and "mm" in study.describe()
 
 
+@pytest.mark.slow
 def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> None:
     file = tmp_path / "leg.yaml"
     file.write_text(scenario.dumps(), encoding="utf-8")

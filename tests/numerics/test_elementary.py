@@ -91,6 +91,7 @@ def test_overflow_begins_where_it_should():
 ORDERS = {1: jax.grad, 2: lambda f: jax.grad(jax.grad(f)), 3: lambda f: jax.jacfwd(jax.jacrev(jax.grad(f)))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_derivatives_are_those_of_jax(order):
     x, differentiate = jnp.linspace(-6.0, 6.0, 41), ORDERS[order]

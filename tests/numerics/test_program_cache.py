@@ -192,6 +192,7 @@ def test_what_belongs_to_another_user_is_not_private():
     assert not program_cache._is_private(own, stat.S_ISDIR)
 
 
+@pytest.mark.slow
 def test_another_process_takes_it_up_unless_the_source_was_edited_in_between(folder, tmp_path):
     shutil.copytree(Path(mckibben.__file__).parent, tmp_path / "mckibben", ignore=shutil.ignore_patterns("__pycache__"))
     script = (

@@ -113,3 +113,13 @@ def test_the_folder_is_one_for_each_kind_of_processor(on, monkeypatch, tmp_path)
         assert runtime.programs_folder() == tmp_path / "mckibben" / f"programs-{name}"
         folders.add(runtime.programs_folder())
     assert len(folders) == 2
+
+
+@pytest.mark.parametrize(
+    ("flags", "options"), [("sse avx2", {}), ("avx2 avx512f", {"xla_cpu_prefer_vector_width": 512})]
+)
+def test_batches_fill_the_vector_unit_of_a_cpu_that_is_wide(monkeypatch, flags, options):
+    monkeypatch.setattr(runtime, "_cpuinfo", lambda: {"flags": flags})
+    assert runtime.batch_options.__wrapped__() == options
+    monkeypatch.setattr("jax.default_backend", lambda: "gpu")
+    assert runtime.batch_options.__wrapped__() == {}

@@ -378,7 +378,7 @@ def test_reproduce_puts_the_parts_together(monkeypatch, identification, joint_ma
     paper.reproduce(quick=True)  # and without anyone to report to
 
 
-@pytest.mark.parametrize("as_json", [False, True])
+@pytest.mark.parametrize("as_json", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys, tmp_path, reproduction, as_json):
     import mckibben.report
     from mckibben.cli import app

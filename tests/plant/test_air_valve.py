@@ -196,3 +196,11 @@ def test_a_measured_volume_takes_the_place_of_the_braid(knee, specimen):
     measured = eqx.tree_at(lambda one: one.volume_terms, specimen, (2e-5, 1e-4, -2e-4), is_leaf=lambda one: one is None)
     assert float(measured.volume(0.1)) == pytest.approx(2.8e-5, rel=1e-12)
     assert float(specimen.volume(0.1)) == pytest.approx(braid_volume(0.1), rel=1e-12)
+
+
+@pytest.mark.parametrize("parts", [{}, RESERVOIR])
+def test_the_pressure_of_a_reservoir_is_told_where_there_is_one(parts):
+    valve = FlowValve(C, 7e5, **parts)
+    told = valve.telemetry(valve.init_air((2e5, 3e5)), (2e5, 3e5), (2e5, 3e5))
+    assert set(told) == {"opening1", "opening2"} | ({"reservoir"} if parts else set())
+    assert float(told.get("reservoir", 7e5)) == 7e5

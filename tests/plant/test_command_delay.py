@@ -63,6 +63,7 @@ def test_between_two_periods_it_is_their_mean(late, playback, start):
     assert np.abs(found - expected).max() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["xla", "native"])
 def test_runs_of_a_batch_are_those_alone(late, engine):
     scenario = Scenario.parse(SCENARIO)
@@ -80,6 +81,7 @@ def test_runs_of_a_batch_are_those_alone(late, engine):
     assert 0 < np.abs(between - early).max() < np.abs(last - early).max()
 
 
+@pytest.mark.slow
 def test_the_derivative_is_that_of_differences(late):
     scenario, by = Scenario.parse(SCENARIO), 1e-6
     parts, times = (scenario.control(), scenario.reference()), {"duration": 0.1, "control_period": PERIOD}

@@ -138,6 +138,7 @@ def both(ideal_plant, knee, load):
     return numeric(JointPlant(joint, load, ideal_plant.valve))
 
 
+@pytest.mark.slow
 def test_many_runs_are_the_same_as_one(both, playback):
     held = Setpoint(jnp.full(100, P1), jnp.full(100, P2))
     start = both.complete_state(PlantState(*map(jnp.asarray, (0.1, 0.8)), (jnp.asarray(P1), jnp.asarray(P2))))

@@ -139,6 +139,7 @@ def test_a_scenario_has_it(scenario):
     assert caught.value.problems[0].field == "friction.torque"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 def test_both_engines_have_the_same_runs_and_batches(scenario):
     plant = scenario.plant()

@@ -36,6 +36,7 @@ def margins(plant, target, lengths, tension=0.0):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [EASY, HARD], ids=["possible", "impossible"])
 def test_no_lengths_tried_are_better(plant, target):
     found = design(plant, target, VARIABLES)
@@ -138,6 +139,7 @@ LENGTHS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OWN)
 def test_lengths_of_any_geometry_have_exact_derivatives(plant, name):
     own, h = with_paths(plant, *OWN[name]), 1e-7
@@ -154,6 +156,7 @@ def test_lengths_of_any_geometry_have_exact_derivatives(plant, name):
     assert all(getattr(getattr(geometry, path), last) == 0.02 for _, path, last in known[shared])
 
 
+@pytest.mark.slow
 def test_pulleys_are_sized_as_the_best_of_a_grid(plant):
     own = numeric(with_paths(plant, Pulley(25e-3, 0.162), Pulley(25e-3, 0.162)))
     ranges = {"radius": (0.02, 0.05), "rest_length": (0.15, 0.18)}

@@ -66,6 +66,7 @@ class Tried:
         return held, held and min(commands) >= 0 and max(commands) <= 8e5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "frequency", "lag"), [(10, 1.5, 1.0), (15, 4.0, 0.02), (15, 0.5, 1.0)])
 def test_the_bands_are_those_of_trying_all_stiffnesses(knee, load, paper_precontracted, amplitude, frequency, lag):
     plant = JointPlant(knee, load, FirstOrderValve(lag))
@@ -188,6 +189,7 @@ def test_static_envelope_over_the_angle(plant, paper_precontracted):
     assert np.nanmin(found.map_stiffness.width) > -1e-9
 
 
+@pytest.mark.slow
 def test_a_joint_with_springs_is_scanned(as_printed, load):
     spring = SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
     joint = AntagonisticJoint(as_printed.geometry, as_printed.muscle1, as_printed.muscle2, spring)
@@ -213,6 +215,7 @@ def test_times_have_to_go_together(plant):
         check_trackability(plant, Reference(0.0, 15.0), duration=1.0, control_period=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("valve", [FlowValve(0.4 * L_PER_S_BAR, 7 * bar), FirstOrderValve(0.02, rate=5 * bar)])
 def test_a_limited_flow_or_rate_leaves_slow_motion_trackable(as_printed, load, valve):
     bands = on(JointPlant(as_printed, load, valve), Reference(Sine(1 * deg, 0.5), 72.8)).bands

@@ -44,6 +44,7 @@ def test_a_tree_is_packed_to_floats_and_back():
     assert counts.dtype.kind == "i"
 
 
+@pytest.mark.slow
 def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
     def steps(program):
         state, found = program.init(0.0, 2 * bar, 2 * bar), []

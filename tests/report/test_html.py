@@ -151,6 +151,7 @@ def test_a_run_that_never_settles_is_said_so(text):
     assert "(never)" in text
 
 
+@pytest.mark.slow
 def test_the_scenarios_named_are_those_that_are_saved(reproduction, tmp_path, text):
     reproduction.save(tmp_path)
     for key in reproduction.tracking.runs:
@@ -159,6 +160,7 @@ def test_the_scenarios_named_are_those_that_are_saved(reproduction, tmp_path, te
         assert name in text
 
 
+@pytest.mark.slow
 def test_the_page_is_the_same_every_time(reproduction, page, tmp_path):
     from mckibben.report import write_report
 

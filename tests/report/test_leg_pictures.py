@@ -69,7 +69,7 @@ def test_a_muscle_of_unknown_volume_is_drawn_slender(landing):
     np.testing.assert_allclose(one.diameter, 0.07 * one.length)
 
 
-@pytest.mark.parametrize("suffix", ["webp", "gif"])
+@pytest.mark.parametrize("suffix", ["webp", pytest.param("gif", marks=pytest.mark.slow)])
 def test_an_animation_shows_leg_and_curves(suffix, landing, tmp_path):
     plant, run = landing
     try:
@@ -116,6 +116,7 @@ def test_the_player_is_self_contained_and_has_the_run(landing):
     np.testing.assert_allclose(force, run["ground_up"], atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
 def test_the_player_draws_in_a_browser(landing, tmp_path):
     move = "const s = document.querySelector('input'); s.value = 500; s.dispatchEvent(new Event('input'));"

@@ -217,6 +217,7 @@ def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_pat
     assert twin.truth.time < 4.0 + 3.0
 
 
+@pytest.mark.slow
 def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path):
     """Hundreds of instants each: `python benchmarks/faults.py`."""
     generator = np.random.default_rng(7)
@@ -228,6 +229,7 @@ def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path)
     assert stopped > 2.5 * len(trials.faults.FAULTS)
 
 
+@pytest.mark.slow
 def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(trials, tmp_path, monkeypatch):
     """200 kills: `python benchmarks/kill.py`."""
     monkeypatch.setattr(trials.kill.recorder, "PERIOD", trials.kill.PERIOD)

@@ -180,6 +180,7 @@ def test_a_huge_test_is_counted_at_once():
     assert not found.problems and found.duration == pytest.approx(1000 * 901 * 1.5)
 
 
+@pytest.mark.slow
 def test_more_steps_or_points_than_a_test_may_have_are_refused_before_they_are_laid_out(monkeypatch):
     steps = (Vent(),)
     for _ in range(8):

@@ -202,6 +202,7 @@ def test_each_run_of_a_batch_is_the_single_run(everything, alone):
     assert not np.isfinite(everything.metrics["angle_max"][special("diverged")])
 
 
+@pytest.mark.slow
 def test_a_loop_with_the_wrong_sign_has_diverged_and_a_slow_one_not(parts, knee):
     """Its pressures end at their limits, and the joint far away from a reference that moves by 3.4 deg."""
     plant, control = parts
@@ -312,6 +313,7 @@ def springy(knee, load, specimen):
     return JointPlant(joint, load, IdealValve())
 
 
+@pytest.mark.slow
 def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(springy, knee):
     gravity = np.array([9.81, 9.7, 9.9, 9.81, 3.7])
     plant = put(springy, "load.gravity", gravity)
@@ -581,6 +583,7 @@ def test_setpoints_do_not_depend_on_the_precision(rough, everything):
         assert not wrong, (name, wrong)
 
 
+@pytest.mark.slow
 def test_learning_loops_run_in_32_bits_throughout(parts, knee, alone):
     plant, _ = parts
     control = put(learner(knee, 3), "position.learning_rate", np.array([0.0, 50.0]))

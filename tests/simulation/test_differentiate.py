@@ -159,6 +159,7 @@ def others(parts):
     return plant, control, reference, PlantState(0.0, 0.05, (3.5e5, 3.6e5))
 
 
+@pytest.mark.slow
 def test_learning_and_samples_in_reverse_are_those_of_finite_differences(others):
     *given, start = others
     some = ("angle_rmse", "stiffness_rmse")

@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -49,3 +50,13 @@ def test_another_thread_is_told_nothing(number):
     thread.start()
     thread.join()
     assert seen == [signal.SIG_DFL]
+
+
+def test_one_repeated_after_more_than_a_second_interrupts(number, monkeypatch):
+    clock = iter([0.0, 0.0, 0.9, 0.9, 1.1, 1.1])
+    monkeypatch.setattr(files, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    with handle_signals(lambda _: None):
+        os.kill(os.getpid(), number)
+        os.kill(os.getpid(), number)
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), number)

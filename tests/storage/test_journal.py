@@ -196,6 +196,7 @@ for number in range(kept, 400):
 """
 
 
+@pytest.mark.slow
 def test_a_job_killed_again_and_again_ends_with_the_same_bytes(tmp_path):
     for name, kills in (("calm", 0), ("killed", 3)):
         for _ in range(kills):

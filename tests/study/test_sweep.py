@@ -488,6 +488,7 @@ def test_a_file_that_is_no_sweep(tmp_path, kept):
         kept[0].scenario(72)
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path):
     killed = []
 

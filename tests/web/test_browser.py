@@ -16,7 +16,10 @@ _spec = importlib.util.spec_from_file_location("benchmarks_web", ROOT / "benchma
 chrome = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(chrome)
 
-pytestmark = pytest.mark.skipif(chrome.chromium() is None, reason="no Chromium is installed: apt-get install chromium")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(chrome.chromium() is None, reason="no Chromium is installed: apt-get install chromium"),
+]
 
 WIDTHS = {"wide": 1200, "phone": 390}
 OPERATED = ("button", "textbox", "slider", "combobox", "checkbox", "switch", "spinbutton", "link")

@@ -336,6 +336,7 @@ def test_a_run_that_nobody_can_wait_for_is_refused(tmp_path):
         workbench.parse(workbench.START.replace("duration: 6 s", "duration: 6000 s"), tmp_path)
 
 
+@pytest.mark.slow
 def test_hundreds_of_damaged_files_leave_a_page_that_lives():
     """Each gives points or an error that is shown; afterwards a good file is read."""
 
@@ -361,6 +362,7 @@ def test_hundreds_of_damaged_files_leave_a_page_that_lives():
     assert seen["points"] > 10 and seen["problems"] > 10
 
 
+@pytest.mark.slow
 def test_damaged_scenarios_are_scenarios_or_errors(tmp_path):
     chance = random.Random(5)
     for _ in range(200):

@@ -32,6 +32,12 @@ class ArrayRules:
     def _square(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return self._elementwise(lambda x: self._graph.power(x, 2), x)
 
+    def _one_minus_square(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        """Derivative of tanh by its value, in JAX 0.12 and newer."""
+        one, operation = self._graph.constant(1.0, kind), self._graph.operation
+        sides = lambda x: (operation("sub", kind, one, x), operation("add", kind, one, x))  # noqa: E731
+        return self._elementwise(lambda x: operation("mul", kind, *sides(x)), x)
+
     def _integer_pow(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return self._elementwise(lambda x: self._graph.power(x, parameters["y"]), x)
 
@@ -165,6 +171,11 @@ class ArrayRules:
 
     def _split(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
         return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
+
+    def _unstack(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
+        """Of JAX 0.12 and newer."""
+        axis = parameters["axis"]
+        return [np.squeeze(one, axis) for one in np.split(x, x.shape[axis], axis)]
 
     def _slice(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         strides = parameters["strides"] or [1] * x.ndim

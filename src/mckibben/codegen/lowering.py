@@ -259,7 +259,7 @@ class Lowering(ArrayRules):
         return self.expanded(array) if isinstance(array, Stored) else array
 
     def _scan(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
-        count, carries, length = parameters["num_consts"], parameters["num_carry"], parameters["length"]
+        (count, carries), length = _scan_sizes(parameters), parameters["length"]
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
         carry = [self.plain(one) for one in arguments[count : count + carries]]
@@ -405,6 +405,14 @@ def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], 
         carry = following
 
 
+def _scan_sizes(parameters: Any) -> tuple[int, int]:
+    """Numbers of constants and of carried values of a scan."""
+    if "ft_in" in parameters:  # JAX 0.12 and newer
+        constants, carry, _ = (len(list(one.vals)) for one in parameters["ft_in"].unpack())
+        return constants, carry
+    return parameters["num_consts"], parameters["num_carry"]
+
+
 def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
     """Results that vary over lanes, given the inputs that do; results of branches and stored rows always vary."""
     known = dict(zip(jaxpr.invars, inputs, strict=True))
@@ -419,8 +427,8 @@ def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
             inner = parameters.get("jaxpr") or parameters["call_jaxpr"]
             results = _varying(getattr(inner, "jaxpr", inner), given)
         elif equation.primitive.name == "scan":
-            begin = parameters["num_consts"]
-            end = begin + parameters["num_carry"]
+            begin, carries = _scan_sizes(parameters)
+            end = begin + carries
             carry = _varying_carry(parameters["jaxpr"], given[:begin], given[begin:end], given[end:])
             results = carry + [True] * (len(results) - len(carry))
         elif equation.primitive.name == "cond":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import io
 import os
 import platform
@@ -21,6 +22,7 @@ from mckibben.codegen.c import write_c
 from mckibben.codegen.graph import Kind
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.source_module import Function, SourceModule, is_scalar
+from mckibben.errors import ExportError
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, variables_of
 from mckibben.export.model_description import NOMINAL, build_description, model_description
 
@@ -37,11 +39,9 @@ def fmu(unit: FunctionalUnit, scenario: str, version: int = 2) -> tuple[bytes, l
     program = write_c(unit.module, comment, units=dict(unit.units))
     values = _values(unit, variables)
     templates = files("mckibben.export") / "templates"
-    standard = {one.name: one for one in (templates / f"fmi{version}").iterdir()}
-    given = {name: one.read_text(encoding="utf-8") for name, one in sorted(standard.items())}
+    given = _headers(version)
     for one in (f"fmu-fmi{version}.c", "fmu-instance.h"):
-        text = given.get(one) or (templates / one).read_text(encoding="utf-8")
-        given[one] = Template(text).safe_substitute(values)
+        given[one] = Template((templates / one).read_text(encoding="utf-8")).safe_substitute(values)
     given |= {f"{name}.h": program.header, f"{name}.c": program.source}
     digest = hashlib.sha256("".join([scenario, *given.values()]).encode()).hexdigest()
     token = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
@@ -61,6 +61,16 @@ def fmu(unit: FunctionalUnit, scenario: str, version: int = 2) -> tuple[bytes, l
     if fixed:
         left_out.append(f"{name}: parameters that are not finite and cannot be changed: {', '.join(fixed)}")
     return _archive(contents), left_out
+
+
+def _headers(version: int) -> dict[str, str]:
+    """Headers of the standard, with their licence, from FMPy; raises `ExportError` without it."""
+    found = importlib.util.find_spec("fmpy")  # not imported: only its files are needed
+    if found is None or not found.origin:
+        remedy = "install it: pip install 'mckibben[fmu]'"
+        raise ExportError("FMPy, which has the headers of FMI, is not installed", field="fmpy", remedy=remedy)
+    headers = sorted((Path(found.origin).parent / "c-code").glob(f"fmi{version}*.h"))
+    return {one.name: one.read_text(encoding="utf-8") for one in headers}
 
 
 def _archive(contents: Mapping[str, str | bytes]) -> bytes:

@@ -232,6 +232,7 @@ def test_vented_muscle_has_no_pressure_within_a_second(contraction):
     assert rig.truth.pressure == pytest.approx(2 * bar, abs=0.1 * bar)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [
