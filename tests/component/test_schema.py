@@ -114,7 +114,7 @@ def test_a_controller_of_ones_own_runs():
         ("{class: SlowValve, time_constant: 20 mm}", "valve.time_constant", "like ms"),
         ("{class: SlowValve}", "valve.time_constant", "is missing"),
         ("{class: SlowValve, time_constant: 20 ms, dead_tme: 1 ms}", "valve.dead_tme", "did you mean 'dead_time'"),
-        ("{class: SampledSensors}", "valve", "there is no class 'SampledSensors' of Valve"),
+        ("{class: SampledSensors}", "valve", "there is no class 'SampledSensors' of Actuator"),
         ("{class: os.system}", "valve", "--extension"),
     ],
 )

@@ -19,7 +19,6 @@ from mckibben.errors import ParameterError, StoppedError
 from mckibben.identification.storage import find_fit
 from mckibben.joint import Load, ScaledArms
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
-from mckibben.plant import FirstOrderValve
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.simulation import Result
 from mckibben.storage.files import atomic_write
@@ -244,7 +243,7 @@ def calibrate_scenario(
     if not all(one.commanded for one in recordings):
         raise ParameterError("recordings of commands and of measured pressures", remedy="give those of one kind")
     valve = None if scenario.valve is None else scenario.valve.build()
-    if not isinstance(valve, FirstOrderValve):
+    if valve is None or not valve.is_first_order:
         raise ParameterError(
             "recordings of commands need a valve with a first-order lag",
             field="valve",

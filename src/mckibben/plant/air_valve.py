@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike
 
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
-from mckibben.muscle import Domain
+from mckibben.muscle import Domain, Muscle
 from mckibben.muscle.air import (
     ATMOSPHERE,
     DENSITY,
@@ -27,7 +27,7 @@ from mckibben.muscle.air import (
     pressure_rate,
 )
 from mckibben.numerics.elementary import floating
-from mckibben.plant.valve import ValveModel
+from mckibben.plant.actuator import Actuator, AirState, AirVolume, Scalar
 from mckibben.units import (
     Conductance,
     Percent,
@@ -41,35 +41,13 @@ from mckibben.units import (
     ms,
 )
 
-Scalar = Float[Array, ""]
-
-
-class AirState(NamedTuple):
-    """State of the valve of each muscle, and the gauge pressure [Pa] of the reservoir where there is one."""
-
-    valves: tuple[Any, ...]
-    reservoir: Any = ()
-
-
-class AirVolume(NamedTuple):
-    """Volume [m^3] of the air of a muscle, its rate [m^3/s] at constant pressure, and derivative by it [m^3/Pa]."""
-
-    volume: Array
-    rate: Array
-    by_pressure: Array | None = None
-
-    def effective(self, index: ArrayLike, pressure: ArrayLike) -> Array:
-        """Return the volume [m^3] for `pressure_rate` at an absolute pressure [Pa]."""
-        return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
-
-
 PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
 DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
 DeadZone = Annotated[float, Percent("1", "%", 0, 90)]
 Compensation = Annotated[float, Percent("1", "%", 0, 99)]
 
 
-class AirValve(ValveModel):
+class AirValve(Actuator):
     """Base of valves between supply, muscle and exhaust; one for each muscle.
 
     An opening u in -1..1 has the conductance u C from the supply, or where it is negative, -u C from the muscle to the
@@ -96,6 +74,8 @@ class AirValve(ValveModel):
         Volume [m^3] of air at the valves' inlets, and the C of the line that fills it from the supply: with them the
         supply drops while air flows. Without, the pressure at the inlets is constant.
     """
+
+    holds_air: ClassVar[bool] = True
 
     conductance: Conductance
     supply: PositivePressure
@@ -140,7 +120,11 @@ class AirValve(ValveModel):
         """Return the state before an integration step [s]; for valves that switch."""
         return state
 
-    def init_air(self, pressures: tuple[Scalar, ...]) -> AirState:
+    @property
+    def switches(self) -> bool:
+        return type(self).before_step is not AirValve.before_step
+
+    def init_states(self, pressures: tuple[Scalar, ...]) -> AirState:
         """Return the state of the valves at rest, and of the reservoir at the pressure of the supply."""
         filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressures[0]), self.supply)
         return AirState(tuple(map(self.init, pressures)), filled)
@@ -152,6 +136,23 @@ class AirValve(ValveModel):
         opening1, opening2 = map(self.opening, air.valves, commands, pressures)
         reservoir = {} if self.reservoir_volume is None else {"reservoir": air.reservoir}
         return {"opening1": opening1, "opening2": opening2, **reservoir}
+
+    def rates(
+        self,
+        pressures: Sequence[Scalar],
+        states: AirState | tuple[()],
+        commands: Sequence[ArrayLike],
+        volumes: Callable[[], Sequence[AirVolume]],
+    ) -> tuple[tuple[Array, ...], AirState]:
+        assert isinstance(states, AirState)
+        return self.air_rate(pressures, states, commands, volumes())
+
+    def model_lag(self, muscle: Muscle | None) -> Any:
+        """Return the time constant [s] of small changes in the middle of a muscle's pressures and contractions."""
+        assert muscle is not None
+        domain = muscle.domain
+        volume = np.asarray(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
+        return self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
 
     def air_rate(
         self,
@@ -255,6 +256,8 @@ class FlowValve(AirValve):
     A `band` below 4 times `spool_lag` times the fastest change of the pressure makes the loop oscillate visibly.
     """
 
+    short_name: ClassVar[str] = "flow"
+
     spool_lag: ValveTime = eqx.field(kw_only=True, default=2 * ms)
     dead_zone: DeadZone = eqx.field(kw_only=True, default=0.0)
     compensation: Compensation = eqx.field(kw_only=True, default=0.9)
@@ -297,6 +300,8 @@ class PressureRegulator(AirValve):
     time_constant
         Lag [s] of the command before the loop.
     """
+
+    short_name: ClassVar[str] = "regulator"
 
     time_constant: ValveTime = eqx.field(kw_only=True)
 
@@ -341,6 +346,8 @@ class SwitchingValves(AirValve):
     compensation
         Part of the delay by which pulses are longer. The rest over the period, times `band`, is the error at rest.
     """
+
+    short_name: ClassVar[str] = "switching"
 
     period: ValveTime = eqx.field(kw_only=True)
     opening_delay: ShortTime = eqx.field(kw_only=True, default=0.0)

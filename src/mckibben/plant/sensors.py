@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -32,6 +32,8 @@ class Sensors(Component):
 class PerfectSensors(Sensors):
     """Exact measurement without delay, as in the paper's simulation."""
 
+    short_name: ClassVar[str] = "perfect"
+
     def init(self, true: Measurement) -> tuple[()]:
         return ()
 
@@ -46,6 +48,8 @@ class SampledSensors(Sensors):
     each pressure is normal, with a standard deviation [Pa] and a seed; the delay is 0 to 1 control periods, in between
     which samples are interpolated.
     """
+
+    short_name: ClassVar[str] = "sampled"
 
     encoder: AngleStep = 0.0
     pressure_noise: PressureNoise = 0.0
@@ -83,6 +87,8 @@ class Disturbance(Component):
 class NoDisturbance(Disturbance):
     """No external torque."""
 
+    short_name: ClassVar[str] = "none"
+
     def torque(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(time))
 
@@ -96,6 +102,8 @@ class TorquePulses(Disturbance):
     >>> pulses.torque(jnp.array([0.2, 0.3, 0.4, 1.3, 2.3])).tolist()
     [0.0, 0.5, 0.0, -0.5, 0.5]
     """
+
+    short_name: ClassVar[str] = "pulses"
 
     height: Torque
     width: PositiveTime = 0.1

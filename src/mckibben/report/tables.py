@@ -22,7 +22,6 @@ from mckibben.paper.settings import (
     StiffnessReference,
 )
 from mckibben.paper.tracking import CONTROLLERS, PID
-from mckibben.plant import FirstOrderValve
 from mckibben.units import bar, deg, factor, mm, ms, percent
 
 NAMES = {
@@ -60,7 +59,7 @@ def decision_context(reproduction: Reproduction) -> dict[str, Any]:
         "load": printed.load,
         "hanging": printed.load.hanging_angle / deg,
         "mm": mm,
-        "lag": f"{printed.valve.time_constant / ms:g} ms" if isinstance(printed.valve, FirstOrderValve) else "none",
+        "lag": f"{printed.valve.time_constant / ms:g} ms" if printed.valve.is_first_order else "none",
         "factors": (FREE, BOUND),
         "pressures": ", ".join(f"{p / bar:g}" for p in TEST_PRESSURES),
         "friction": rig.rig.hysteresis,

@@ -27,7 +27,7 @@ from mckibben.control import (
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.joint import AntagonisticJoint, Geometry, RigidTendon, ScaledArms
 from mckibben.notebook import Progress, silent
-from mckibben.plant import AirValve, IdealValve, JointPlant, NoDisturbance, PerfectSensors
+from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
 from mckibben.study.parameters import Known, Table, batched
 from mckibben.study.scenario import Scenario
@@ -95,17 +95,14 @@ def valve_time_constant(valve: ValveSpec | None, joint: JointSpec) -> Any:
     """
     if valve is None:
         return 0.0
-    if not issubclass(valve.runtime, AirValve):
-        return getattr(valve, "time_constant", None)  # a class of one's own may have none
     spec = joint.muscle1 or joint.muscle2 or joint.muscle
     assert spec is not None
-    muscle = spec.build()
-    domain = muscle.domain
-    volume = np.asarray(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
     try:
-        found = valve.build().time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
+        found = valve.build().model_lag(spec.build() if valve.runtime.holds_air else None)
     except RangeError:  # of a value that is only tried
         return math.nan
+    if found is None or not valve.runtime.holds_air:
+        return found
     return np.asarray(found, float) if np.ndim(found) else float(found)
 
 

@@ -228,7 +228,7 @@ def _valve_of_catalog(value: Any) -> Any:
     return {**catalog.valve_section(CatalogName("valves").read(value["from"])), **changes}
 
 
-AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:ValveModel"), BeforeValidator(_valve_of_catalog)]
+AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:Actuator"), BeforeValidator(_valve_of_catalog)]
 AnySensors = Annotated[SensorsSpec, PartOf("mckibben.plant:Sensors")]
 AnyDisturbance = Annotated[DisturbanceSpec, PartOf("mckibben.plant:Disturbance")]
 AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load", others=(PendulumLoadSpec, GeneralLoadSpec))]
