@@ -141,7 +141,7 @@ class MuscleFunctions:
             air = AirVolume(size + valve.dead_volume, growth * velocity)
             return air, air
 
-        states = () if state == () else AirState((state, state))
+        states = AirState((state, state)) if jax.tree.leaves(state) else ()
         (changed, _), moved = valve.rates((pressure, pressure), states, (command, command), volumes)
         rates = Activations(creep, moved.valves[0] if moved else (), changed)
         return self._layout.pack(rates, jnp)

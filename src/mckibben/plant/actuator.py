@@ -6,6 +6,7 @@ import abc
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -91,7 +92,7 @@ class Actuator(Component):
     def init_states(self, pressures: tuple[Scalar, ...]) -> AirState | tuple[()]:
         """Return the states that hold the pressures [Pa] of all muscles; empty if there are none beside these."""
         states = tuple(map(self.init, pressures))
-        return () if all(state == () for state in states) else AirState(states)
+        return AirState(states) if jax.tree.leaves(states) else ()
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         """Return the pressure [Pa] right after a new command [Pa]."""
