@@ -145,7 +145,7 @@ def plant_unit(
         {path: float(value) for path, value in starts.items()},
         units | units_of(plant, "parameters"),
         _STATE_NAMES,
-        model_exchange=not switching,
+        model_exchange=not valve.switches,
     )
     why = [f"model exchange: a {type(valve).__name__} switches at steps of the integration"] if switching else []
     return unit, why
