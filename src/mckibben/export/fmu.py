@@ -147,7 +147,7 @@ def plant_unit(
         _STATE_NAMES,
         model_exchange=not valve.switches,
     )
-    why = [f"model exchange: a {type(valve).__name__} switches at steps of the integration"] if switching else []
+    why = [f"model exchange: a {type(valve).__name__} switches at steps of the integration"] if valve.switches else []
     return unit, why
 
 
