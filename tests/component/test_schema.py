@@ -20,7 +20,7 @@ from mckibben.control import Controller, PositionStiffnessControl, Signal
 from mckibben.errors import RangeError, ScenarioError, UnitError
 from mckibben.joint import Geometry, MusclePath, ScaledArms, Tendon
 from mckibben.muscle import Creep, ForceLaw, Friction, MartensBoblanLaw, NoFriction
-from mckibben.plant import Disturbance, FirstOrderValve, SampledSensors, Sensors, TorquePulses, Valve, ValveModel
+from mckibben.plant import Actuator, Disturbance, FirstOrderValve, SampledSensors, Sensors, TorquePulses, Valve
 from mckibben.scenario import Scenario, find_parameter, with_values
 from mckibben.units import Bandwidth, PositiveTime, Pressure, Quantity, SignalValue, deg
 
@@ -92,8 +92,8 @@ COMPONENTS = {
     "tables": (MusclePath, mk.TabulatedPath((-0.2, 0.0, 0.2, 0.4), lengths=(0.154, 0.16, 0.166, 0.172))),
     "loads": (mk.Load, mk.PendulumLoad(0.3, 0.25)),
     "general loads": (mk.Load, mk.GeneralLoad(0.02, 0.7)),
-    "valves": (ValveModel, mk.FirstOrderValve(0.02, supply=6e5)),
-    "valves with air": (ValveModel, mk.FlowValve(1e-8, 7e5, direct=True)),
+    "valves": (Actuator, mk.FirstOrderValve(0.02, supply=6e5)),
+    "valves with air": (Actuator, mk.FlowValve(1e-8, 7e5, direct=True)),
     "sensors": (Sensors, SampledSensors(0.5 * deg, seed=3)),
     "disturbances": (Disturbance, TorquePulses(0.5)),
     "loops": (PositionStiffnessControl, LOOPS),
@@ -199,7 +199,7 @@ def test_a_controller_of_ones_own_runs():
         ("{class: SlowValve, time_constant: 20 mm}", "valve.time_constant", "such as ms"),
         ("{class: SlowValve}", "valve.time_constant", "is missing"),
         ("{class: SlowValve, time_constant: 20 ms, dead_tme: 1 ms}", "valve.dead_tme", "did you mean 'dead_time'"),
-        ("{class: SampledSensors}", "valve", "there is no class 'SampledSensors' of Valve"),
+        ("{class: SampledSensors}", "valve", "there is no class 'SampledSensors' of Actuator"),
         ("{class: os.system}", "valve", "--extension"),
     ],
 )

@@ -21,7 +21,6 @@ from mckibben.errors import ParameterError, StoppedError
 from mckibben.identification.storage import find_fit
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
-from mckibben.plant import FirstOrderValve
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import Result
@@ -249,8 +248,8 @@ def calibrate_scenario(
         return calibrate_joint(joint, load, recordings, prior)
     if not all(one.commanded for one in recordings):
         raise ParameterError("recordings of commands and of measured pressures", remedy="give recordings of one kind")
-    valve = scenario.valve
-    if not isinstance(valve, FirstOrderValve):
+    valve: Any = scenario.valve
+    if not valve.is_first_order:
         raise ParameterError(
             "recordings of commands need a valve with a first-order lag",
             field="valve",

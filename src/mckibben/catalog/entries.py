@@ -14,7 +14,7 @@ from mckibben.component.schema import section_of
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance
-from mckibben.plant import AirValve, ValveModel
+from mckibben.plant import Actuator, AirValve
 from mckibben.units import quantity
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def valve(name: str, **others: Any) -> AirValve:
     SwitchingValves(...)
     """
     section = valve_section(name)
-    kind = cast(Any, find_class(ValveModel, section["class"]))
+    kind = cast(Any, find_class(Actuator, section["class"]))
     given = section_of(kind, partial=True).model_validate(section)
     return kind(**{key: getattr(given, key) for key in given.model_fields_set - {"class_"}}, **others)
 
@@ -123,6 +123,6 @@ for _base, _noun, _kind, _entry, _read in (
     (ForceLaw, "law", "laws", law, _read_law),
     (Geometry, "geometry", "geometries", geometry, None),
     (Load, "load", "loads", load, None),
-    (ValveModel, "valve", "valves", valve_section, None),
+    (Actuator, "valve", "valves", valve_section, None),
 ):
     register(_base, Catalog(_noun, functools.partial(names, _kind), _entry, _read))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
@@ -41,7 +42,17 @@ JointModel = Annotated[AntagonisticJoint, Inherited(lambda scope: scope["joint"]
 """A controller's model of the joint; in a file, by default, the joint of the plant."""
 LoadModel = Annotated[Load, Inherited(lambda scope: scope["load"])]
 """A controller's model of the load; in a file, by default, that of the plant."""
-ValveLagModel = Annotated[ValveLag, Inherited(lambda scope: scope["valve"].lag_for(scope["joint"]))]
+
+
+def _model_lag(scope: Mapping[str, Any]) -> Any:
+    """Lag of the plant's valves; `KeyError` if they know none, and a file must give it."""
+    lag = scope["valve"].model_lag(scope["joint"])
+    if lag is None:
+        raise KeyError("valve")
+    return lag
+
+
+ValveLagModel = Annotated[ValveLag, Inherited(_model_lag)]
 """First-order time constant [s] of the valves in a controller's model; in a file, by default, that of the plant's."""
 
 

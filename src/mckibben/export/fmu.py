@@ -16,9 +16,8 @@ from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit
 from mckibben.export.targets import Exported
 from mckibben.muscle import Muscle, MuscleState
-from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import AirValve, IdealValve, IOState, JointPlant, PlantState, Valve
+from mckibben.plant import IOState, JointPlant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 from mckibben.simulation.result import attributes
@@ -71,7 +70,7 @@ def plant_unit(
     valve = plant.valve
     numbers, fixed = eqx.partition(plant, is_real)
     initial = plant.complete_state(initial._replace(muscles=(MuscleState((), ()),) * 2, io=(), air=(), friction=()))
-    held = not isinstance(valve, IdealValve)
+    held = valve.holds_pressure
     start = {"angle": initial.angle, "velocity": initial.velocity, **({"pressures": initial.pressures} if held else {})}
     inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
     module = SourceModule(name, numbers)
@@ -106,12 +105,8 @@ def plant_unit(
         plant, state, commands = given(parameters, state, inputs)
         motion, valve = plant.rate(state), plant.valve
         pressures, air = (), ()
-        if isinstance(valve, AirValve):
-            pressures, air = valve.air_rate(state.pressures, state.air, commands, plant.air_volumes(state))  # type: ignore
-        elif held:
-            assert isinstance(valve, Valve)
-            after, ends = valve.pressure_after, zip(state.pressures, commands, strict=True)
-            pressures = [derivative(lambda t, p=p, u=u: after(p, u, t), jnp.zeros(())) for p, u in ends]
+        if held:
+            pressures, air = valve.rates(state.pressures, state.air, commands, lambda: plant.air_volumes(state))
         muscles = tuple(MuscleState((), creep) for creep in motion.creep)
         return {"rates": PlantState(motion.angle, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
 
@@ -129,20 +124,19 @@ def plant_unit(
     )
     module.add("advance", "state after a duration [s]", advance, both | {"duration": _NUMBER})
     module.add("evaluate", "forces and stiffness", results, both)
-    switching = isinstance(valve, AirValve) and type(valve).before_step is not AirValve.before_step
-    if not switching:
+    if not valve.switches:
         module.add("differentiate", "time derivatives of the state", rates, both)
         if plant.slips:
             module.add("project", "state after a step of an integrator", project, both)
     first = {"angle": initial.angle, "velocity": initial.velocity}
     pressures = dict(zip(("pressures.0", "pressures.1"), initial.pressures, strict=True))
     commands = dict(zip(("command1", "command2"), initial.pressures, strict=True))
-    if getattr(valve, "direct", False):
+    if valve.direct:
         commands = dict.fromkeys(commands, 0.0)
     starts = {**first, **(pressures if held else {}), **commands, "torque": 0.0}
     creep = {path: "N" for path in (member.path for member in module.state) if ".creep" in path}
     units = _PLANT_UNITS | {f"state.{path}": unit for path, unit in creep.items()}
-    if getattr(valve, "direct", False):
+    if valve.direct:
         units |= {"inputs.command1": "", "inputs.command2": ""}
     unit = FunctionalUnit(
         module,
@@ -151,9 +145,9 @@ def plant_unit(
         {path: float(value) for path, value in starts.items()},
         units | units_of(plant, "parameters"),
         _STATE_NAMES,
-        model_exchange=not switching,
+        model_exchange=not valve.switches,
     )
-    why = [f"model exchange: a {type(valve).__name__} switches at steps of the integration"] if switching else []
+    why = [f"model exchange: a {type(valve).__name__} switches at steps of the integration"] if valve.switches else []
     return unit, why
 
 

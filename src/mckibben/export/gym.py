@@ -65,7 +65,7 @@ class _Joint:
         self.plants = plants_of(self.scenario, random_plant, plants, plants_seed)
         self.most_steps = -(-periods // repeat)
         self.options = {"substeps": self.scenario.substeps, "repeat": repeat}
-        direct, unit, shown = bool(getattr(nominal.valve, "direct", False)), bar, "bar"
+        direct, unit, shown = nominal.valve.direct, bar, "bar"
         rated = [one.specimen.domain for one in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
         ranges = [(float(one.pressure_min), float(one.pressure_max)) for one in rated]
         if direct:

@@ -35,7 +35,7 @@ from mckibben.joint import RigidTendon, Tendon
 from mckibben.leg import LegJoint, LegPlant, LegScenario, LegState
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
-from mckibben.plant.air_valve import AirState
+from mckibben.plant.actuator import held_states
 
 _LIGHT = 1e-9
 """Mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass."""
@@ -337,7 +337,7 @@ def _functions(
     """The module of the plugin, and its functions of each muscle."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
-    valves = start.air.valves if isinstance(start.air, AirState) else ((),) * len(start.pressures)
+    valves = held_states(start.air, len(start.pressures))
     known = dict(zip(plant.leg.muscle_names, zip(start.muscles, start.pressures, valves, strict=True), strict=True))
     side = plant.leg.side_swing
     if side is not None:
@@ -345,7 +345,7 @@ def _functions(
         pair = zip(side_pressures, paths, (side.muscles.muscle1, side.muscles.muscle2), strict=True)
         for number, (pressure, path, muscle) in enumerate(pair, 1):
             inside = jnp.asarray(float(pressure))
-            air = plant.valve.init(inside) if isinstance(start.air, AirState) else ()  # type: ignore[union-attr]
+            air = plant.valve.init(inside)
             state = muscle.init_state(muscle.specimen.contraction_at(path))
             known[f"{side.name}{number}"] = state, inside, air
     found = []
@@ -389,7 +389,7 @@ def _mjcf(
     for number, (one, made) in enumerate(zip(driven, functions, strict=False), 1):  # a scene has no functions
         dynamics, limits = made.summary.dynamics(plant.valve), command_range(plant.valve, one.limits)
         actuators.append(plugin_actuator(name, number, one.name, one.target, dynamics, limits))
-        controls.append(0.0 if getattr(plant.valve, "direct", False) else made.pressure)
+        controls.append(0.0 if plant.valve.direct else made.pressure)
         acts += list(made.activations)
     posture, velocity = (coordinates(plant, of) for of in (start.posture, start.velocity))
     fixed = leg.trunk.freedom == "fixed"

@@ -31,8 +31,8 @@ from mckibben.joint import (
 )
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant, PlantState, ValveModel
-from mckibben.plant.air_valve import AirState, AirValve, SwitchingValves
+from mckibben.plant import Actuator, JointPlant, PlantState
+from mckibben.plant.actuator import held_states
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
@@ -124,11 +124,11 @@ def joint_model(
     return JointModel(xml, module, muscles, (*left_out, *point.chosen))
 
 
-def check_valve(valve: ValveModel) -> None:
+def check_valve(valve: Actuator) -> None:
     """Raise an error for a valve that the plugin does not support."""
-    if isinstance(valve, SwitchingValves):
+    if valve.switches:
         raise cannot("valve", "valves that switch between steps", "give it a FlowValve")
-    if isinstance(valve, AirValve) and valve.reservoir_volume is not None:
+    if valve.reservoir_volume is not None:
         raise cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
 
 
@@ -159,7 +159,7 @@ def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState) -
     def muscle(plant: JointPlant) -> tuple[Muscle, Tendon]:
         return (plant.joint.muscle1, plant.joint.muscle2)[index], plant.joint.tendon
 
-    air = start.air.valves[index] if isinstance(start.air, AirState) else ()
+    air = held_states(start.air, 2)[index]
     return MuscleFunctions(fixed, index + 1, muscle, path, (start.muscles[index], start.pressures[index], air))
 
 
@@ -199,7 +199,7 @@ def known_mass(load: Load) -> float | None:
     return float(load.mass) if hasattr(load, "mass") else None
 
 
-def command_range(valve: ValveModel, muscle: Muscle) -> tuple[float, float]:
+def command_range(valve: Actuator, muscle: Muscle) -> tuple[float, float]:
     """Lowest and highest command of a muscle: gauge pressures [Pa], or openings."""
     low, high = valve.command_range(muscle.specimen.domain)
     return float(np.asarray(low)), float(np.asarray(high))
@@ -295,7 +295,7 @@ def _mjcf(
       </body>
     </body>
   </worldbody>"""
-    commands = [0.0, 0.0] if getattr(plant.valve, "direct", False) else start.pressures
+    commands = [0.0, 0.0] if plant.valve.direct else start.pressures
     return mjcf_document(
         name,
         timestep=timestep,

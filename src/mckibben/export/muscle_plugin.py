@@ -16,9 +16,8 @@ from mckibben.codegen.source_module import SourceModule
 from mckibben.export.c_folder import filled
 from mckibben.joint import Tendon
 from mckibben.muscle import Muscle, MuscleState
-from mckibben.numerics.calculus import derivative, value_and_derivative
-from mckibben.plant import FirstOrderValve, IdealValve
-from mckibben.plant.air_valve import AirState, AirValve, AirVolume
+from mckibben.numerics.calculus import value_and_derivative
+from mckibben.plant.actuator import AirState, AirVolume
 from mckibben.realtime.compiled_step import FlatTree
 
 
@@ -72,13 +71,13 @@ class MuscleFunctions:
         self._fixed, self._number, self._muscle_of, self._path_of = fixed, number, muscle_of, path_of
         valve = fixed.valve
         state, pressure, air = start
-        pressure = () if isinstance(valve, IdealValve) else pressure
+        pressure = pressure if valve.holds_pressure else ()
         self.pressure = float(start[1])
         """Pressure [Pa] at the start."""
         self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
         self._layout = FlatTree.like(self._start)
         slips = bool(state.friction or state.creep)
-        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, isinstance(valve, FirstOrderValve))
+        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, valve.is_first_order)
         self.activations = self._layout.pack(self._start)
         """Activations at the start."""
 
@@ -116,7 +115,7 @@ class MuscleFunctions:
         plant = eqx.combine(parameters["plant"], self._fixed)
         path, slope = value_and_derivative(lambda length: self._path_of(plant, length), given["length"])
         acts = self._layout.unpack(given["act"]) if "act" in given else self._start
-        if isinstance(plant.valve, IdealValve):
+        if not plant.valve.holds_pressure:
             acts = acts._replace(pressure=given["command"])
         state = MuscleState(tuple(given.get("anchors", ())), acts.creep)
         return plant, self._muscle_of(plant), path, slope, acts, state
@@ -131,26 +130,26 @@ class MuscleFunctions:
         plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, given)
         valve, command, velocity = plant.valve, given["command"], given["velocity"]
         creep = muscle.state_rate(held, slope * velocity).creep
-        if isinstance(valve, AirValve):
+        if not valve.holds_pressure:
+            return self._layout.pack(Activations(creep, (), ()), jnp)
 
+        def volumes() -> tuple[AirVolume, AirVolume]:
             def volume(length: Any) -> Any:
                 return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
 
             size, growth = value_and_derivative(volume, given["length"])
             air = AirVolume(size + valve.dead_volume, growth * velocity)
-            both = valve.air_rate((pressure, pressure), AirState((state, state)), (command, command), (air, air))
-            rates = Activations(creep, both[1].valves[0], both[0][0])
-        elif isinstance(valve, IdealValve):
-            rates = Activations(creep, (), ())
-        else:
-            after = lambda elapsed: valve.pressure_after(pressure, command, elapsed)  # noqa: E731
-            rates = Activations(creep, (), derivative(after, jnp.zeros(())))
+            return air, air
+
+        states = AirState((state, state)) if jax.tree.leaves(state) else ()
+        (changed, _), moved = valve.rates((pressure, pressure), states, (command, command), volumes)
+        rates = Activations(creep, moved.valves[0] if moved else (), changed)
         return self._layout.pack(rates, jnp)
 
     def _settled(self, parameters: Any, given: Any) -> dict[str, Any]:
         plant, (muscle, _), path, _, acts, state = self._at(parameters, given)
         friction, creep = muscle.update_state(state, muscle.specimen.contraction_at(path), acts.pressure)
-        pressure = () if isinstance(plant.valve, IdealValve) else acts.pressure
+        pressure = acts.pressure if plant.valve.holds_pressure else ()
         held = Activations(creep, acts.valve, pressure)
         found = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
         return found | ({"anchors": jnp.stack(friction)} if friction else {})

@@ -6,15 +6,12 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.joint.antagonistic import NO_STATES
-from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.plant.air_valve import AirState, AirValve, SwitchingValves
 from mckibben.plant.joint_plant import Motion
 
 Commands = tuple[Any, Any]
@@ -72,7 +69,7 @@ def plant_module(
     moving = {"state": state, "commands": pair}
     if plant.slips:
         left_out.append("rate: friction and creep slip after each integration step; step includes them")
-    elif isinstance(plant.valve, SwitchingValves):
+    elif plant.valve.switches:
         left_out.append("rate: the valves switch at integration steps; step includes them")
     else:
         module.add("rate", "time derivative of the state under commands", rate, moving)
@@ -89,16 +86,7 @@ def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> Plan
     commands = plant.clip_commands(commands)
     state = plant.apply_commands(state, commands)
     motion = plant.rate(state)
-    if isinstance(plant.valve, AirValve):
-        assert isinstance(state.air, AirState)
-        (first, second), air = plant.valve.air_rate(state.pressures, state.air, commands, plant.air_volumes(state))
-    else:
-        valve: Any = plant.valve
-        after = lambda pressure, command: derivative(  # noqa: E731
-            lambda elapsed: valve.pressure_after(pressure, command, elapsed), jnp.zeros(())
-        )
-        first, second = map(after, state.pressures, commands)
-        air = ()
+    (first, second), air = plant.valve.rates(state.pressures, state.air, commands, lambda: plant.air_volumes(state))
     pressures = first, second
     return Motion(motion.angle, motion.velocity, ((), ()), pressures, air).applied_to(
         PlantState(state.angle, state.velocity, state.pressures, NO_STATES), pressures

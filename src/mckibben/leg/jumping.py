@@ -26,7 +26,6 @@ from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import compiled, compiled_as_given, numeric
-from mckibben.plant import AirValve
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.problem import sampling_times
 from mckibben.units import bar, deg, mm, ms
@@ -341,8 +340,8 @@ def _jump(runs: JumpRuns, variables: Floats, drawn: LegPlant, standing: Floats) 
     schedule = runs.variables.schedule([float(one) for one in variables])
     run = simulate_leg(runs.plant, schedule, runs.start, duration=runs.duration, control_period=runs.step, substeps=1)
     table = runs.simulate(drawn, schedule)
-    valve = runs.plant.valve
-    supply = float(np.asarray(valve.supply if isinstance(valve, AirValve) else runs.variables.high)) + ATMOSPHERE
+    valve: Any = runs.plant.valve
+    supply = float(np.asarray(valve.supply if valve.holds_air else runs.variables.high)) + ATMOSPHERE
     inflow = float(table["air_mass"][0]) * ENERGY * math.log(supply / ATMOSPHERE)
     ratio = 1 + run["pressure"].to_numpy()[:, 0] / ATMOSPHERE
     stored = run["air_mass"].to_numpy()[:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY

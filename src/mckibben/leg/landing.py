@@ -308,9 +308,9 @@ def study_landing(
 
 def _valves(plant: LegPlant, time_constants: tuple[float, ...]) -> dict[str, Any]:
     """Valves by name: constant pressures, given time constants, and closed."""
-    valve = plant.valve
+    valve: Any = plant.valve
     found: dict[str, Any] = {ISOBARIC: IdealValve()}
-    if isinstance(valve, AirValve):
+    if valve.holds_air:
         found |= {f"{one / ms:g} ms": valve_with(valve, plant, one) for one in time_constants}
         found[CLOSED] = _scaled(valve, _SHUT)
     return found

@@ -19,8 +19,7 @@ from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
 from mckibben.muscle import MuscleState
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.elementary import floating
-from mckibben.plant import AirValve, Valve, ValveModel
-from mckibben.plant.air_valve import AirState, AirVolume
+from mckibben.plant.actuator import Actuator, AirState, AirVolume
 from mckibben.units import ContactDamping, ContactStiffness, Gravity, Share, Speed, bar, deg, mm
 
 Scalar = Float[Array, ""]
@@ -62,7 +61,7 @@ class Ground(Component):
 
 
 class LegState(NamedTuple):
-    """State of a `LegPlant`; `muscles` has no leaves without friction and creep, `air` none but for an `AirValve`."""
+    """State of a `LegPlant`; `muscles` has no leaves without friction and creep, `air` none without actuator states."""
 
     posture: Posture
     velocity: Velocity
@@ -119,7 +118,7 @@ class LegPlant(Component):
     """
 
     leg: Leg
-    valve: ValveModel
+    valve: Actuator
     ground: Ground = Ground()
     gravity: Gravity = 9.81
 
@@ -177,7 +176,7 @@ class LegPlant(Component):
             unit.muscle.init_state(unit.tendon.contraction(unit.muscle, unit.path, pressure))
             for unit, pressure in zip(leg.routed_muscles(held), inside, strict=True)
         )
-        air = self.valve.init_air(inside) if isinstance(self.valve, AirValve) else ()
+        air = self.valve.init_states(inside)
         return LegState(posture, velocity, inside, muscles, air)
 
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
@@ -228,29 +227,24 @@ class LegPlant(Component):
     def advance(self, state: LegState, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int) -> LegState:
         """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length."""
         step = duration / substeps
-        valve = self.valve
-        if isinstance(valve, AirValve):
+        valve: Any = self.valve
+        if valve.holds_air:
             return lax.fori_loop(0, substeps, lambda _, one: self._step_with_air(valve, one, commands, step), state)
-        assert isinstance(valve, Valve)
-
-        def pressures_after(state: LegState, elapsed: ArrayLike) -> tuple[Array, ...]:
-            given = zip(state.pressures, commands, strict=True)
-            return tuple(valve.pressure_after(pressure, command, elapsed) for pressure, command in given)
 
         def integrate(_: Array, state: LegState) -> LegState:
             def rate(part: _Integrated, *pressures: Array) -> _Integrated:
                 return self._rate(part.applied_to(state, pressures))
 
-            end = pressures_after(state, step)
-            inputs = state.pressures, pressures_after(state, step / 2), end
-            return self._settled(rk4(rate, _Integrated.of(state), step, inputs).applied_to(state, end))
+            end, held = valve.all_after(state.pressures, state.air, commands, step)
+            middle, _ = valve.all_after(state.pressures, state.air, commands, step / 2)
+            state = state._replace(air=())
+            moved = rk4(rate, _Integrated.of(state), step, (state.pressures, middle, end))
+            return self._settled(moved.applied_to(state, end))._replace(air=held)
 
         begun = tuple(map(valve.after_command, state.pressures, commands))
         return lax.fori_loop(0, substeps, integrate, state._replace(pressures=begun))
 
-    def _step_with_air(
-        self, valve: AirValve, state: LegState, commands: Sequence[ArrayLike], step: ArrayLike
-    ) -> LegState:
+    def _step_with_air(self, valve: Any, state: LegState, commands: Sequence[ArrayLike], step: ArrayLike) -> LegState:
         """State after a step [s] in which motion and air are integrated together."""
         assert isinstance(state.air, AirState)
         opened = tuple(
@@ -268,7 +262,7 @@ class LegPlant(Component):
 
     def air_volumes(self, state: LegState) -> list[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included."""
-        dead = self.valve.dead_volume if isinstance(self.valve, AirValve) else 0.0
+        dead = self.valve.dead_volume
         volumes = []
         units = self.leg.routed_muscles(state.posture.angles)
         for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):

@@ -16,7 +16,7 @@ from mckibben.errors import quoted, suggest
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import Ground, LegPlant
 from mckibben.muscle import SpringLaw
-from mckibben.plant import AirValve, IdealValve
+from mckibben.plant import IdealValve
 from mckibben.scenario.scenario import RunSettings, ValvePart
 from mckibben.units import (
     Angle,
@@ -195,7 +195,7 @@ class LegScenario(RunSettings):
 
     @model_validator(mode="after")
     def _with_air(self) -> LegScenario:
-        if self.landing is not None and self.landing.time_constants and not isinstance(self.valve, AirValve):
+        if self.landing is not None and self.landing.time_constants and not self.valve.holds_air:
             fail_validation(
                 "landing.time_constants (default: 20 ms) are of a valve with air, and the valve has none",
                 "give a valve such as {class: regulator, ...}, or `time_constants: []`",

@@ -23,7 +23,6 @@ from mckibben.muscle import SpringLaw
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, lanes_of, map_chunks, pad_chunk, with_leaves
 from mckibben.numerics.compiled import compiled, compiled_as_given, compiled_batch, numeric
-from mckibben.plant import AirValve
 from mckibben.simulation.batch import chunk_size
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.problem import sampling_times
@@ -278,7 +277,7 @@ def check_step(plant: LegPlant, start: LegStart, control_period: float, substeps
         "the stops": max(stops, default=0.0) / _LONGEST,
         "the friction": ground.friction * weight / ground.slip_speed * mobility[0, 0] / STABILITY_LIMIT,
     }
-    if isinstance(plant.valve, AirValve):
+    if plant.valve.holds_air:
         muscles = (muscle for muscle in leg.muscles if not isinstance(muscle.law, SpringLaw))
         volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
         needed["the air"] = plant.valve.fastest_rate_in(min(volumes)) / STABILITY_LIMIT

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike
 
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
@@ -28,7 +28,7 @@ from mckibben.muscle.air import (
     pressure_rate,
 )
 from mckibben.numerics.elementary import floating
-from mckibben.plant.valve import ValveModel
+from mckibben.plant.actuator import Actuator, AirState, AirVolume, Scalar
 from mckibben.units import (
     Conductance,
     Percent,
@@ -42,35 +42,13 @@ from mckibben.units import (
     ms,
 )
 
-Scalar = Float[Array, ""]
-
-
-class AirState(NamedTuple):
-    """State of the valve of each muscle, and the gauge pressure [Pa] of the reservoir where there is one."""
-
-    valves: tuple[Any, ...]
-    reservoir: Any = ()
-
-
-class AirVolume(NamedTuple):
-    """Volume [m^3] of the air of a muscle, its rate [m^3/s] at constant pressure, and derivative by it [m^3/Pa]."""
-
-    volume: Array
-    rate: Array
-    by_pressure: Array | None = None
-
-    def effective(self, index: ArrayLike, pressure: ArrayLike) -> Array:
-        """Return the volume [m^3] for `pressure_rate` at an absolute pressure [Pa]."""
-        return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
-
-
 PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
 DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
 DeadZone = Annotated[float, Percent("1", "%", 0, 90)]
 Compensation = Annotated[float, Percent("1", "%", 0, 99)]
 
 
-class AirValve(ValveModel):
+class AirValve(Actuator):
     """Base of valves between supply, muscle and exhaust; one for each muscle.
 
     An opening u in -1..1 has the conductance u C from the supply, or where it is negative, -u C from the muscle to the
@@ -97,6 +75,8 @@ class AirValve(ValveModel):
         Volume [m^3] of air at the valves' inlets, and the C of the line that fills it from the supply: with them the
         supply drops while air flows. Without, the pressure at the inlets is constant.
     """
+
+    holds_air = True
 
     conductance: Conductance
     supply: PositivePressure
@@ -141,18 +121,33 @@ class AirValve(ValveModel):
         """Return the state before an integration step [s]; for valves that switch."""
         return state
 
-    def init_air(self, pressures: tuple[Scalar, ...]) -> AirState:
+    @property
+    def switches(self) -> bool:
+        return type(self).before_step is not AirValve.before_step
+
+    def init_states(self, pressures: tuple[Scalar, ...]) -> AirState:
         """Return the state of the valves at rest, and of the reservoir at the pressure of the supply."""
         filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressures[0]), self.supply)
         return AirState(tuple(map(self.init, pressures)), filled)
 
     def telemetry(
-        self, air: AirState, commands: tuple[ArrayLike, ArrayLike], pressures: tuple[ArrayLike, ArrayLike]
+        self, state: AirState | tuple[()], commands: Sequence[ArrayLike], pressures: Sequence[ArrayLike]
     ) -> dict[str, Array]:
         """Return columns of a result: openings, and the pressure [Pa] of the reservoir where there is one."""
-        opening1, opening2 = map(self.opening, air.valves, commands, pressures)
-        reservoir = {} if self.reservoir_volume is None else {"reservoir": air.reservoir}
+        assert isinstance(state, AirState)
+        opening1, opening2 = map(self.opening, state.valves, commands, pressures)
+        reservoir = {} if self.reservoir_volume is None else {"reservoir": state.reservoir}
         return {"opening1": opening1, "opening2": opening2, **reservoir}
+
+    def rates(
+        self,
+        pressures: Sequence[Scalar],
+        states: AirState | tuple[()],
+        commands: Sequence[ArrayLike],
+        volumes: Callable[[], Sequence[AirVolume]],
+    ) -> tuple[tuple[Array, ...], AirState]:
+        assert isinstance(states, AirState)
+        return self.air_rate(pressures, states, commands, volumes())
 
     def air_rate(
         self,
@@ -199,7 +194,7 @@ class AirValve(ValveModel):
         possible = (share >= 0) & (share <= 1) & (jnp.asarray(pressure) <= self.supply)
         return jnp.where(possible, command, full * jnp.inf)
 
-    def lag_for(self, joint: AntagonisticJoint) -> Any:
+    def model_lag(self, joint: AntagonisticJoint) -> Any:
         """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""
         muscle = joint.muscle2 if joint.springs[0] else joint.muscle1
         domain = muscle.domain

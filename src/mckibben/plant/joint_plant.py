@@ -26,10 +26,9 @@ from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant.air_valve import AirState, AirValve, AirVolume
+from mckibben.plant.actuator import Actuator, AirState, AirVolume
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
-from mckibben.plant.valve import Valve, ValveModel
 from mckibben.units import CommandDelay
 
 _MOST_PERIODS = 100  # of a command delay
@@ -49,8 +48,9 @@ class IOState(NamedTuple):
 class PlantState(NamedTuple):
     """State of a `JointPlant`.
 
-    `muscles` has no leaves without friction and creep, `io` none for ideal sensors, `air` none but for an `AirValve`,
-    `friction` none but for a `JointFriction`, `sent` none without a delay: commands [Pa] on their way, the last first.
+    `muscles` has no leaves without friction and creep, `io` none for ideal sensors, `air` none for actuators without
+    state beside the pressure, `friction` none but for a `JointFriction`, `sent` none without a delay: commands [Pa] on
+    their way, the last first.
     """
 
     angle: Scalar
@@ -66,7 +66,7 @@ class PlantState(NamedTuple):
 class Motion(NamedTuple):
     """Integrated part of a `PlantState`: angle [rad], angular velocity [rad/s], creep of both muscles [N].
 
-    With an `AirValve` pressures [Pa] and the state of the valves as well.
+    With an actuator that `holds_air` pressures [Pa] and the state of the valves as well.
     """
 
     angle: Scalar
@@ -101,7 +101,7 @@ class JointPlant(Component):
 
     joint: AntagonisticJoint
     load: Load
-    valve: ValveModel
+    valve: Actuator
     sensors: Sensors = PerfectSensors()
     disturbance: Disturbance = NoDisturbance()
     friction: JointFriction | None = None
@@ -110,7 +110,7 @@ class JointPlant(Component):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        if isinstance(self.valve, AirValve):
+        if self.valve.holds_air:
             for muscle in (self.joint.muscle1, self.joint.muscle2):
                 muscle.specimen.check_volume(f"a {type(self.valve).__name__} that fills the volume")
 
@@ -189,7 +189,7 @@ class JointPlant(Component):
 
     def apply_commands(self, state: PlantState, commands: Pressures) -> PlantState:
         """Return the state right after new commands [Pa]."""
-        if not isinstance(self.valve, Valve):
+        if self.valve.holds_air:
             return state
         pressure1, pressure2 = map(self.valve.after_command, state.pressures, commands)
         return state._replace(pressures=(pressure1, pressure2))
@@ -218,31 +218,27 @@ class JointPlant(Component):
     def advance(self, state: PlantState, commands: Pressures, duration: ArrayLike, substeps: int) -> PlantState:
         """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
 
-        A `Valve` gives the pressures in closed form; motion and creep are integrated, and the air of an `AirValve`.
+        A closed form gives the pressures where there is one; motion and creep are integrated, and air.
         """
         step = duration / substeps
-        valve = self.valve
-        if isinstance(valve, AirValve):
+        valve: Any = self.valve
+        if valve.holds_air:
             return self._advance_with_air(valve, state, commands, step, substeps)
-        assert isinstance(valve, Valve)
-
-        def pressures_after(state: PlantState, elapsed: ArrayLike) -> tuple[Scalar, Scalar]:
-            after = valve.pressure_after
-            return after(state.pressures[0], commands[0], elapsed), after(state.pressures[1], commands[1], elapsed)
 
         def integrate(_: Array, state: PlantState) -> PlantState:
             def rate(motion: Motion, pressure1: Scalar, pressure2: Scalar) -> Motion:
                 return self.rate(motion.applied_to(state, (pressure1, pressure2)))
 
-            end = pressures_after(state, step)
-            inputs = state.pressures, pressures_after(state, step / 2), end
-            motion = rk4(rate, Motion.of(state), step, inputs)
-            return self.project(motion.applied_to(state, end))
+            end, held = valve.all_after(state.pressures, state.air, commands, step)
+            middle, _ = valve.all_after(state.pressures, state.air, commands, step / 2)
+            state = state._replace(air=())
+            motion = rk4(rate, Motion.of(state), step, (state.pressures, middle, end))
+            return self.project(motion.applied_to(state, end))._replace(air=held)
 
         return lax.fori_loop(0, substeps, integrate, self.apply_commands(state, commands))
 
     def _advance_with_air(
-        self, valve: AirValve, state: PlantState, commands: Pressures, step: ArrayLike, substeps: int
+        self, valve: Any, state: PlantState, commands: Pressures, step: ArrayLike, substeps: int
     ) -> PlantState:
         """Return the state after steps of a length [s] in which motion and air are integrated together."""
 
@@ -266,7 +262,7 @@ class JointPlant(Component):
 
     def air_volumes(self, state: PlantState) -> tuple[AirVolume, AirVolume]:
         """Return the volumes of the air, dead volume included, at the velocity of a state."""
-        dead = self.valve.dead_volume if isinstance(self.valve, AirValve) else 0.0
+        dead = self.valve.dead_volume
 
         def volumes(angle: ArrayLike, pressures: Pressures) -> tuple[Array, Array]:
             contraction1, contraction2 = self.joint.contractions(angle, pressures, state.muscles)
@@ -284,12 +280,12 @@ class JointPlant(Component):
     def commands_for(self, state: PlantState, rates: Pressures) -> tuple[Array, Array]:
         """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite where none does."""
         given = zip(state.pressures, rates, strict=True)
-        if isinstance(self.valve, AirValve):
+        valve: Any = self.valve
+        if valve.holds_air:
             each = zip(given, self.air_volumes(state), strict=True)
-            command1, command2 = (self.valve.command_for(*pair, volume) for pair, volume in each)
+            command1, command2 = (valve.command_for(*pair, volume) for pair, volume in each)
         else:
-            assert isinstance(self.valve, Valve)
-            command1, command2 = (self.valve.command_for(*pair) for pair in given)
+            command1, command2 = (valve.command_for(*pair) for pair in given)
         return command1, command2
 
     def rate(self, state: PlantState) -> Motion:
@@ -328,8 +324,8 @@ class JointPlant(Component):
         if io == () and not self.has_ideal_io:
             zero = jnp.zeros_like(floating(angle))
             io = IOState(zero, zero, self.sensors.init(Measurement(angle, pressures)))
-        if air == () and isinstance(self.valve, AirValve):
-            air = self.valve.init_air((floating(pressures[0]), floating(pressures[1])))
+        if air == ():
+            air = self.valve.init_states((floating(pressures[0]), floating(pressures[1])))
         if friction == () and self.friction is not None:
             friction = self.friction.initial(angle)
         state = state._replace(muscles=(muscle1, muscle2), io=io, air=air, friction=friction)
@@ -340,7 +336,7 @@ class JointPlant(Component):
     def _holding(self, state: PlantState) -> tuple[Scalar, Scalar]:
         """Return the commands [Pa] at which the pressures stay; the opening 0 of valves with `direct` commands."""
         zero = jnp.zeros_like(floating(state.angle))
-        if getattr(self.valve, "direct", False):
+        if self.valve.direct:
             return zero, zero
         return self.clip_commands(self.commands_for(state, (zero, zero)))
 

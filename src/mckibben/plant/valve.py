@@ -3,47 +3,33 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.base import Component
 from mckibben.joint import AntagonisticJoint
-from mckibben.muscle import Domain
+from mckibben.numerics.calculus import value_and_derivative
+from mckibben.plant.actuator import Actuator, AirState, AirVolume, Scalar, held_states
 from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 
-class ValveModel(Component):
-    """Base of `Valve`, whose pressures are known in closed form, and `AirValve`, whose pressures are integrated."""
-
-    default_class = "first_order"
-
-    def lag_for(self, joint: AntagonisticJoint) -> Any:
-        """Return the first-order time constant [s] for a controller's model; `KeyError` if it is not known."""
-        raise KeyError(type(self).__name__)
-
-    def command_range(self, rated: Domain) -> tuple[ArrayLike, ArrayLike]:
-        """Return the lowest and the highest command [Pa] of a muscle: its rated pressures, and the supply if known."""
-        supply = getattr(self, "supply", None)
-        highest = rated.pressure_max if supply is None else jnp.minimum(jnp.asarray(rated.pressure_max), supply)
-        return rated.pressure_min, highest
-
-    def clip_command(self, command: ArrayLike, rated: Domain) -> Float[Array, "..."]:
-        """Return a command within its range for a muscle."""
-        return jnp.clip(jnp.asarray(command), *self.command_range(rated))
-
-
-class Valve(ValveModel):
+class Valve(Actuator):
     """Response of the pressure to a command that is constant over a control period, in closed form.
 
-    The plant evaluates it at the stages of its integration, so the step does not limit the time constant.
+    The plant evaluates it at the stages of its integration, so the step does not limit the time constant. It goes on
+    from the state at the end of each control period: two intervals in a row must give what their sum gives. A
+    response that depends on more than the pressure gives that as its state, by `init` and `after`.
     """
 
-    @abc.abstractmethod
-    def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
-        """Return the pressure [Pa] right after a new command [Pa]."""
+    def init(self, pressure: Scalar) -> Any:
+        return ()
+
+    def after(self, pressure: ArrayLike, state: Any, command: ArrayLike, elapsed: ArrayLike) -> tuple[Array, Any]:
+        """Return the pressure [Pa] and the state a time [s] after these, under a constant command [Pa]."""
+        return self.pressure_after(pressure, command, elapsed), state
 
     @abc.abstractmethod
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
@@ -53,13 +39,39 @@ class Valve(ValveModel):
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s]."""
 
+    def all_after(
+        self,
+        pressures: Sequence[Scalar],
+        states: AirState | tuple[()],
+        commands: Sequence[ArrayLike],
+        elapsed: ArrayLike,
+    ) -> tuple[tuple[Array, ...], AirState | tuple[()]]:
+        """Return the pressures [Pa] and states of all muscles a time [s] later; see `after`."""
+        given = zip(pressures, held_states(states, len(pressures)), commands, strict=True)
+        found = [self.after(*each, elapsed) for each in given]
+        return tuple(one for one, _ in found), AirState(tuple(one for _, one in found)) if states else ()
+
+    def rates(
+        self,
+        pressures: Sequence[Scalar],
+        states: AirState | tuple[()],
+        commands: Sequence[ArrayLike],
+        volumes: Callable[[], Sequence[AirVolume]],
+    ) -> tuple[tuple[Array, ...], AirState | tuple[()]]:
+        return value_and_derivative(lambda t: self.all_after(pressures, states, commands, t), jnp.zeros(()))[1]
+
 
 class IdealValve(Valve):
     """Pressure equal to the command, as in the paper's simulation."""
 
     short_name = "ideal"
+    holds_pressure = False
 
-    def lag_for(self, joint: AntagonisticJoint) -> float:
+    @property
+    def is_linear(self) -> bool:
+        return True
+
+    def model_lag(self, joint: AntagonisticJoint) -> Any:
         return 0.0
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
@@ -85,16 +97,18 @@ class FirstOrderValve(Valve):
     """
 
     short_name = "first_order"
+    is_first_order = True
 
     time_constant: ValveTime
     supply: PositivePressure | None = eqx.field(kw_only=True, default=None)
     rate: PressureRate | None = eqx.field(kw_only=True, default=None)
 
-    def lag_for(self, joint: AntagonisticJoint) -> Any:
-        return self.time_constant
+    @property
+    def is_linear(self) -> bool:
+        return self.rate is None
 
-    def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
-        return jnp.asarray(pressure)
+    def model_lag(self, joint: AntagonisticJoint) -> Any:
+        return self.time_constant
 
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
         command, elapsed = jnp.asarray(command), jnp.asarray(elapsed)

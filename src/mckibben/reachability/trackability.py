@@ -16,7 +16,7 @@ from mckibben.errors import RangeError
 from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.reachability.static import SEGMENT_MARGIN, AttainableRange, scan_points
 from mckibben.reachability.trajectory import (
     ReferenceTrajectory,
@@ -69,8 +69,7 @@ def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> Stiffness
 
 def _is_affine(plant: JointPlant) -> bool:
     """Whether stiffness and commands are affine in tension; they are not with a limited rate or flow."""
-    linear = isinstance(plant.valve, IdealValve | FirstOrderValve) and getattr(plant.valve, "rate", None) is None
-    return linear and is_affine(plant.joint)
+    return plant.valve.is_linear and is_affine(plant.joint)
 
 
 @compiled

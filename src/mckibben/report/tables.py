@@ -22,7 +22,6 @@ from mckibben.paper.settings import (
     StiffnessReference,
 )
 from mckibben.paper.tracking import CONTROLLERS, PID
-from mckibben.plant import FirstOrderValve
 from mckibben.units import bar, deg, factor, mm, ms, percent
 
 NAMES = {
@@ -49,6 +48,7 @@ def decision_context(reproduction: Reproduction) -> dict[str, Any]:
     """Names of the template of the decisions: objects, and functions of contraction in percent and pressure in bar."""
     law, rig = catalog.law("lei-mas-10-180n"), reproduction.identification.rig
     printed, contracted = (plant_of(setting) for setting in SETTINGS)
+    lag = printed.valve.model_lag(printed.joint)
     return {
         "force": lambda contraction, pressure: law.force(contraction=contraction * percent, pressure=pressure * bar),
         "contraction": lambda plant: round(float(plant.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent, 6),
@@ -60,7 +60,7 @@ def decision_context(reproduction: Reproduction) -> dict[str, Any]:
         "load": printed.load,
         "hanging": printed.load.hanging_angle / deg,
         "mm": mm,
-        "lag": f"{printed.valve.time_constant / ms:g} ms" if isinstance(printed.valve, FirstOrderValve) else "none",
+        "lag": f"{lag / ms:g} ms" if lag else "none",
         "factors": (FREE, BOUND),
         "pressures": ", ".join(f"{p / bar:g}" for p in TEST_PRESSURES),
         "friction": rig.rig.hysteresis,

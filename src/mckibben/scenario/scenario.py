@@ -21,6 +21,7 @@ from mckibben.control import Controller, Reference
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import (
+    Actuator,
     Disturbance,
     IdealValve,
     JointFriction,
@@ -29,7 +30,6 @@ from mckibben.plant import (
     PerfectSensors,
     PlantState,
     Sensors,
-    ValveModel,
 )
 from mckibben.simulation import AtRest, CheckedRun, checked_run
 from mckibben.storage.files import atomic_write
@@ -39,7 +39,7 @@ _MOST_PERIODS = 10_000_000
 
 JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
 LoadPart = Annotated[Load, Part(Load)]
-ValvePart = Annotated[ValveModel, Part(ValveModel)]
+ValvePart = Annotated[Actuator, Part(Actuator)]
 SensorsPart = Annotated[Sensors, Part(Sensors)]
 DisturbancePart = Annotated[Disturbance, Part(Disturbance)]
 FrictionPart = Annotated[JointFriction, Part(JointFriction)]

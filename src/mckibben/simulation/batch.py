@@ -22,7 +22,7 @@ from mckibben.errors import McKibbenWarning, ParameterError, SimulationError
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
 from mckibben.numerics.compiled import compiled_batch
-from mckibben.plant import AirValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import check_engine, compute_with
 from mckibben.simulation.loop import Streamed, streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
@@ -217,7 +217,7 @@ def _warn_of_substeps(
     The text names no run, as in a part of a sweep it has another number, and is the same for most parts.
     """
     plant = eqx.combine(lanes, shared).plant
-    if not (plant.joint.has_friction or plant.friction is not None or isinstance(plant.valve, AirValve)):
+    if not (plant.joint.has_friction or plant.friction is not None or plant.valve.holds_air):
         return
     varied = [np.reshape(leaf, (len(leaf), -1)).sum(axis=1) for leaf in jax.tree.leaves(lanes.plant)]
     needed = 0

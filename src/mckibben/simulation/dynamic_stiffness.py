@@ -19,7 +19,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import Load
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled_as_given, numeric
-from mckibben.plant import AirValve, FlowValve, JointPlant, PlantState
+from mckibben.plant import FlowValve, JointPlant, PlantState
 from mckibben.simulation.loop import LoopState, control_period, initial_loop
 from mckibben.units import bar
 
@@ -84,11 +84,11 @@ class _ConstantCommands(Controller):
 
 
 def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -> JointPlant:
-    """Return a plant whose valves are closed; n and the dead volume are those of its `AirValve`, if it has one."""
+    """Return a plant whose valves are closed; n and the dead volume stay those of its valves."""
     for muscle in (plant.joint.muscle1, plant.joint.muscle2):
         muscle.specimen.check_volume("the stiffness with closed valves")
     shut = FlowValve(_SHUT, 10 * bar)
-    known = plant.valve if isinstance(plant.valve, AirValve) else shut
+    known: Any = plant.valve if plant.valve.holds_air else shut
     index = known.polytropic_index if polytropic_index is None else polytropic_index
     return dataclasses.replace(
         plant, valve=dataclasses.replace(shut, polytropic_index=index, dead_volume=known.dead_volume)
@@ -159,7 +159,7 @@ def dynamic_stiffness(
             remedy=f"give at most {highest:g} Hz, or a shorter control period",
         )
     rates = 2 * np.pi / (each * _SAMPLES * control_period)
-    control = controller or _ConstantCommands(openings=bool(getattr(plant.valve, "direct", False)))
+    control = controller or _ConstantCommands(openings=plant.valve.direct)
     wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
     parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))
     found = [

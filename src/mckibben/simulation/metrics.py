@@ -12,7 +12,7 @@ from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import compute_once
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import AirValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.units import atm, deg, litre, percent
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def trajectory(
         force1 = joint.muscle1.tension(contraction1, pressure1)
         force2 = joint.muscle2.tension(contraction2, pressure2)
     muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
-    dead = plant.valve.dead_volume if isinstance(plant.valve, AirValve) else 0.0
+    dead = plant.valve.dead_volume
     air1, air2 = (
         (m.specimen.volume(contraction) + dead) * (pressure + atm) / atm
         if m.specimen.has_volume

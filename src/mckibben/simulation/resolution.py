@@ -13,7 +13,7 @@ from mckibben.control.base import Reference
 from mckibben.errors import SimulationError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.numerics.batching import named_leaves
-from mckibben.plant import AirValve, JointPlant
+from mckibben.plant import JointPlant
 
 STABILITY_LIMIT = 2.785
 """Largest product of step and mode on the negative real axis at which the classical Runge-Kutta method is stable."""
@@ -86,7 +86,7 @@ def fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) -> 
 
 def fastest_air(plant: JointPlant, angles: ArrayLike) -> float:
     """Bound on the rates [1/s] of the air in both muscles with its valves; 0 without."""
-    if not isinstance(plant.valve, AirValve):
+    if not plant.valve.holds_air:
         return 0.0
     at, joint = _angles_checked(angles), plant.joint
     contractions = joint.contractions(at, (joint.muscle1.domain.pressure_min, joint.muscle2.domain.pressure_min))

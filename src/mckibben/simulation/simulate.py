@@ -21,8 +21,7 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast, named_leaves
 from mckibben.numerics.compiled import compiled, compiled_batch, numeric
-from mckibben.plant import AirValve, JointPlant, PlantState
-from mckibben.plant.air_valve import AirState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import check_engine, run_alone
 from mckibben.simulation.loop import Record
 from mckibben.simulation.metrics import Trajectory, compiled_trajectory
@@ -300,9 +299,8 @@ def _episode_result(
 
     record, used = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)
-    if isinstance(plant.valve, AirValve) and isinstance(state.air, AirState):
-        commands = plant.arriving(state, (record.command1, record.command2), period)
-        telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
+    commands = plant.arriving(state, (record.command1, record.command2), period)
+    telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
     if plant.friction is not None:

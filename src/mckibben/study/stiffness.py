@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.control import Setpoint
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import compiled, numeric
-from mckibben.plant import AirValve, IdealValve, JointPlant
+from mckibben.plant import IdealValve, JointPlant
 from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.simulation.resolution import check_substeps
@@ -137,7 +137,7 @@ def stiffness_tests(
     state, _ = compiled_episode(*parts, period=np.asarray(period), substeps=substeps)
 
     plants: dict[str, JointPlant] = {HELD: dataclasses.replace(plant, valve=IdealValve()), CLOSED: closed}
-    plants |= {COMMANDED: plant} if isinstance(plant.valve, AirValve) else {}
+    plants |= {COMMANDED: plant} if plant.valve.holds_air else {}
     tests = {}
     for name in (*plants, CONTROLLED):
         report(name, (len(tests) + 1) / (len(plants) + 2))

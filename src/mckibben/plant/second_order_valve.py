@@ -1,0 +1,90 @@
+"""Second-order pressure regulator."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.joint import AntagonisticJoint
+from mckibben.numerics.elementary import floating
+from mckibben.plant.actuator import Scalar
+from mckibben.plant.valve import Valve
+from mckibben.units import Bandwidth, PositivePressure, Quantity
+
+DampingRatio = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]
+
+_SERIES = 1e-2  # of the square of the phase
+
+
+class SecondOrderValve(Valve):
+    """Second-order lag, p'' + 2 D w p' + w^2 p = w^2 u, with the exact response to a constant command u.
+
+    No command is above the gauge pressure of the supply [Pa] where it is given; with D below 1 the pressure
+    overshoots. Source: K. Ogata, Modern Control Engineering, sec. 5-3.
+
+    Parameters
+    ----------
+    bandwidth
+        Natural frequency w [rad/s].
+    damping
+        Damping ratio D [-].
+    supply
+        Gauge pressure [Pa] of the supply.
+    """
+
+    short_name = "second_order"
+
+    bandwidth: Bandwidth
+    damping: DampingRatio = eqx.field(kw_only=True, default=0.7)
+    supply: PositivePressure | None = eqx.field(kw_only=True, default=None)
+
+    @property
+    def is_linear(self) -> bool:
+        return True
+
+    def init(self, pressure: Scalar) -> Scalar:
+        """Return the rate of the pressure [Pa/s] at rest."""
+        return jnp.zeros_like(floating(pressure))
+
+    def after(self, pressure: ArrayLike, state: Any, command: ArrayLike, elapsed: ArrayLike) -> tuple[Array, Array]:
+        command = jnp.asarray(command)
+        error, decay = pressure - command, self.damping * self.bandwidth
+        even, odd = _decaying(self.damping, self.bandwidth * jnp.asarray(elapsed))
+        odd = odd / self.bandwidth
+        moved = error * even + (state + decay * error) * odd
+        return command + moved, state * even - (self.bandwidth**2 * error + decay * state) * odd
+
+    def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
+        """Return the pressure [Pa] a time [s] after a pressure [Pa] at rest, under a constant command [Pa]."""
+        return self.after(pressure, 0.0, command, elapsed)[0]
+
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
+        """Return the command [Pa] at which a pressure [Pa] keeps changing at a rate [Pa/s]."""
+        return jnp.asarray(pressure) + self._lag * jnp.asarray(rate)
+
+    @property
+    def _lag(self) -> Any:
+        return 2 * self.damping / self.bandwidth
+
+    def model_lag(self, joint: AntagonisticJoint) -> Any:
+        return self._lag
+
+
+def _decaying(damping: ArrayLike, phase: Array) -> tuple[Array, Array]:
+    """exp(-D x) cosh(sqrt(D^2 - 1) x) and exp(-D x) sinh(sqrt(D^2 - 1) x) / sqrt(D^2 - 1), smooth at D = 1."""
+    drop, square = damping * phase, (damping * damping - 1.0) * phase * phase
+    over = jnp.sqrt(jnp.where(square > _SERIES, square, 1.0))
+    under = jnp.sqrt(jnp.where(square < -_SERIES, -square, 1.0))
+    rising, falling = jnp.exp(jnp.minimum(over - drop, 0.0)) / 2, jnp.exp(-over - drop) / 2
+    decay = jnp.exp(-drop)
+    even: Any = 1 + square / 2 * (1 + square / 12 * (1 + square / 30 * (1 + square / 56)))
+    odd: Any = 1 + square / 6 * (1 + square / 20 * (1 + square / 42 * (1 + square / 72)))
+
+    def chosen(over: Array, under: Array, series: Array) -> Array:
+        return jnp.where(square > _SERIES, over, decay * jnp.where(square < -_SERIES, under, series))
+
+    first = chosen(rising + falling, jnp.cos(under), even)
+    return first, phase * chosen((rising - falling) / over, jnp.sin(under) / under, odd)

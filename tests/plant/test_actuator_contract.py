@@ -1,0 +1,83 @@
+"""What holds for every actuator, and the second-order valve against SciPy."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, PressureRegulator, SecondOrderValve, SwitchingValves
+from mckibben.report.tables import SETTINGS, plant_of
+
+C, SUPPLY = 5e-9, 7e5
+CLOSED = [
+    IdealValve(),
+    FirstOrderValve(0.05),
+    FirstOrderValve(0.05, rate=1e6),
+    *(SecondOrderValve(60.0, damping=damping) for damping in (0.2, 0.7, 1.0, 1.00001, 3.0)),
+]
+AIR = [FlowValve(C, SUPPLY), PressureRegulator(C, SUPPLY, time_constant=0.02), SwitchingValves(C, SUPPLY, period=0.02)]
+SECOND = [valve for valve in CLOSED if isinstance(valve, SecondOrderValve)]
+
+
+@pytest.mark.parametrize("valve", CLOSED, ids=repr)
+def test_two_intervals_give_what_their_sum_gives(valve):
+    begun = valve.after(2e5, valve.init(jnp.asarray(2e5)), 4e5, 0.013)
+    twice = valve.after(*begun, 4e5, 0.021)
+    once = valve.after(2e5, valve.init(jnp.asarray(2e5)), 4e5, 0.034)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-5), twice, once)
+
+
+@pytest.mark.parametrize("valve", CLOSED, ids=repr)
+def test_the_initial_state_holds_its_pressure(valve):
+    pressure, state = valve.after(2e5, valve.init(jnp.asarray(2e5)), valve.command_for(2e5, 0.0), 0.5)
+    assert float(pressure) == pytest.approx(2e5, rel=1e-12)
+    assert np.all(np.abs(jax.tree.leaves(state)) < 1e-6)
+
+
+@pytest.mark.parametrize("valve", CLOSED, ids=repr)
+def test_a_batch_equals_single_responses(valve):
+    starts = jnp.array([1e5, 2e5, 5e5])
+    one = lambda start: valve.after(start, valve.init(start), 3e5, 0.02)[0]  # noqa: E731
+    np.testing.assert_allclose(jax.vmap(one)(starts), [float(one(start)) for start in starts], rtol=1e-14)
+
+
+@pytest.mark.parametrize("valve", SECOND, ids=repr)
+@pytest.mark.parametrize("elapsed", [0.0, 1e-4, 0.01, 0.1, 3.0])
+def test_the_second_order_response_is_the_matrix_exponential(valve, elapsed):
+    w, damping = valve.bandwidth, valve.damping
+    system = np.array([[0.0, 1.0], [-w * w, -2 * damping * w]])
+    wanted = expm(system * elapsed) @ [2e5 - 4e5, 3e6] + [4e5, 0.0]
+    found = valve.after(2e5, 3e6, 4e5, elapsed)
+    np.testing.assert_allclose(np.array(found), wanted, rtol=1e-10, atol=1e-3)
+
+
+@pytest.mark.parametrize("valve", SECOND, ids=repr)
+def test_a_pressure_that_keeps_its_rate_needs_the_command(valve):
+    rate, w = 1e5, valve.bandwidth
+    command = float(valve.command_for(2e5, rate))
+    assert w * w * (command - 2e5) - 2 * valve.damping * w * rate == pytest.approx(0.0, abs=1e-4)
+    assert valve.model_lag(plant_of(SETTINGS[0]).joint) == pytest.approx(2 * valve.damping / w)
+
+
+def test_the_derivative_by_the_damping_is_smooth_at_one():
+    def pressure(damping):
+        return SecondOrderValve(60.0, damping=damping).pressure_after(2e5, 4e5, 0.02)
+
+    slope = float(jax.grad(pressure)(1.0))
+    assert slope == pytest.approx(float(pressure(1.001) - pressure(0.999)) / 0.002, rel=1e-5)
+
+
+@pytest.mark.parametrize("valve", [*CLOSED, *AIR], ids=lambda valve: type(valve).__name__)
+def test_a_plant_with_it_is_deterministic_and_keeps_its_state(valve):
+    plant = dataclasses.replace(plant_of(SETTINGS[0]), valve=valve)
+    state = plant.init_state(0.0, (2e5, 2.5e5))
+    advance = jax.jit(lambda state: plant.advance(plant.apply_commands(state, (3e5, 1e5)), (3e5, 1e5), 0.01, 20))
+    first, second = advance(state), advance(state)
+    assert jax.tree.structure(first) == jax.tree.structure(state)
+    assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (first, second)), strict=True))
+    if valve in SECOND:
+        alone = valve.after(2e5, 0.0, 3e5, 0.01)
+        np.testing.assert_allclose((first.pressures[0], first.air.valves[0]), alone, rtol=1e-10)
