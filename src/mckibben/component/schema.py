@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, PlainSerializer, TypeAdapter, create_model
 from pydantic_core import PydanticSerializationError, core_schema
 
-from mckibben.component.base import Checked, Component, Inherited, field_hints, field_quantities
+from mckibben.component.base import Checked, Component, Inherited, Units, field_hints, field_quantities
 from mckibben.component.classes import (
     catalog_of,
     class_name,
@@ -38,7 +38,7 @@ from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, relative_path, write_path
 from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
 from mckibben.errors import FileError, McKibbenError, quoted, suggest
-from mckibben.units import SYMBOLS, BoundedInt, Quantity, Units
+from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
 
@@ -199,8 +199,7 @@ class Part:
         changed, name = context.pop("changed", None), info.field_name or ""
         scope: Scope = ChainMap({"key": name}, dict(info.data or {}), *context.get("scope", ()))
         around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
-        normalise = getattr(self.base, "from_file", None)
-        value = value if normalise is None else normalise(value)
+        value = self.base.from_file(value)
         if isinstance(value, str) and value:
             if find_class(self.base, value) is not None:
                 value = {"class": value}
@@ -296,7 +295,8 @@ class Part:
     def model_for(self, value: Any) -> type[Section] | None:
         """Return the model of a section, for messages; None for one that names no class."""
         with contextlib.suppress(McKibbenError):
-            if isinstance(value, dict) and "class" not in value and "from" in value:
+            value = self.base.from_file(value)
+            if isinstance(value, dict) and "class" not in value and "from" in value and len(classes_of(self.base)) > 1:
                 return None
             return section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
         return None

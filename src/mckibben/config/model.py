@@ -274,9 +274,9 @@ class _Diagnosis:
         value = self.document.data
         for key in place:
             value = _item(value, key)
-            if isinstance(key, int):  # an item of a list of models
-                continue
-            if get_origin(annotation) is dict:  # of sections, by names that people choose
+            if isinstance(key, int):  # an item of a list
+                marks = ()
+            elif get_origin(annotation) is dict:  # of sections, by names that people choose
                 annotation, marks = get_args(annotation)[1], ()
             else:
                 found = model_in(annotation)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,17 +19,9 @@ from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.units import (
-    Angle,
-    Damping,
-    Distance,
-    Inertia,
-    Length,
-    PositiveMass,
-    StiffnessScale,
-    StopDamping,
-    deg,
-)
+from mckibben.units import Angle, Damping, Distance, Inertia, Length, PositiveMass, Quantity, StiffnessScale, deg
+
+StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
 
 Scalar = Float[Array, ""]
 

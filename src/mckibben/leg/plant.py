@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -20,7 +20,10 @@ from mckibben.muscle import MuscleState
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.plant.actuator import Actuator, AirState, AirVolume
-from mckibben.units import ContactDamping, ContactStiffness, Gravity, Share, Speed, bar, deg, mm
+from mckibben.units import Gravity, Quantity, Share, Speed, bar, deg, mm
+
+ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
+ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
 

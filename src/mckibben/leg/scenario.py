@@ -21,16 +21,19 @@ from mckibben.scenario.scenario import RunSettings, ValvePart
 from mckibben.units import (
     Angle,
     BoundedInt,
-    DropHeight,
     Duration,
+    Percent,
     PositiveTime,
     Pressure,
-    Spread,
+    Quantity,
     Stiffness,
     bar,
     deg,
     mm,
 )
+
+DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
+Spread = Annotated[float, Percent("1", "%", 0, 50)]
 
 _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the leg."""

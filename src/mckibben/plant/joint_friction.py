@@ -12,7 +12,9 @@ from mckibben.component.base import Component
 from mckibben.component.checks import check_within
 from mckibben.muscle.friction import ELEMENTS, FrictionState, anchors, polygon, slip_forces
 from mckibben.numerics.elementary import floating
-from mckibben.units import PreslidingAngle, Quantity
+from mckibben.units import Quantity
+
+PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
 
 FrictionTorque = Annotated[float, Quantity("N*m", "N*m", 1e-9, 1e6)]  # it is divided by
 

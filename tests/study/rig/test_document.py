@@ -158,7 +158,7 @@ protocol:
         "line 7, protocol.steps[0]: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
         "line 8, protocol.steps[1]: lacks the key `class`",
         "line 10, protocol.steps[3].stp: is not a known key here; did you mean 'step'?",
-        "line 9, protocol.steps[2].samples: 'none' is not a whole number",
+        "line 9, protocol.steps[2]: 'none' is not a whole number",
     ):
         assert part in said, said
     assert said.startswith("p.yaml: 8 problems")
