@@ -94,7 +94,10 @@ def test_too_few_points_for_a_fit(cli, tmp_path, loading):
         (("--for", "decay", "--law", "chou"), "'decay' is not a quantity"),
         (("--law", "newton"), "there is no law 'newton'"),
         (("--for", "stiffness at 50 deg"), "contraction -12.8 % is outside -3..25 %"),
-        (("--for", "stiffness at 3 bar"), "is an angle and pressures, but unit 'bar' does not have the dimensions of 'rad'"),
+        (
+            ("--for", "stiffness at 3 bar"),
+            "is an angle and pressures, but unit 'bar' does not have the dimensions of 'rad'",
+        ),
         (("--for", "stiffness at 1 deg, 1 bar, 2 bar, 3 bar"), "too many values"),
         (("--for", "stiffness at 0 deg, 0 bar"), "nothing to gain"),
         (("--for", "torque at 0 deg, 3 bar"), "nothing to gain"),

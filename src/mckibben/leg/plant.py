@@ -7,10 +7,11 @@ from numbers import Real
 from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_positive
+from mckibben.component.checks import check_positive, known_numbers
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement, RigidTendon
 from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, frames, motion
@@ -165,7 +166,7 @@ class LegPlant(Plant):
             _check_pressure(name, pressure, highest)
             _check_pressure(f"{name} (supply)", pressure, highest if supply is None else supply)
         check_positive("LegPlant", "m", zero=True, clearance=clearance)
-        if leg.trunk.freedom == "fixed" and not (isinstance(upward_speed, Real) and upward_speed == 0):
+        if leg.trunk.freedom == "fixed" and np.any(known_numbers("LegPlant", "upward_speed", upward_speed)):
             raise RangeError(
                 "a fixed trunk has no speed",
                 field="upward_speed",
