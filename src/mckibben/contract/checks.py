@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any, get_args, get_origin
@@ -22,7 +22,7 @@ from mckibben.component.classes import class_name
 from mckibben.component.extensions import load_extension
 from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
 from mckibben.config.document import to_text
-from mckibben.contract.probes import Identity, Probe, Ranges, plant_scope, probes_of
+from mckibben.contract.probes import Identity, Probe, Probes, Ranges, plant_scope, probes_of
 from mckibben.errors import ExportError, McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
 from mckibben.units import (
@@ -138,18 +138,23 @@ def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: 
 def _check_instance(component: Any) -> Iterator[Finding]:
     """Findings of a component."""
     kind = type(component)
-    yield _finding(kind, "file", lambda: _check_file(component))
     yield _finding(kind, "tree", lambda: _check_tree(component))
-    probes: list[Any] = []
-    yield _finding(kind, "arguments", lambda: probes.append(probes_of(component)))
-    for probe in probes[0].functions if probes else ():
+    made: list[Probes] = []
+    if not (prepared := _finding(kind, "arguments", lambda: made.append(probes_of(component)))).passed:
+        yield prepared
+        return
+    probes = made[0]
+    if probes.in_files:
+        yield _finding(kind, "file", lambda: _check_file(component))
+    for probe in probes.functions:
         sampled = _Sampled(component, probe)
         yield (traced := _finding(kind, "determinism", sampled.check_program))
         if traced.passed:
             yield _finding(kind, "batch", sampled.check_batch)
             yield _finding(kind, "derivatives", sampled.check_derivatives)
-            yield _finding(kind, "C", sampled.check_native)
-    for identity in probes[0].identities if probes else ():
+            if probes.emitted:
+                yield _finding(kind, "C", sampled.check_native)
+    for identity in probes.identities:
         yield _finding(kind, identity.name, lambda identity=identity: _check_identity(component, identity))
 
 
@@ -288,7 +293,10 @@ class _Sampled:
         self.points = np.concatenate([self.arguments, np.tile(values, (len(self.arguments), 1))], axis=1)
         widths = [high - low for low, high in probe.ranges.values()]
         self.scales = np.concatenate([widths, np.abs(values)])
-        self._values: NDArray[np.float64] | None = None
+        self.moving = np.flatnonzero(self.scales)
+        self.moves = np.eye(len(self.scales))[self.moving] * self.scales[self.moving, None]  # (directions, numbers)
+        around = [self.points[:_ROWS, None] + sign * _STEP * self.moves for sign in (1, -1)]
+        self._points = np.concatenate([self.points, *(each.reshape(-1, len(self.scales)) for each in around)])
 
     def __call__(self, point: Any) -> Any:
         """Results, flat."""
@@ -300,19 +308,24 @@ class _Sampled:
         results = self.probe.function(jax.tree.unflatten(self._structure, leaves), *(point[i] for i in range(count)))
         return jnp.concatenate([jnp.ravel(jnp.asarray(one, float)) for one in jax.tree.leaves(results)])
 
+    @functools.cached_property
+    def _program(self) -> Any:
+        return jax.jit(jax.vmap(self))
+
+    @functools.cached_property
+    def _computed(self) -> NDArray[np.float64]:
+        """Results of the samples and around them, shape (points, results), by one program."""
+        return np.asarray(self._program(self._points))
+
     @property
     def values(self) -> NDArray[np.float64]:
-        """Results of all samples by one program, shape (samples, results)."""
-        if self._values is None:
-            self._program = jax.jit(jax.vmap(self))
-            self._values = np.asarray(self._program(self.points))
-        return self._values
+        """Results of all samples, shape (samples, results)."""
+        return self._computed[: len(self.points)]
 
     def check_program(self) -> None:
         """The same arguments give the same program and the same results, none of them NaN."""
         first, second = (self._traced() for _ in range(2))
-        again = np.asarray(self._program(self.points)) if self.values.size else self.values
-        if first != second or not np.array_equal(self.values, again, equal_nan=True):
+        if first != second or not np.array_equal(self._computed, self._program(self._points), equal_nan=True):
             remedy = "no random numbers, time or counters of its own: draw by a seed from the state, keep all in the state"
             raise _BrokenError("two evaluations with the same arguments differ", remedy)
         if np.isnan(self.values).any():
@@ -347,20 +360,15 @@ class _Sampled:
 
     def check_derivatives(self) -> None:
         """Derivatives are finite, and those of finite differences; at a kink between those of its two sides."""
-        values, moving = self.values, np.flatnonzero(self.scales)
-        moves = np.eye(len(self.scales))[moving] * self.scales[moving, None]  # (directions, numbers)
-        slopes = jax.jit(jax.vmap(lambda point: jax.vmap(lambda move: jax.jvp(self, (point,), (move,))[1])(moves)))
+        values, moving = self.values, self.moving
+        slopes = jax.jit(jax.vmap(lambda point: jax.vmap(lambda move: jax.jvp(self, (point,), (move,))[1])(self.moves)))
         found = np.asarray(slopes(self.points))  # (samples, directions, results)
         wanted = np.isfinite(values)[:, None, :]
         for row, direction, _ in np.argwhere(wanted & ~np.isfinite(found)):
             text = f"the derivative by {self.names[moving[direction]]} is not finite at {self._where(row)}"
             remedy = "replace the argument before sqrt, division, log or power: jnp.where(x > 0, jnp.sqrt(jnp.where(...)))"
             raise _BrokenError(text, remedy)
-        points = self.points[:_ROWS, None, :]
-        above, below = (
-            np.asarray(jax.vmap(self._program, in_axes=1, out_axes=1)(points + sign * _STEP * moves))
-            for sign in (1, -1)
-        )
+        above, below = self._computed[len(values) :].reshape(2, _ROWS, len(moving), -1)
         here = values[:_ROWS, None, :]
         with np.errstate(invalid="ignore"):
             sides = np.sort([(above - here) / _STEP, (here - below) / _STEP], axis=0)
@@ -379,15 +387,13 @@ class _Sampled:
         if compiler() is None:
             raise _SkippedError("there is no C compiler")
         given = self.probe.function, numeric(self.component)
-        results = _NATIVE(given, tuple(np.ascontiguousarray(column) for column in self.arguments.T))
-        count = len(self.arguments)
-        emitted = np.concatenate([np.asarray(one, float).reshape(-1, count) for one in jax.tree.leaves(results)])
-        if (at := _difference(emitted.T, self.values, _EQUAL, self.values)) is not None:
+        emitted = np.array([_flat(_NATIVE((*given, *row))) for row in self.arguments])
+        if (at := _difference(emitted, self.values, _EQUAL, self.values)) is not None:
             raise _BrokenError(f"emitted C gives {at[0]:.6g}, JAX {at[1]:.6g}", "report it, with the class")
 
 
-def _apply(shared: Any, arguments: Sequence[Any]) -> Any:
-    function, component = shared
+def _apply(shared: Any, _: Any) -> Any:
+    function, component, *arguments = shared
     return function(component, *arguments)
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from mckibben import catalog
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
@@ -47,10 +48,12 @@ class Identity(NamedTuple):
 
 
 class Probes(NamedTuple):
-    """What is evaluated for a base."""
+    """What is evaluated for a base; whether files hold its components, and programs in C contain them."""
 
     functions: tuple[Probe, ...]
     identities: tuple[Identity, ...] = ()
+    in_files: bool = True
+    emitted: bool = True
 
 
 def probes_of(component: Any) -> Probes:
@@ -354,17 +357,24 @@ def _value(signal: Signal | Reference, time: Any) -> Any:
 
 _TIMES = {"time": (0.0, 10.0)}
 
+
+def _signal(_: Signal | Reference) -> Probes:
+    return Probes((Probe(_value, _TIMES, broadcasts=True),), emitted=False)  # a reference is sampled before a run
+
+
+
 # Controllers and their parts.
 
 
 def _commands(
     controller: Controller, angle: Any, further: Any, pressure1: Any, pressure2: Any, target: Any, stiffness: Any
 ) -> Any:
-    state, commands = controller.init(Measurement(angle, (pressure1, pressure2))), ()
-    for now in (angle, further):
-        state, commands = controller.step(
-            state, Setpoint(target, stiffness), Measurement(now, (pressure1, pressure2)), _PERIOD
-        )
+    pressures, setpoint = (pressure1, pressure2), Setpoint(target, stiffness)
+
+    def step(state: Any, now: Any) -> tuple[Any, Any]:
+        return controller.step(state, setpoint, Measurement(now, pressures), _PERIOD)
+
+    state, commands = lax.scan(step, controller.init(Measurement(angle, pressures)), jnp.stack([angle, further]))
     return commands, controller.telemetry(state)
 
 
@@ -381,10 +391,11 @@ def _controller(_: Controller) -> Probes:
 
 
 def _looped(loop: Loop, setpoint: Any, measured: Any, output: Any, sensitivity: Any) -> Any:
-    state, given = loop.init(setpoint, measured, output), ()
-    for _ in range(2):
+    def step(state: Any, _: Any) -> tuple[Any, Any]:
         state, given = loop.step(state, setpoint, measured, sensitivity, _PERIOD)
-        state = loop.track(state, given, 0.9 * given, _PERIOD)
+        return loop.track(state, given, 0.9 * given, _PERIOD), given
+
+    state, given = lax.scan(step, loop.init(setpoint, measured, output), length=2)
     return given, loop.telemetry(state)
 
 
@@ -421,15 +432,13 @@ def _observer(_: Observer) -> Probes:
 
 def _leg_step(part: LegController | LegReference, time: Any, angle: Any, pressure: Any, force: Any) -> Any:
     found = LegMeasurement(time, (angle, 0.5 + angle), (pressure,) * 5, force)
-    state, given = part.init(found), ()
-    for _ in range(2):
-        state, given = part.step(state, found, _PERIOD)
+    state, given = lax.scan(lambda state, _: part.step(state, found, _PERIOD), part.init(found), length=2)
     return given, part.telemetry(state)
 
 
 def _leg(_: LegController | LegReference) -> Probes:
     ranges = {"time": (0.0, 1.0), "angle": (-0.1, 0.1), "pressure": (2 * bar, 4 * bar), "force": (0.0, 100.0)}
-    return Probes((Probe(_leg_step, ranges),))
+    return Probes((Probe(_leg_step, ranges),), in_files=False)
 
 
 _PROBES: dict[type, Callable[[Any], Probes]] = {
@@ -444,8 +453,8 @@ _PROBES: dict[type, Callable[[Any], Probes]] = {
     Actuator: _actuator,
     Sensors: _sensors,
     Disturbance: lambda _: Probes((Probe(_torque, _TIMES, broadcasts=True),)),
-    Signal: lambda _: Probes((Probe(_value, _TIMES, broadcasts=True),)),
-    Reference: lambda _: Probes((Probe(_value, _TIMES, broadcasts=True),)),
+    Signal: _signal,
+    Reference: _signal,
     Controller: _controller,
     Loop: _loop,
     Feedback: _feedback,
