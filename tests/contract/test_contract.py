@@ -19,15 +19,13 @@ from mckibben.component.base import Component
 from mckibben.component.classes import concrete_subclasses
 from mckibben.contract import check_class, check_extension
 from mckibben.contract.probes import plant_scope
-from mckibben.control import Constant, Reference, Setpoint, Signal, Sine
-from mckibben.errors import ParameterError
-from mckibben.joint import Geometry, KneeLoad, MusclePath, PendulumLoad
-from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
-from mckibben.leg.plant import LegPlant
-from mckibben.muscle import Creep, Domain, ForceLaw, Friction, MaxwellSlip, NoCreep, NoFriction
-from mckibben.plant import FirstOrderValve, Valve
+from mckibben.control import Controller, Reference, Setpoint, Signal, Sine
+from mckibben.errors import ParameterError, ScenarioError
+from mckibben.joint import PendulumLoad
+from mckibben.muscle import Domain, ForceLaw, MaxwellSlip
+from mckibben.plant import Disturbance, FirstOrderValve, Valve
 from mckibben.study.rig.document import MountedMuscle
-from mckibben.units import Bandwidth, Length, MomentArm, PositiveTime, Quantity, SignalValue, bar, deg, mm
+from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
 
 for module in pkgutil.walk_packages(mckibben.__path__, "mckibben."):
     if not module.name.startswith(("mckibben.cli", "mckibben.web", "mckibben.__main__")):
@@ -54,6 +52,10 @@ LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=
 REFERENCE = Reference(Sine(0.1, 1.0), 15.0)
 TIMED = leg.TimedReference((REFERENCE, REFERENCE))
 PHASES = [(Setpoint(0.1 * k, 15.0), Setpoint(0.2 * k, 20.0)) for k in range(4)]
+LEG = dataclasses.replace(
+    leg.read_leg("lei-leg"),
+    biarticular=(leg.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),),
+)
 EXAMPLES = [
     CHOU,
     muscle.TonduLopezLaw(ANGLE, DIAMETER, 1.25, BOX),
@@ -97,7 +99,7 @@ EXAMPLES = [
     plant.TorquePulses(0.5),
     plant.JointFriction(0.3, elements=3),
     plant.JointPlant(KNEE, LOAD, FirstOrderValve(0.02)),
-    Constant(0.1),
+    control.Constant(0.1),
     control.Step(0.0, 0.1, 1.0),
     control.Ramp(0.0, 0.1, 1.0, 2.0),
     control.RandomSteps(-0.1, 0.1, 0.5, 0.8, 3),
@@ -119,6 +121,13 @@ EXAMPLES = [
     TIMED,
     leg.JointwiseControl((LOOPS, LOOPS), TIMED),
     leg.PhasedReference(*PHASES),
+    LEG,
+    LEG.trunk,
+    LEG.links[0],
+    LEG.joints[0],
+    LEG.biarticular[0],
+    leg.LegPlant(LEG, FirstOrderValve(0.02)),
+    MountedMuscle(SPECIMEN, CHOU, friction=SLIP),
 ]
 INSTANCES = {type(one).__name__: one for one in EXAMPLES}
 SLOW = {
@@ -131,8 +140,242 @@ SLOW = {
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name in SLOW)) for name, kind in CLASSES.items()]
 )
-def test_every_built_in_class_keeps_it(kind):
-    instances = [INSTANCES[kind.__name__]] if kind.__name__ in INSTANCES else []
-    findings = check_class(kind, instances=instances)
+def test_every_built_in_class_keeps_it(kind, tmp_path):
+    samples = tmp_path / "samples.csv"
+    samples.write_text("time_s,angle_deg\n0,1\n1,5\n", encoding="utf-8")
+    instances = {**INSTANCES, "SamplesFile": control.SamplesFile(samples, "angle")}
+    findings = check_class(kind, instances=[instances[kind.__name__]] if kind.__name__ in instances else [])
     assert [one for one in findings if one.passed is not True] == []
-    assert {"units", "tree"} <= {one.check for one in findings}
+    assert {"units"} <= {one.check for one in findings}
+
+
+class _Valve(Valve):
+    def command_for(self, pressure, rate):
+        return jnp.asarray(pressure)
+
+
+class SecondOrderLag(_Valve):
+    """Critically damped from rest: the rate of the pressure is lost between two intervals."""
+
+    bandwidth: Bandwidth = 60.0
+
+    def pressure_after(self, pressure, command, elapsed):
+        phase = self.bandwidth * elapsed
+        return command + (pressure - command) * (1 + phase) * jnp.exp(-phase)
+
+
+class WithState(SecondOrderLag):
+    def init(self, pressure):
+        return jnp.zeros_like(pressure)
+
+    def after(self, pressure, state, command, elapsed):
+        return plant.SecondOrderValve(self.bandwidth, damping=1.0).after(pressure, state, command, elapsed)
+
+
+class Moving(WithState):
+    """It starts with a pressure that rises."""
+
+    def init(self, pressure):
+        return jnp.full_like(pressure, 1e5)
+
+
+class OneSignal(Signal):
+    amplitude: SignalValue = 0.1
+
+
+class Root(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.where(time > 0, jnp.sqrt(time), 0.0)
+
+
+class Stopped(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * lax.stop_gradient(jnp.sin(time))
+
+
+class NotANumber(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.log(time - 1.0)
+
+
+class Branched(OneSignal):
+    def __call__(self, time):
+        return self.amplitude if time > 1.0 else 0.0 * time
+
+
+class OfTheBatch(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * (time - jnp.mean(time))
+
+
+class Summed(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.sum(time)
+
+
+class Raising(OneSignal):
+    def __call__(self, time):
+        raise KeyError("no such thing")
+
+
+class Drawn(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.sin(time) + np.random.default_rng().normal()
+
+
+class Called(OneSignal):
+    """Random numbers within a compiled program."""
+
+    def __call__(self, time):
+        shape = jax.ShapeDtypeStruct(jnp.shape(time), float)
+        draw = lambda time: np.random.default_rng().normal(size=np.shape(time))  # noqa: E731
+        noise = jax.pure_callback(draw, shape, lax.stop_gradient(time), vmap_method="expand_dims")
+        return self.amplitude * jnp.sin(time) + noise
+
+
+class WithoutUnit(Sine):
+    gain: float = 1.0
+
+
+class NotSI(Sine):
+    limit: Annotated[float, Quantity("bar", lower=0, upper=10)] = 1.0
+
+
+class Unresolved(Sine):
+    gain: "Missing" = 1.0  # noqa: F821
+
+
+class Lost(Sine):
+    count: int = eqx.field(static=True, default=3)
+
+
+class Sorted(Disturbance):
+    def torque(self, time):
+        return jnp.sort(jnp.stack([1.0 + time, 2.0 - time]), axis=0)[0]
+
+
+class SpringLoad(PendulumLoad):
+    def gravity_torque(self, angle):
+        return super().gravity_torque(angle) - 2.0 * angle
+
+
+class Square(ForceLaw):
+    domain: Domain = BOX
+
+    def force(self, contraction, pressure):
+        return 1e-8 * jnp.asarray(pressure) ** 2 * (1 - jnp.asarray(contraction))
+
+    def pressure_for(self, force, contraction):
+        return 1e3 * jnp.asarray(force)
+
+
+class NumericInverse(Square):
+    def pressure_for(self, force, contraction):
+        return muscle.pressure_for(self, force, contraction)
+
+
+class Sticking(MaxwellSlip):
+    def project(self, state, length, tension, pressure):
+        return state
+
+
+class Unfinished(Controller):
+    def init(self, measurement):
+        return ()
+
+
+class Restless(Controller):
+    """Its state does not keep its structure."""
+
+    def init(self, measurement):
+        return ()
+
+    def step(self, state, setpoint, measurement, period):
+        return (*state, setpoint.angle), measurement.pressures
+
+    def telemetry(self, state):
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("kind", "instances", "broken"),
+    [
+        (SecondOrderLag, [], {"composition"}),
+        (WithState, [], set()),
+        (Moving, [], {"rest"}),
+        (Root, [], {"derivatives"}),
+        (Stopped, [], {"derivatives"}),
+        (NotANumber, [], {"derivatives"}),
+        (Branched, [], {"batch"}),
+        (OfTheBatch, [], {"batch"}),
+        (Summed, [], {"batch"}),
+        (Raising, [], {"batch"}),
+        (Drawn, [], {"determinism"}),
+        (Called, [], {"determinism"}),
+        (WithoutUnit, [WithoutUnit(0.1, 1.0)], {"units"}),
+        (NotSI, [NotSI(0.1, 1.0)], {"units"}),
+        (Unresolved, [Unresolved(0.1, 1.0)], {"units", "file"}),
+        (Lost, [Lost(0.1, 1.0), Lost(0.1, 1.0, count=4)], {"file"}),
+        (Sorted, [], {"C"}),
+        (SpringLoad, [SpringLoad(0.3, 0.25)], {"slope"}),
+        (Square, [], {"inverse"}),
+        (NumericInverse, [], set()),
+        (Sticking, [Sticking(12.0, 0.5 * mm)], {"path"}),
+        (Unfinished, [], {"instance"}),
+        (Restless, [], {"batch"}),
+        (Sine, [], {"instance"}),  # its fields have no default
+    ],
+    ids=lambda one: one.__name__ if isinstance(one, type) else "",
+)
+def test_the_check_finds_what_breaks_it(kind, instances, broken):
+    findings = check_class(kind, instances=instances)
+    assert {one.check for one in findings if one.passed is False} == broken
+    assert all(one.found for one in findings if one.passed is False)
+
+
+def test_a_finding_names_the_place_and_a_remedy():
+    (missing,) = [one for one in check_class(SecondOrderLag) if not one.passed]
+    assert "SecondOrderValve" in missing.remedy and "elapsed" in missing.found
+    (branched,) = [one for one in check_class(Branched) if not one.passed]
+    assert "jnp.where" in branched.remedy and "__call__" in branched.found
+
+
+GOOD = """
+from mckibben.control import Sine
+from mckibben.plant import FirstOrderValve
+
+class Named(FirstOrderValve):
+    pass
+
+class Given(Sine):
+    pass
+
+class _Private(Sine):
+    pass
+
+EXAMPLE = Given(0.1, 2.0)
+"""
+
+
+def test_instances_of_the_module_and_given_fields_are_checked(tmp_path):
+    (tmp_path / "contract_good.py").write_text(textwrap.dedent(GOOD), encoding="utf-8")
+    path = tmp_path / "contract_good.py"
+    findings = check_extension(path, {"time_constant": "20 ms"})
+    assert {one.kind for one in findings} == {"Named", "Given"}
+    assert [one for one in findings if not one.passed] == []
+    (missing,) = [one for one in check_extension(path) if not one.passed]
+    assert (missing.kind, missing.check) == ("Named", "instance") and "time_constant" in missing.found
+    (wrong,) = [one for one in check_extension(path, {"time_constant": "20 mm"}) if not one.passed]
+    assert wrong.check == "instance"
+    with pytest.raises(ParameterError) as refused:
+        check_extension(path, {"lag": "20 ms"})
+    assert refused.value.value == "lag"
+
+
+def test_a_module_without_components_or_with_a_mistake_is_bad_input(tmp_path):
+    (tmp_path / "contract_empty.py").write_text("from mckibben.control import Sine\n", encoding="utf-8")
+    with pytest.raises(ParameterError):
+        check_extension(tmp_path / "contract_empty.py")
+    (tmp_path / "contract_broken.py").write_text("1 / 0\n", encoding="utf-8")
+    with pytest.raises(ScenarioError):
+        check_extension(tmp_path / "contract_broken.py")

@@ -1,4 +1,4 @@
-"""Checks of the contract: units, files, trees, determinism, batches, derivatives, C, and the identities of a base."""
+"""Checks of the contract: units, files, determinism, batches, derivatives, C, and the identities of a base."""
 
 from __future__ import annotations
 
@@ -50,6 +50,7 @@ _ROWS = 4  # samples, in addition to the lowest and the middle of the ranges
 _STEP = 1e-6  # of a finite difference, relative to range or value
 _EQUAL, _SLOPE, _NOISE = 1e-8, 1e-4, 1e-6  # relative tolerances: of values, of derivatives, and of their rounding
 _ROUNDING = 1e-14  # of a result that is the difference of others, relative to the largest
+_APART = 1e-4  # relative change of the parameters for finite differences, so that equal limits are no kinks
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
 _LONGEST = 300  # characters of a finding
 
@@ -138,7 +139,6 @@ def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: 
 def _check_instance(component: Any) -> Iterator[Finding]:
     """Findings of a component."""
     kind = type(component)
-    yield _finding(kind, "tree", lambda: _check_tree(component))
     made: list[Probes] = []
     if not (prepared := _finding(kind, "arguments", lambda: made.append(probes_of(component)))).passed:
         yield prepared
@@ -148,12 +148,14 @@ def _check_instance(component: Any) -> Iterator[Finding]:
         yield _finding(kind, "file", lambda: _check_file(component))
     for probe in probes.functions:
         sampled = _Sampled(component, probe)
-        yield (traced := _finding(kind, "determinism", sampled.check_program))
+        yield (traced := _finding(kind, "batch", lambda sampled=sampled: sampled.values))
         if traced.passed:
-            yield _finding(kind, "batch", sampled.check_batch)
-            yield _finding(kind, "derivatives", sampled.check_derivatives)
-            if probes.emitted:
-                yield _finding(kind, "C", sampled.check_native)
+            yield (same := _finding(kind, "determinism", sampled.check_program))
+            if same.passed:
+                yield _finding(kind, "batch", sampled.check_batch)
+                yield _finding(kind, "derivatives", sampled.check_derivatives)
+                if probes.emitted:
+                    yield _finding(kind, "C", sampled.check_native)
     for identity in probes.identities:
         yield _finding(kind, identity.name, lambda identity=identity: _check_identity(component, identity))
 
@@ -201,7 +203,8 @@ def _made(kind: type, fields: Mapping[str, str]) -> Any:
         missing = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
         raise _BrokenError(f"it lacks {missing}", "implement the abstract methods and fields of the base")
     try:
-        return _read(kind, {"class": class_name(kind), **fields})
+        given = {"class": class_name(kind), **fields}
+        return _read(kind, "it:\n" + "".join(f"  {name}: {value}\n" for name, value in given.items()))
     except McKibbenError as error:
         problems = getattr(error, "problems", ())
         text = "; ".join(f"{one.field}: {one.message}".lstrip(": ") for one in problems) or error.message
@@ -209,9 +212,9 @@ def _made(kind: type, fields: Mapping[str, str]) -> Any:
         raise _BrokenError(text, remedy) from error
 
 
-def _read(kind: type, section: Any) -> Any:
-    """Component of a section of a file, in the plant of `plant_scope`."""
-    text, context = to_text({"it": section}), {"scope": (plant_scope(),)}
+def _read(kind: type, text: str) -> Any:
+    """Component under the key `it` of a file, in the plant of `plant_scope`."""
+    context = {"scope": (plant_scope(),)}
     return parse_component(_base_of(kind), text, source=kind.__name__, key="it", context=context, units=UNITS)
 
 
@@ -239,7 +242,7 @@ def _has_bare_float(hint: Any) -> bool:
 def _check_file(component: Any) -> None:
     """A component that is written to a file and read again is the same."""
     kind = type(component)
-    back = _read(kind, write(component, Part(_base_of(kind), UNITS)))
+    back = _read(kind, to_text({"it": write(component, Part(_base_of(kind), UNITS))}))
     if type(back) is not kind:
         raise _BrokenError(f"a file gives a {type(back).__name__}", "give the class a `short_name` of its own")
     for name in declared_fields(kind):
@@ -257,17 +260,6 @@ def _is_same(one: Any, other: Any) -> bool:
     """Whether two values of a field are equal, number by number."""
     (leaves, structure), (others, another) = (jax.tree.flatten(numeric(each)) for each in (one, other))
     return structure == another and all(np.array_equal(*pair) for pair in zip(leaves, others, strict=True))
-
-
-def _check_tree(component: Any) -> None:
-    """A component is a tree of its parameters, whose static fields identify a compiled program."""
-    leaves, structure = jax.tree.flatten(component)
-    try:
-        hash(structure)
-    except TypeError as error:
-        raise _BrokenError(f"a static field has no hash: {error}", "use tuples in place of lists and dicts") from None
-    if not _is_same(component, jax.tree.unflatten(structure, leaves)):
-        raise _BrokenError("it changes when it is taken apart and put together", "keep parameters in fields")
 
 
 def _samples(ranges: Ranges) -> NDArray[np.float64]:
@@ -295,8 +287,10 @@ class _Sampled:
         self.scales = np.concatenate([widths, np.abs(values)])
         self.moving = np.flatnonzero(self.scales)
         self.moves = np.eye(len(self.scales))[self.moving] * self.scales[self.moving, None]  # (directions, numbers)
-        around = [self.points[:_ROWS, None] + sign * _STEP * self.moves for sign in (1, -1)]
-        self._points = np.concatenate([self.points, *(each.reshape(-1, len(self.scales)) for each in around)])
+        apart = np.random.default_rng(1).uniform(1 - _APART, 1 + _APART, (_ROWS, len(values)))
+        self._middle = self.points[:_ROWS] * np.concatenate([np.ones_like(self.arguments[:_ROWS]), apart], axis=1)
+        around = [self._middle[:, None] + sign * _STEP * self.moves for sign in (1, -1)]
+        self._points = np.concatenate([self.points, self._middle, *(x.reshape(-1, len(self.scales)) for x in around)])
 
     def __call__(self, point: Any) -> Any:
         """Results, flat."""
@@ -323,14 +317,11 @@ class _Sampled:
         return self._computed[: len(self.points)]
 
     def check_program(self) -> None:
-        """The same arguments give the same program and the same results, none of them NaN."""
+        """The same arguments give the same program and the same results."""
         first, second = (self._traced() for _ in range(2))
         if first != second or not np.array_equal(self._computed, self._program(self._points), equal_nan=True):
             remedy = "no random numbers, time or counters of its own: draw by a seed from the state, keep all in the state"
             raise _BrokenError("two evaluations with the same arguments differ", remedy)
-        if np.isnan(self.values).any():
-            row = int(np.argmax(np.isnan(self.values).any(axis=1)))
-            raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
 
     def _traced(self) -> tuple[Any, ...]:
         program = jax.make_jaxpr(lambda point: self(point))(self.points[0])
@@ -355,26 +346,31 @@ class _Sampled:
             raise _BrokenError(text, remedy or "the result must not depend on other samples or on the number of them")
 
     def _where(self, row: int) -> str:
-        pairs = zip(self.probe.ranges, self.arguments[row], strict=True)
+        pairs = zip(self.probe.ranges, np.concatenate([self.points, self._middle])[row], strict=False)
         return ", ".join(f"{name} {value:.4g}" for name, value in pairs)
 
     def check_derivatives(self) -> None:
         """Derivatives are finite, and those of finite differences; at a kink between those of its two sides."""
         values, moving = self.values, self.moving
+        for row in np.flatnonzero(np.isnan(values).any(axis=1)):
+            raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
         slopes = jax.jit(jax.vmap(lambda point: jax.vmap(lambda move: jax.jvp(self, (point,), (move,))[1])(self.moves)))
-        found = np.asarray(slopes(self.points))  # (samples, directions, results)
-        wanted = np.isfinite(values)[:, None, :]
-        for row, direction, _ in np.argwhere(wanted & ~np.isfinite(found)):
+        found = np.asarray(slopes(np.concatenate([self.points, self._middle])))  # (samples, directions, results)
+        results = np.isfinite(self._computed[: len(found)])
+        backward = jax.jit(jax.vmap(lambda point, part: jax.vjp(self, point)[1](part.astype(float))[0]))
+        bad = (results[:, None] & ~np.isfinite(found)).any(axis=2)
+        bad |= ~np.isfinite(np.asarray(backward(np.concatenate([self.points, self._middle]), results)))[:, moving]
+        for row, direction in np.argwhere(bad):
             text = f"the derivative by {self.names[moving[direction]]} is not finite at {self._where(row)}"
-            remedy = "replace the argument before sqrt, division, log or power: jnp.where(x > 0, jnp.sqrt(jnp.where(...)))"
+            remedy = "keep arguments off the edge: jnp.sqrt(jnp.where(x > 0, x, 1.0)) within jnp.where(x > 0, ..., 0.0)"
             raise _BrokenError(text, remedy)
-        above, below = self._computed[len(values) :].reshape(2, _ROWS, len(moving), -1)
-        here = values[:_ROWS, None, :]
+        found, here = found[-_ROWS:], self._computed[len(self.points) :][:_ROWS, None]
+        above, below = self._computed[len(self.points) + _ROWS :].reshape(2, *found.shape)
         with np.errstate(invalid="ignore"):
             sides = np.sort([(above - here) / _STEP, (here - below) / _STEP], axis=0)
-            allowed = _SLOPE * np.abs([*sides, found[:_ROWS]]).max(axis=0) + _NOISE * _sizes(values, _ROUNDING / _STEP / _NOISE)
-            wrong = (found[:_ROWS] < sides[0] - allowed) | (found[:_ROWS] > sides[1] + allowed)
-        for row, direction, result in np.argwhere(wrong & wanted[:_ROWS]):
+            allowed = _SLOPE * np.abs([*sides, found]).max(axis=0) + _NOISE * _sizes(values, _ROUNDING / _STEP / _NOISE)
+            wrong = (found < sides[0] - allowed) | (found > sides[1] + allowed)
+        for row, direction, result in np.argwhere(wrong & np.isfinite(here)):
             scale = self.scales[moving[direction]]
             text = (
                 f"the derivative by {self.names[moving[direction]]} is {found[row, direction, result] / scale:.4g}, "
