@@ -54,7 +54,9 @@ TIMED = leg.TimedReference((REFERENCE, REFERENCE))
 PHASES = [(Setpoint(0.1 * k, 15.0), Setpoint(0.2 * k, 20.0)) for k in range(4)]
 LEG = dataclasses.replace(
     leg.read_leg("lei-leg"),
-    biarticular=(leg.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),),
+    biarticular=(
+        leg.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),
+    ),
 )
 EXAMPLES = [
     CHOU,
@@ -134,7 +136,7 @@ SLOW = {
     name
     for name, kind in CLASSES.items()
     if issubclass(kind, control.Controller | leg.LegController) and kind is not leg.PressureSchedule
-} | {"HuntLaw", "BackpropPID"}
+} | {"HuntLaw", "ScaledLaw", "CorrectedLaw", "BackpropPID"}
 
 
 @pytest.mark.parametrize(
@@ -242,7 +244,7 @@ class NotSI(Sine):
 
 
 class Unresolved(Sine):
-    gain: "Missing" = 1.0  # noqa: F821
+    gain: "Missing" = 1.0
 
 
 class Lost(Sine):

@@ -23,7 +23,7 @@ from mckibben.component.extensions import load_extension
 from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
 from mckibben.config.document import to_text
 from mckibben.contract.probes import Identity, Probe, Probes, Ranges, plant_scope, probes_of
-from mckibben.errors import ExportError, McKibbenError, ParameterError, printable
+from mckibben.errors import McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
 from mckibben.units import (
     Angle,
@@ -248,7 +248,9 @@ def _check_file(component: Any) -> None:
     for name in declared_fields(kind):
         before, after = getattr(component, name), getattr(back, name)
         if not _is_same(before, after):
-            remedy = "its type must be one that files hold: a quantity, Flag, word, path, component, or a tuple of these"
+            remedy = (
+                "its type must be one that files hold: a quantity, Flag, word, path, component, or a tuple of these"
+            )
             raise _BrokenError(f"{name} is {_short(before)} in Python and {_short(after)} after a file", remedy)
 
 
@@ -320,7 +322,9 @@ class _Sampled:
         """The same arguments give the same program and the same results."""
         first, second = (self._traced() for _ in range(2))
         if first != second or not np.array_equal(self._computed, self._program(self._points), equal_nan=True):
-            remedy = "no random numbers, time or counters of its own: draw by a seed from the state, keep all in the state"
+            remedy = (
+                "no random numbers, time or counters of its own: draw by a seed from the state, keep all in the state"
+            )
             raise _BrokenError("two evaluations with the same arguments differ", remedy)
 
     def _traced(self) -> tuple[Any, ...]:
@@ -354,12 +358,15 @@ class _Sampled:
         values, moving = self.values, self.moving
         for row in np.flatnonzero(np.isnan(values).any(axis=1)):
             raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
-        slopes = jax.jit(jax.vmap(lambda point: jax.vmap(lambda move: jax.jvp(self, (point,), (move,))[1])(self.moves)))
-        found = np.asarray(slopes(np.concatenate([self.points, self._middle])))  # (samples, directions, results)
-        results = np.isfinite(self._computed[: len(found)])
-        backward = jax.jit(jax.vmap(lambda point, part: jax.vjp(self, point)[1](part.astype(float))[0]))
-        bad = (results[:, None] & ~np.isfinite(found)).any(axis=2)
-        bad |= ~np.isfinite(np.asarray(backward(np.concatenate([self.points, self._middle]), results)))[:, moving]
+        points = np.concatenate([self.points, self._middle])
+        try:
+            jacobians = jax.jit(jax.vmap(jax.jacrev(self)))(points)
+        except ValueError:  # a loop that ends on a condition has forward mode alone
+            jacobians = jax.jit(jax.vmap(jax.jacfwd(self)))(points)
+        found = (np.asarray(jacobians)[..., moving] * self.scales[moving]).swapaxes(
+            1, 2
+        )  # (points, directions, results)
+        bad = (np.isfinite(self._computed[: len(points), None]) & ~np.isfinite(found)).any(axis=2)
         for row, direction in np.argwhere(bad):
             text = f"the derivative by {self.names[moving[direction]]} is not finite at {self._where(row)}"
             remedy = "keep arguments off the edge: jnp.sqrt(jnp.where(x > 0, x, 1.0)) within jnp.where(x > 0, ..., 0.0)"

@@ -63,7 +63,7 @@ def probes_of(component: Any) -> Probes:
 
 @functools.cache
 def plant_scope() -> dict[str, Any]:
-    """Return the fields of a scenario around a component, a knee with its load and valves, for fields that inherit them."""
+    """Return the fields of a scenario around a component, with the knee of Table 2, for fields that inherit them."""
     knee = catalog.joint("knee-table-2")
     geometry = dataclasses.replace(knee.geometry, connector_length=208 * mm)
     joint = AntagonisticJoint(geometry, knee.muscle1, knee.muscle2)
@@ -102,7 +102,9 @@ def _law(law: ForceLaw) -> Probes:
         "contraction": _finite(domain.contraction_min, domain.contraction_max, -3 * percent, 25 * percent),
         "pressure": _finite(domain.pressure_min, domain.pressure_max, 0.0, 6 * bar),
     }
-    remedy = "`pressure_for` inverts `force`; `mckibben.muscle.pressure_for(law, force, contraction)` does so numerically"
+    remedy = (
+        "`pressure_for` inverts `force`; `mckibben.muscle.pressure_for(law, force, contraction)` does so numerically"
+    )
     return Probes(
         (Probe(_force, box, broadcasts=True), Probe(_inverse, box, broadcasts=True)),
         (Identity("inverse", _inverted, box, remedy),),
@@ -360,7 +362,6 @@ _TIMES = {"time": (0.0, 10.0)}
 
 def _signal(_: Signal | Reference) -> Probes:
     return Probes((Probe(_value, _TIMES, broadcasts=True),), emitted=False)  # a reference is sampled before a run
-
 
 
 # Controllers and their parts.
