@@ -1,9 +1,12 @@
 """The contract: all built-in classes keep it, and one class for each check that breaks it is found."""
 
+import ast
 import dataclasses
+import doctest
 import importlib
 import pkgutil
 import textwrap
+from pathlib import Path
 from typing import Annotated
 
 import equinox as eqx
@@ -381,3 +384,36 @@ def test_a_module_without_components_or_with_a_mistake_is_bad_input(tmp_path):
     (tmp_path / "contract_broken.py").write_text("1 / 0\n", encoding="utf-8")
     with pytest.raises(ScenarioError):
         check_extension(tmp_path / "contract_broken.py")
+
+
+INSTANCES_OF_THE_PAGE = """
+linear = LinearLaw(a=1e-3, b=-2e-3, k=500.0)
+slider = Slider(half_width=10.0, stiffness=20e3)
+creep = SlowCreep(stiffness=500.0, time_constant=5.0, arms=2)
+spool = Spool(5e-9, 7 * bar)
+load = SpringLoad(0.5, 200 * mm, spring=2.0)
+sway = Sway(0.1)
+chirp = Chirp(5 * deg)
+eased = Eased(Proportional(mk.catalog.joint("knee-table-2")))
+integral = Integral(60 * bar)
+twisting = SuperTwisting(k1=2.0)
+"""
+
+
+@pytest.mark.slow
+def test_the_classes_of_the_documentation_keep_it(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+    nodes = [node for one in doctest.DocTestParser().get_examples(page) for node in ast.parse(one.source).body]
+    sources = [ast.unparse(one) for one in nodes if isinstance(one, ast.ClassDef | ast.Import | ast.ImportFrom)]
+    made = [
+        ast.unparse(one)
+        for one in nodes
+        if isinstance(one, ast.Assign) and isinstance(one.value, ast.Call) and ast.unparse(one.value.func)[0].isupper()
+    ]
+    path = tmp_path / "extending_page.py"
+    path.write_text("\n".join([*sources, *made, INSTANCES_OF_THE_PAGE]), encoding="utf-8")
+    findings = check_extension(path)
+    failed = [(one.kind, one.check, one.found) for one in findings if not one.passed]
+    assert [each[:2] for each in failed] == [("Overshooting", "composition")], failed
+    defined = [one.name for one in nodes if isinstance(one, ast.ClassDef)]
+    assert {one.kind for one in findings} == set(defined) and len(defined) == len(set(defined)) > 18

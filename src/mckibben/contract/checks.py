@@ -338,11 +338,10 @@ class _Sampled:
             self._compare(self.values[row], single, f"in a batch at {self._where(row)}")
         if self.probe.broadcasts:
             whole = self.probe.function(self.component, *map(jnp.asarray, self.arguments.T))
-            shape = (len(self.arguments),)
-            leaves = [jnp.ravel(one) if np.shape(one) == shape else None for one in jax.tree.leaves(whole)]
-            if any(one is None for one in leaves):
+            leaves = jax.tree.leaves(whole)
+            if any(np.shape(one) != (len(self.arguments),) for one in leaves):
                 raise _BrokenError("an array of arguments does not give an array of results", "use jax.numpy")
-            self._compare(self.values, np.asarray(jnp.stack(leaves, axis=1)), "of an array of arguments")
+            self._compare(self.values, np.stack(leaves, axis=1), "of an array of arguments")
 
     def _compare(self, one: Any, other: Any, where: str, remedy: str = "", tolerance: float = _EQUAL) -> None:
         if (at := _difference(one, other, tolerance, self.values)) is not None:
@@ -356,7 +355,7 @@ class _Sampled:
     def check_derivatives(self) -> None:
         """Derivatives are finite, and those of finite differences; at a kink between those of its two sides."""
         values, moving = self.values, self.moving
-        for row in np.flatnonzero(np.isnan(values).any(axis=1)):
+        for row in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
             raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
         points = np.concatenate([self.points, self._middle])
         try:
@@ -367,7 +366,7 @@ class _Sampled:
             1, 2
         )  # (points, directions, results)
         bad = (np.isfinite(self._computed[: len(points), None]) & ~np.isfinite(found)).any(axis=2)
-        for row, direction in np.argwhere(bad):
+        for row, direction in np.argwhere(bad).tolist():
             text = f"the derivative by {self.names[moving[direction]]} is not finite at {self._where(row)}"
             remedy = "keep arguments off the edge: jnp.sqrt(jnp.where(x > 0, x, 1.0)) within jnp.where(x > 0, ..., 0.0)"
             raise _BrokenError(text, remedy)
@@ -377,7 +376,7 @@ class _Sampled:
             sides = np.sort([(above - here) / _STEP, (here - below) / _STEP], axis=0)
             allowed = _SLOPE * np.abs([*sides, found]).max(axis=0) + _NOISE * _sizes(values, _ROUNDING / _STEP / _NOISE)
             wrong = (found < sides[0] - allowed) | (found > sides[1] + allowed)
-        for row, direction, result in np.argwhere(wrong & np.isfinite(here)):
+        for row, direction, result in np.argwhere(wrong & np.isfinite(here)).tolist():
             scale = self.scales[moving[direction]]
             text = (
                 f"the derivative by {self.names[moving[direction]]} is {found[row, direction, result] / scale:.4g}, "

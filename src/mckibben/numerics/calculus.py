@@ -48,7 +48,8 @@ def bracketed_root(function: Callable[[Array], Array], low: ArrayLike, high: Arr
             beyond = (function(middle) > 0) == rising
             return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
-        root = sum(lax.fori_loop(0, _BISECTIONS, bisect, (low, high))) / 2
+        below, above = lax.fori_loop(0, _BISECTIONS, bisect, (low, high))
+        root = (below + above) / 2
         for _ in range(_NEWTON_STEPS):
             value, slope = value_and_derivative(function, root)
             root = root - value / slope
