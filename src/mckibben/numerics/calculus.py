@@ -41,7 +41,7 @@ def bracketed_root(function: Callable[[Array], Array], low: ArrayLike, high: Arr
     rising = at_low <= at_high
     exists = jnp.where(rising, (at_low <= 0) & (at_high >= 0), (at_low >= 0) & (at_high <= 0))
 
-    def solve(function: Callable[[Array], Array], _: Array) -> Array:
+    def solve(function: Callable[[Array], Array], start: Array) -> Array:
         def bisect(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
             low, high = bounds
             middle = (low + high) / 2
