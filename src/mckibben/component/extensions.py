@@ -9,6 +9,7 @@ import os
 import sys
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 
 from mckibben.errors import McKibbenError, Problem, ScenarioError
 
@@ -16,8 +17,8 @@ GROUP = "mckibben.components"
 """Group of the entry points whose modules define components."""
 
 
-def load_extension(named: str | os.PathLike[str]) -> None:
-    """Run a Python file, or import a module by its name, so that files can name the classes that it defines.
+def load_extension(named: str | os.PathLike[str]) -> ModuleType:
+    """Run a Python file, or import a module by its name, so that files can name its classes; return the module.
 
     Raises
     ------
@@ -27,8 +28,7 @@ def load_extension(named: str | os.PathLike[str]) -> None:
     source = os.fspath(named)
     try:
         if all(part.isidentifier() for part in source.split(".")) and not Path(source).exists():
-            importlib.import_module(source)
-            return
+            return importlib.import_module(source)
         name = f"mckibben_extension_{Path(source).stem}"
         spec = importlib.util.spec_from_file_location(name, source)
         if spec is None or spec.loader is None:
@@ -39,6 +39,7 @@ def load_extension(named: str | os.PathLike[str]) -> None:
         except BaseException:
             del sys.modules[name]
             raise
+        return sys.modules[name]
     except McKibbenError:
         raise
     except Exception as error:
