@@ -17,25 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction, compiler
-from mckibben.component.base import Component, field_hints, field_quantities
+from mckibben.component.base import Component, Units, field_hints, field_quantities
 from mckibben.component.classes import class_name
 from mckibben.component.extensions import load_extension
 from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
 from mckibben.config.document import to_text
 from mckibben.contract.probes import Identity, Probe, Probes, Ranges, plant_scope, probes_of
+from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
 from mckibben.errors import McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
-from mckibben.units import (
-    Angle,
-    AngleDerivativeGain,
-    AngleGain,
-    AngleIntegralGain,
-    AngleScale,
-    BoundedInt,
-    Quantity,
-    Units,
-    factor,
-)
+from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
 
 UNITS = Units(
     signal=Angle,
