@@ -151,8 +151,8 @@ class Plant(Component):
     @property
     def has_ideal_io(self) -> bool:
         """Whether sensors are perfect and there is no disturbance."""
-        undisturbed = all(isinstance(one, NoDisturbance) for one in self.disturbances)
-        return isinstance(self.sensors, PerfectSensors) and undisturbed
+        quiet = all(isinstance(one, NoDisturbance) for one in self.disturbances)
+        return isinstance(self.sensors, PerfectSensors) and quiet
 
     def with_period(self, period: float) -> Self:
         """Return the plant with states that hold the commands on their way, one each control period [s].
