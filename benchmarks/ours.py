@@ -32,7 +32,7 @@ def batch(
             problem.plant,
             problem.pid,
             REFERENCE,
-            over={"plant.load.mass2": masses},
+            over={"load.mass2": masses},
             initial=problem.start,
             duration=problem.periods * PERIOD,
             metrics=METRICS,

@@ -41,5 +41,5 @@ axes.set(xscale="log", yscale="log", xlabel="kp [bar/rad]", ylabel="ki [bar/(rad
 # %%
 # The derivative of an error with respect to any parameter is exact, from a single pass.
 
-slopes = mk.differentiate(plant, controller, reference, ["controller.position.ki", "plant.load.mass2"], duration=1.0)
+slopes = mk.differentiate(plant, controller, reference, ["controller.position.ki", "load.mass2"], duration=1.0)
 slopes.gradients["angle_rmse"]

@@ -213,8 +213,8 @@ def unseen(count, seed, joint):
     frequency = np.exp(rng.uniform(np.log(0.25), np.log(2.0), count))
     over = {
         "controller.seed": np.arange(count) + 1000 * seed,
-        "plant.load.mass2": rng.uniform(0.25, 0.75, count),
-        "plant.valve.time_constant": rng.uniform(0.01, 0.05, count),
+        "load.mass2": rng.uniform(0.25, 0.75, count),
+        "valve.time_constant": rng.uniform(0.01, 0.05, count),
         "reference.angle.frequency": frequency,
         "reference.angle.amplitude": np.minimum(10 * deg, 60 / (2 * np.pi * frequency) ** 2)
         * rng.uniform(0.5, 1, count),
@@ -225,8 +225,8 @@ def unseen(count, seed, joint):
     for name in ("muscle1", "muscle2"):
         scale = rng.uniform(0.9, 1.1, count)
         for key in ("a1", "a2", "b1", "b2", "c1", "c2"):
-            over[f"plant.joint.{name}.law.{key}"] = getattr(getattr(joint, name).law, key) * scale
-        over[f"plant.joint.{name}.friction.half_width"] = np.maximum(width, 1e-6)
+            over[f"joint.{name}.law.{key}"] = getattr(getattr(joint, name).law, key) * scale
+        over[f"joint.{name}.friction.half_width"] = np.maximum(width, 1e-6)
     return over
 
 

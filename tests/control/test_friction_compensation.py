@@ -108,7 +108,7 @@ def test_a_batch_is_what_single_runs_are(run, rubbing, inner):
         rubbing,
         inner,
         SLOW,
-        over={"plant.joint.muscle2.friction.half_width": widths},
+        over={"joint.muscle2.friction.half_width": widths},
         duration=4.0,
         initial=AtRest(0.0),
         metrics=("angle_rmse",),

@@ -115,7 +115,7 @@ def test_a_batch_is_single_runs(fixed):
         command_delay=2.5 * ms,
     )
     masses = [0.4, 0.6]
-    batch = simulate_legs(plant, schedule(10 * ms), START, over={"plant.leg.links.0.mass": masses}, **RUN)
+    batch = simulate_legs(plant, schedule(10 * ms), START, over={"leg.links.0.mass": masses}, **RUN)
     for row, mass in enumerate(masses):
         links = (dataclasses.replace(plant.leg.links[0], mass=mass), *plant.leg.links[1:])
         own = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, links=links))

@@ -62,7 +62,7 @@ def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: Leg
 
 def test_closed_air_makes_the_landing_stiffer(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
-    table = simulate_legs(plant, schedule, start, over={"plant.valve.conductance": [5e-9, 5e-15]}, **STEP)
+    table = simulate_legs(plant, schedule, start, over={"valve.conductance": [5e-9, 5e-15]}, **STEP)
     as_given, closed = table["deflection"].to_numpy()
     assert closed < 0.9 * as_given
 
@@ -200,8 +200,8 @@ def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) ->
     with pytest.raises(ParameterError):
         simulate_legs(plant, schedule, start, **STEP)
     with pytest.raises(ParameterError) as caught:
-        simulate_legs(plant, schedule, start, over={"plant.leg.trunk.masss": [1.0, 2.0]}, **STEP)
-    assert "plant.leg.trunk.mass" in caught.value.remedy
+        simulate_legs(plant, schedule, start, over={"leg.trunk.masss": [1.0, 2.0]}, **STEP)
+    assert "leg.trunk.mass" in caught.value.remedy
 
 
 def test_hopping_in_place_settles_to_equal_hops() -> None:

@@ -100,8 +100,8 @@ def test_leaves_inside_tuples_and_dictionaries_vary():
 def test_shapes_that_do_not_fit_are_named(tree, message):
     with pytest.raises(ParameterError, match=f"^{message}"):
         lanes_of(tree)
-    with pytest.raises(ParameterError, match=r"^plant\."):
-        lanes_of(tree, "plant")
+    with pytest.raises(ParameterError, match=r"^controller\."):
+        lanes_of(tree, "controller")
 
 
 # Names
@@ -333,3 +333,10 @@ def test_a_reader_that_stops_stops_the_work():
     time.sleep(0.02)
     assert watch.begun == begun <= 6
     assert watch.running == 0
+
+
+def test_a_name_of_files_for_several_parts_sets_them_all(plant):
+    after = with_leaves({"plant": plant}, {"joint.muscle.specimen.rated_force": [500.0, 600.0], "load.mass2": 0.4})
+    for name in ("joint.muscle1.specimen.rated_force", "joint.muscle2.specimen.rated_force"):
+        np.testing.assert_array_equal(named_leaves(after)[name], [500.0, 600.0])
+    assert named_leaves(after)["load.mass2"] == 0.4

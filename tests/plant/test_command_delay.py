@@ -72,7 +72,7 @@ def test_runs_of_a_batch_are_those_alone(late, engine):
     delays = [0.0, 2.4 * PERIOD, 4 * PERIOD]
     if engine == "native" and mk.codegen.native.compiler() is None:
         pytest.skip("there is no C compiler")
-    batch = mk.simulate_many(late(0.0), **parts, over={"plant.command_delay": delays}, keep=["angle"], **times)
+    batch = mk.simulate_many(late(0.0), **parts, over={"command_delay": delays}, keep=["angle"], **times)
     alone = mk.simulate(late(delays[-1]), **parts, **times)
     at_once = mk.simulate(late(None), **parts, **times)
     assert batch["angle"][2] == pytest.approx(alone["angle"], abs=1e-12)
@@ -85,7 +85,7 @@ def test_runs_of_a_batch_are_those_alone(late, engine):
 def test_the_derivative_is_that_of_differences(late):
     scenario, by = Scenario.parse(SCENARIO), 1e-6
     parts, times = (scenario.control(), scenario.reference()), {"duration": 0.1, "control_period": PERIOD}
-    name, metrics = "plant.command_delay", ["angle_rmse"]
+    name, metrics = "command_delay", ["angle_rmse"]
     found = differentiate(late(3.4 * PERIOD), *parts, [name], metrics=metrics, **times).gradients["angle_rmse"][name]
     ends = mk.simulate_many(
         late(0.0), *parts, over={name: [3.4 * PERIOD - by, 3.4 * PERIOD + by]}, metrics=metrics, **times

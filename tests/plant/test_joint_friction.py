@@ -150,7 +150,7 @@ def test_both_engines_have_the_same_runs_and_batches(scenario):
         expected = runs[1][name]
         np.testing.assert_allclose(runs[0][name], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
     assert np.abs(runs[0]["joint_friction_torque"]).max() == pytest.approx(0.2, rel=1e-6)
-    over = {"plant.friction.torque": np.linspace(0.1, 0.3, 3)}
+    over = {"friction.torque": np.linspace(0.1, 0.3, 3)}
     batch = mk.simulate_many(*parts, over=over, keep=["angle"], every=0.01, **timing)
     np.testing.assert_allclose(batch["angle"][1], runs[0]["angle"][::10], rtol=0, atol=1e-9)
 
@@ -166,7 +166,7 @@ def test_too_few_substeps_are_refused_and_batches_warn_of_them(scenario):
     assert caught.value.field == "substeps"
     with pytest.warns(McKibbenWarning, match=f"give at least {caught.value.lower}"):
         mk.simulate_many(
-            plant, stiff.control(), stiff.reference(), over={"plant.friction.torque": [0.01, 30.0]}, duration=0.1,
+            plant, stiff.control(), stiff.reference(), over={"friction.torque": [0.01, 30.0]}, duration=0.1,
             control_period=1e-3, substeps=1, initial=stiff.initial(plant), metrics=["angle_rmse"],
         )  # fmt: skip
 

@@ -77,7 +77,7 @@ def test_both_engines_have_the_same_runs(scenario):
 
 
 OVER = {
-    "plant.load.mass2": np.linspace(0.4, 0.6, 11),
+    "load.mass2": np.linspace(0.4, 0.6, 11),
     "reference.angle.amplitude": np.linspace(0.02, 0.1, 11),
     "controller.model.muscle1.law.a1": np.linspace(-250.0, -240.0, 11),
 }

@@ -46,8 +46,8 @@ def test_a_sine_at_or_above_half_the_control_rate_is_refused(frequency):
 @pytest.mark.parametrize(
     "run",
     [
-        lambda reference: simulate_many(PLANT, CONTROL, reference, over={"plant.load.mass2": [0.4, 0.5]}, duration=0.1),
-        lambda reference: differentiate(PLANT, CONTROL, reference, ["plant.load.mass2"], duration=0.1),
+        lambda reference: simulate_many(PLANT, CONTROL, reference, over={"load.mass2": [0.4, 0.5]}, duration=0.1),
+        lambda reference: differentiate(PLANT, CONTROL, reference, ["load.mass2"], duration=0.1),
     ],
 )
 def test_so_is_one_of_a_multisine_in_many_runs_and_in_derivatives(run):
@@ -95,7 +95,7 @@ SINE = Reference(Sine(0.1, 1.0), 72.5)
 @pytest.mark.parametrize(
     ("field", "plant", "control", "reference"),
     [
-        ("plant.load.gravity", eqx.tree_at(lambda plant: plant.load.gravity, PLANT, np.nan), None, None),
+        ("load.gravity", eqx.tree_at(lambda plant: plant.load.gravity, PLANT, np.nan), None, None),
         ("controller.position.kp", None, eqx.tree_at(lambda control: control.position.kp, CONTROL, np.nan), None),
         (
             "reference.stiffness.value",

@@ -131,8 +131,8 @@ def batch(plant):
         Listener(),
         REFERENCE,
         over={
-            "plant.sensors.seed": [5, 6, 5, 5],
-            "plant.sensors.pressure_noise": [NOISE, NOISE, 0.0, NOISE],
+            "sensors.seed": [5, 6, 5, 5],
+            "sensors.pressure_noise": [NOISE, NOISE, 0.0, NOISE],
             "controller.pick": [1, 2, 2, 0],
             "controller.share": [0.0, 0.0, 0.0, 1.0],
         },

@@ -181,8 +181,8 @@ def simulate_legs(
     plant, controller, start
         With arrays of shape (runs,) in place of numbers that differ between runs.
     over
-        Arrays by the dotted name of a leaf, such as ``{"plant.leg.trunk.mass": [0.9, 1.1]}``; the names begin with
-        ``plant``, ``controller`` or ``start``.
+        Arrays by the dotted name of a leaf, such as ``{"leg.trunk.mass": [0.9, 1.1]}``: parts of the plant,
+        ``controller`` or ``start``.
     duration, control_period, substeps, engine
         As for `simulate_leg`; forces are sampled once a control period.
     chunk, workers, progress

@@ -22,6 +22,9 @@ from jaxtyping import ArrayLike
 
 from mckibben.errors import ParameterError
 
+_UNNAMED = "plant"
+"""Tree whose name is left out of the names of its leaves."""
+
 Tree = TypeVar("Tree")
 R = TypeVar("R")
 P = ParamSpec("P")
@@ -43,6 +46,7 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
             continue
         extra = axes - _rank(tree, path)
         where = ".".join(part for part in (name, jax.tree_util.keystr(path, simple=True, separator=".")) if part)
+        where = where.removeprefix(f"{_UNNAMED}.")
         if extra not in (0, 1):
             raise ParameterError(
                 f"{where} has the shape {np.shape(leaf)}",
@@ -60,16 +64,42 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
 
 
 def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
-    """Trees with new, checked values at some leaves, addressed by dotted names such as ``plant.load.mass2``."""
+    """Trees with new, checked values at some leaves, addressed by dotted names such as ``load.mass2``.
+
+    A name that stands for several in files, such as ``joint.muscle.strength`` for both muscles, does so here.
+    """
     if not values:
         return dict(trees)
+    values = {each: value for name, value in values.items() for each in _aliased(trees, name)}
     known = select_leaves(trees, list(values))
     numbers = {name: _numbers(trees, name, known[name], value) for name, value in values.items()}
     changed = replace_leaves(trees, numbers)
-    owners = {tuple(name.split(".")[:depth]) for name in values for depth in range(1, name.count(".") + 1)}
+    places = [place for place in (_place(trees, name) for name in values) if place[1]]
+    owners = {(root, *steps[:depth]) for root, steps in places for depth in range(len(steps))}
     for root, *steps in sorted(owners):
         _check(_descend(changed[root], tuple(steps)))
     return changed
+
+
+def _place(trees: Mapping[str, Any], name: str) -> tuple[str, tuple[str, ...]]:
+    """Tree of a leaf, and the steps to it: names of parts of the plant begin at these."""
+    root, *steps = name.split(".")
+    return (root, tuple(steps)) if root in trees else (_UNNAMED, (root, *steps))
+
+
+def _aliased(trees: Mapping[str, Any], name: str) -> list[str]:
+    """Names of the leaves that a name stands for."""
+    root, steps = _place(trees, name)
+    owner = trees.get(root)
+    for depth, step in enumerate(steps):
+        if names := getattr(type(owner), "aliases", {}).get(step):
+            prefix = [] if root == _UNNAMED else [root]
+            several = [".".join([*prefix, *steps[:depth], one, *steps[depth + 1 :]]) for one in names]
+            return [each for one in several for each in _aliased(trees, one)]
+        if not hasattr(owner, step):
+            break
+        owner = getattr(owner, step)
+    return [name]
 
 
 def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
@@ -91,8 +121,8 @@ def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -
 
 def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
     """Whether a leaf is declared an integer, such as a seed, rather than a float written without a decimal point."""
-    root, *steps = name.split(".")
-    owner = _descend(trees[root], tuple(steps[:-1])) if steps else trees
+    root, steps = _place(trees, name)
+    owner = _descend(trees[root], steps[:-1]) if steps else trees
     kind = getattr(type(owner), "__annotations__", {}).get(steps[-1] if steps else root, "")
     fields = {field.name: field.type for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else {}
     kind = fields.get(steps[-1] if steps else root, kind)
@@ -111,13 +141,13 @@ def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, A
 
 
 def named_leaves(trees: Mapping[str, Any]) -> dict[str, Any]:
-    """All numeric leaves by dotted name."""
+    """All numeric leaves by dotted name; those of the plant begin with its parts, as in a scenario."""
     found = {}
     for root, tree in trees.items():
         leaves, structure = jax.tree.flatten(tree)
         for name, leaf in zip(_names(structure), leaves, strict=True):
             if eqx.is_array_like(leaf) and not isinstance(leaf, bool):
-                found[f"{root}.{name}"] = leaf
+                found[name if root == _UNNAMED else f"{root}.{name}"] = leaf
     return found
 
 
@@ -133,8 +163,8 @@ def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[
     """Trees with new values at existing leaves."""
     changed = dict(trees)
     for name, value in values.items():
-        root, *steps = name.split(".")
-        changed[root] = eqx.tree_at(lambda tree, steps=tuple(steps): _descend(tree, steps), changed[root], value)
+        root, steps = _place(trees, name)
+        changed[root] = eqx.tree_at(lambda tree, steps=steps: _descend(tree, steps), changed[root], value)
     return changed
 
 

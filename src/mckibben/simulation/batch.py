@@ -134,8 +134,8 @@ def simulate_many(
     plant, controller, reference, duration, control_period, substeps, initial, precision
         As for `simulate`. The feasibility of each reference is not checked; see `check_reference`.
     over
-        Arrays by the dotted name of a leaf, such as ``{"plant.load.mass2": [0.4, 0.5]}``; the names begin with
-        ``plant``, ``controller`` or ``reference``.
+        Arrays by the dotted name of a leaf, such as ``{"load.mass2": [0.4, 0.5]}``: parts of the plant as in a
+        scenario, ``controller``, ``reference`` or ``initial``.
     metrics
         Metrics to compute. ``coupling`` costs a second run from the step of the stiffness on.
     keep, every
@@ -171,7 +171,7 @@ def simulate_many(
     >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
     >>> simulate_many(plant, control, Reference(angle=Sine(0.03, 1.0), stiffness=72.5), duration=0.5,
-    ...               over={"plant.load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
+    ...               over={"load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
     <Batch: 3 runs (3 completed), metrics angle_rmse>
     """
     times = sampling_times(duration, control_period, substeps)

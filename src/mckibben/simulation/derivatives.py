@@ -92,7 +92,7 @@ def differentiate(
     plant, controller, reference, over, duration, control_period, substeps, initial
         As for `simulate_many`; arrays in place of numbers, or `over`, give derivatives at many points at once.
     parameters
-        Dotted names of floats such as "plant.load.mass2", "controller.position.kp", "reference.angle.amplitude".
+        Dotted names of floats such as "load.mass2", "controller.position.kp", "reference.angle.amplitude".
     metrics
         Names of `Metrics`.
     mode
