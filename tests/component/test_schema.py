@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mckibben.cli import app
-from mckibben.component.schema import default_of, load_extension, model_of
+from mckibben.component.extensions import load_extension
+from mckibben.component.schema import default_of, model_of
 from mckibben.control import Controller, Signal
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.plant import FirstOrderValve, SampledSensors, Valve

@@ -240,17 +240,20 @@ def specimens(json: Json = False) -> None:
 def _root(
     version: Annotated[bool, Option("--version", help="Print the version.")] = False,
     extension: Annotated[
-        list[Path] | None,
-        Option(metavar="FILE.py", help="Python file with classes of one's own; runs it. Repeat for several."),
+        list[str] | None,
+        Option(
+            metavar="FILE.py|MODULE",
+            help="File or module with classes of one's own; runs it. Repeat for several.",
+        ),
     ] = None,
 ) -> None:
     if version:
         echo(f"mckibben {mckibben.__version__}")
         raise typer.Exit
-    for path in extension or ():
-        from mckibben.component.schema import load_extension
+    for name in extension or ():
+        from mckibben.component.extensions import load_extension
 
-        load_extension(path)
+        load_extension(name)
 
 
 def main() -> None:

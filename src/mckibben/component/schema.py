@@ -13,22 +13,20 @@ from __future__ import annotations
 import dataclasses
 import enum
 import functools
-import importlib.util
+import importlib
 import inspect
-import os
-import sys
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import Field, GetCoreSchemaHandler, create_model
 from pydantic_core import core_schema
 
+from mckibben.component.extensions import load_installed
 from mckibben.config.fields import Flag, OneOf
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
-from mckibben.errors import Problem, ScenarioError, quoted, suggest
+from mckibben.errors import Problem, quoted, suggest
 from mckibben.units import COMPONENT, SIGNAL_UNIT, BoundedInt, Quantity
 
 
@@ -155,7 +153,10 @@ class PartOf:
             return next((one for one in self.others if not one.own_keys.isdisjoint(value)), None)
         module, _, name = self.base.partition(":")
         base = getattr(importlib.import_module(module), name)
-        known = {one.__name__: one for one in concrete_subclasses(base) if not one.__name__.startswith("_")}
+        known = _public_subclasses(base)
+        broken: tuple[Problem, ...] = ()
+        if value.get("class") not in [*known]:
+            broken, known = load_installed(), _public_subclasses(base)
         if "class" not in value:
             fail_validation("lacks the key `class`", f"give one of {', '.join(sorted(known))}")
         chosen = value["class"]
@@ -163,7 +164,8 @@ class PartOf:
             remedy = suggest(str(chosen), sorted(known)) if known else "there is none yet"
             fail_validation(
                 f"there is no class {quoted(chosen)} of {base.__name__}",
-                f"import its module first (`mckibben --extension FILE.py ...`); {remedy}",
+                "import its module first (`mckibben --extension FILE.py ...`, or a module); "
+                + "; ".join([remedy, *(f"{one.message} ({one.remedy})" for one in broken)]),
                 value=chosen,
             )
         runtime = known[chosen]
@@ -181,25 +183,13 @@ def _with_class(model: type[ComponentModel]) -> Any:
     return named_model(f"{model.__name__}WithClass", model, {"class_name": (str, Field(alias="class"))})
 
 
+def _public_subclasses(base: type) -> dict[str, type]:
+    return {one.__name__: one for one in concrete_subclasses(base) if not one.__name__.startswith("_")}
+
+
 def concrete_subclasses(base: type) -> Iterator[type]:
     """All subclasses of a class that are not abstract, of modules that are imported."""
     for one in base.__subclasses__():
         yield from concrete_subclasses(one)
         if not inspect.isabstract(one):
             yield one
-
-
-def load_extension(path: str | os.PathLike[str]) -> None:
-    """Run a Python file, so that configuration files can name the classes that it defines."""
-    source = os.fspath(path)
-    name = f"mckibben_extension_{Path(path).stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ScenarioError(source, [Problem("is no Python file", remedy="name a file that ends in .py")])
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        raise ScenarioError(source, [Problem(f"cannot be run: {type(error).__name__}: {error}")]) from error

@@ -13,7 +13,8 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
-from mckibben.component.schema import concrete_subclasses
+from mckibben.component.extensions import load_installed, module_of, origin_of, version_of
+from mckibben.component.schema import concrete_subclasses, default_of
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
@@ -48,7 +49,8 @@ def write_fit(fit: Fit, path: Path) -> None:
         parameters[p.name] = {"estimate": value, "unit": p.unit}
         comments["parameters", p.name] = f"{show(value, p.shown)}: {p.meaning}, not estimated"
     data = {
-        "law": law.__name__,
+        "law": origin_of(law),
+        "version": None if _is_own(law) else version_of(law),
         "equation": law.equation,
         "parameters": parameters,
         "robust": {"by": robust.by.value, "groups": int(robust.groups)} if robust else None,
@@ -101,10 +103,74 @@ def find_fit(path: Path) -> Fit | None:
     return read.fit() if isinstance(read, _FitFile) else None
 
 
-def law_types() -> dict[str, type[ForceLaw]]:
-    """Force laws by name: those of mckibben, and classes of one's own that are imported."""
-    own = {law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}
-    return {**LAWS, **{name: law for name, law in own.items() if name not in LAWS}}
+def law_types(*, installed: bool = False) -> dict[str, type[ForceLaw]]:
+    """Force laws by name: those of mckibben, and imported ones; ``package:Class`` where two have one name.
+
+    `installed` imports those of installed packages before.
+    """
+    if installed:
+        load_installed()
+    found = _imported()
+    names = [law.__name__ for law in found]
+    return {law.__name__ if names.count(law.__name__) == 1 else origin_of(law): law for law in found}
+
+
+def _imported() -> list[type[ForceLaw]]:
+    """All laws; of a class that was defined again, such as in a notebook, the last definition."""
+    latest = {
+        (law.__module__, law.__qualname__): law
+        for law in (*LAWS.values(), *concrete_subclasses(ForceLaw))
+        if law.parameters()
+    }
+    return list(latest.values())
+
+
+def _is_own(law: type) -> bool:
+    return law.__module__.partition(".")[0] == "mckibben"
+
+
+def _named(name: str) -> list[type[ForceLaw]]:
+    """Laws of a name in a file: plain, or with the package or module of the class."""
+    origin, _, bare = name.rpartition(":")
+    laws = [law for law in _imported() if law.__name__ == bare]
+    if not origin and bare in LAWS:
+        return [LAWS[bare]]
+    if not origin:
+        return laws
+    exact = [law for law in laws if module_of(law) == origin or module_of(law).startswith(f"{origin}.")]
+    # a script or notebook is no package that could be named: its class may come from a module now
+    return exact or ([law for law in laws if not _is_own(law)] if origin == "__main__" else [])
+
+
+def _find_law(name: Any, line: int | None) -> tuple[type[ForceLaw] | None, list[Problem]]:
+    """The law of a name in a file, or the problems with it."""
+    found = _named(name) if isinstance(name, str) else []
+    broken: tuple[Problem, ...] = ()
+    if not found:
+        broken = load_installed()
+        found = _named(name) if isinstance(name, str) else []
+    if len(found) == 1:
+        return found[0], []
+    if found:
+        places = " and ".join(f"{law.__module__}:{law.__qualname__}" for law in found)
+        remedy = "name one of them with its module, `law: module:Class`, or import only one"
+        return None, [Problem(f"{quoted(name)} is the name of {len(found)} laws, {places}", line, "law", remedy)]
+    remedy = (
+        f"{suggest(str(name), sorted(law_types()))}; a law of one's own has to be imported first "
+        "(`mckibben --extension FILE.py ...`, or a module)"
+    )
+    return None, [Problem(f"there is no law {quoted(name)}", line, "law", remedy, value=name), *broken]
+
+
+def _check_equation(law: type[ForceLaw], data: dict[str, Any], line: int | None) -> list[Problem]:
+    """A problem if the file is of another law than the class."""
+    given = data.get("equation", law.equation)
+    if given == law.equation:
+        return []
+    message = f"is {quoted(given)}, that of {law.__module__}.{law.__qualname__} is {quoted(law.equation)}"
+    made = f" (version {data['version']})" if data.get("version") else ""
+    remedy = f"import the law that the file was made with{made}, or identify it again"
+    return [Problem(message, line, "equation", remedy, value=given)]
 
 
 def _of_kind(unit: str, expected: str) -> str:
@@ -215,15 +281,19 @@ class _LawFile(ConfigModel):
 
     model_config = ConfigDict(extra="ignore")
 
+    law_type: ClassVar[type[ForceLaw]]
+
     law: str
     parameters: Any
     domain: _Domain
 
     def force_law(self) -> ForceLaw:
-        law_type, contraction, pressure = law_types()[self.law], self.domain.contraction, self.domain.pressure
-        values = {name: row.si("estimate") for name, row in self.parameters}
-        limits = (contraction.si("min"), contraction.si("max"), pressure.si("min"), pressure.si("max"))
-        return law_type(**values, domain=Domain(*limits))
+        values: dict[str, Any] = {name: row.si("estimate") for name, row in self.parameters}
+        if self.domain is not None:
+            contraction, pressure = self.domain.contraction, self.domain.pressure
+            limits = (contraction.si("min"), contraction.si("max"), pressure.si("min"), pressure.si("max"))
+            values["domain"] = Domain(*limits)
+        return self.law_type(**values)
 
 
 class _FitFile(_LawFile):
@@ -237,8 +307,8 @@ class _FitFile(_LawFile):
 
     @field_validator("correlations", mode="after")
     @classmethod
-    def _square(cls, value: Any, info: Any) -> Any:
-        size = len(law_types()[info.data["law"]].parameters()) if "law" in info.data else len(value)
+    def _square(cls, value: Any) -> Any:
+        size = len(cls.law_type.parameters()) if hasattr(cls, "law_type") else len(value)
         if len(value) != size or any(len(row) != size for row in value):
             fail_validation(f"is not a table of {size} rows of {size} numbers", "keep the order of the parameters")
         return value
@@ -287,17 +357,13 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
         raise ScenarioError(source, document.problems)
     data = document.data if isinstance(document.data, dict) else {}
     complete = "correlations" in data if complete is None else complete
-    known = law_types()
-    law_type = known.get(data["law"]) if isinstance(data.get("law"), str) else None
-    if law_type is None and "law" in data:
-        problem = Problem(
-            f"there is no law {quoted(data['law'])}",
-            document.line(("law",)),
-            "law",
-            suggest(str(data["law"]), sorted(known)),
-            value=data["law"],
-        )
-        raise ScenarioError(source, [*document.problems, problem])
+    law_type = None
+    if "law" in data:
+        law_type, problems = _find_law(data["law"], document.line(("law",)))
+        if law_type is not None:
+            problems = _check_equation(law_type, data, document.line(("equation",)))
+        if problems:
+            raise ScenarioError(source, [*document.problems, *problems])
     base, row = (_FitFile, _FittedEstimate) if complete else (_LawFile, _Estimate)
     if complete and "robust" in data:
         row = _RobustEstimate
@@ -309,7 +375,11 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
             for p in parameters
         }
         parameters = create_model("Parameters", __base__=ConfigModel, **rows)
-        model = create_model("FitFile", __base__=base, parameters=(parameters, Field()))
+        fields: dict[str, Any] = {"parameters": (parameters, Field())}
+        if not complete and default_of(law_type, "domain") is not None:
+            fields["domain"] = (_Domain | None, None)
+        model = create_model("FitFile", __base__=base, **fields)
+        model.law_type = law_type  # type: ignore[attr-defined]
     try:
         read = model.model_validate(document.data)
     except ValidationError as error:

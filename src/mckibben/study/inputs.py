@@ -90,15 +90,18 @@ def specimen_named(name: str) -> Specimen:
 
 def law_type_named(name: str) -> type[ForceLaw]:
     """A kind of law by its name, in any case, with or without "Law" and hyphens."""
+    from mckibben.component.extensions import load_installed
     from mckibben.identification.storage import law_types
 
-    laws = law_types()
-    plain = name.lower().replace("-", "").replace("_", "")
-    for known, law_type in laws.items():
-        if plain in (known.lower(), known.removesuffix("Law").lower()):
-            return law_type
+    plain, laws = name.lower().replace("-", "").replace("_", ""), {}
+    for installed in (False, True):
+        laws = law_types(installed=installed)
+        for known, law_type in laws.items():
+            if plain in (known.lower(), known.removesuffix("Law").lower()):
+                return law_type
     short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws)
-    raise _unknown("law", name, f"known are {short}")
+    broken = "".join(f"; {problem.message}" for problem in load_installed())
+    raise _unknown("law", name, f"known are {short}; one's own has to be imported first (--extension){broken}")
 
 
 def joint_named(name: str) -> AntagonisticJoint:
