@@ -75,7 +75,7 @@ def test_components_of_an_installed_package_are_found_by_name(acme, tmp_path):
     assert out.returncode == 0, out.stderr
     (path,) = (tmp_path / "fit").rglob("fit.yaml")
     content = yaml.safe_load(path.read_text())
-    assert (content["law"], content["version"]) == ("acme_parts:AcmeLaw", "1.2")
+    assert (content["law"], content["version"]) == ("acme_parts:AcmeLaw", "acme 1.2")
     out = run(acme, "validate", path, "dmsp-10-250-martens2017", cwd=tmp_path)
     assert out.returncode == 0, out.stderr
     out = run(tmp_path / "elsewhere", "validate", path, "dmsp-10-250-martens2017", cwd=tmp_path)

@@ -92,11 +92,11 @@ def origin_of(kind: type) -> str:
 
 
 def version_of(kind: type) -> str | None:
-    """Version of the installed package that defines a class; None if there is none."""
+    """Name and version of the installed package that defines a class; None if there is none."""
     package = kind.__module__.partition(".")[0]
     for distribution in packages_distributions().get(package, ()):
         try:
-            return version(distribution)
+            return f"{distribution} {version(distribution)}"
         except PackageNotFoundError:
             continue
     return None

@@ -228,6 +228,11 @@ class JointRig(ConfigModel):
         text = read_text(path, "a joint rig", "examples/rig/joint-rig.yaml")
         return parse_model(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
 
+    @property
+    def physical(self) -> bool:
+        """Whether it moves a real joint."""
+        return self.simulated is None
+
     def to_json(self) -> dict[str, Any]:
         """Explicit fields with units, for the record."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True, context={"folder": Path()})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,6 +152,10 @@ class SimulatedJoint:
             "sensing": str(self._sensing),
             "faults": ", ".join(map(str, self._faults)) or "none",
         }
+
+    def host_watchdog(self) -> AbstractContextManager[None]:
+        """No watchdog: nothing real is under pressure."""
+        return nullcontext()
 
     def open(self) -> None:
         """Open it at the initial state, the clock at 0."""

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 from numpy import float64, int64
 from numpy.typing import NDArray
+
+from mckibben.errors import McKibbenWarning
+
+if TYPE_CHECKING:
+    from mckibben.rig.bench import Drive
+    from mckibben.rig.calibration import Calibration
 
 
 class AnalogChannel(NamedTuple):
@@ -27,9 +35,21 @@ class Block(NamedTuple):
     pulses: NDArray[int64]  # of the motor since opening, positive = stretching, shape (samples,); zeros without a motor
 
 
+class ChannelStatus(NamedTuple):
+    """Status of a channel, device or driver: its reading as text, or its problem and the remedy."""
+
+    name: str
+    where: str
+    reading: str
+    problem: str = ""
+
+
 @runtime_checkable
 class Backend(Protocol):
-    """Sensors and valves of a rig, in volts; vented when opened, and by its watchdog without `heartbeat`."""
+    """Sensors and valves of a rig, in volts; vented when opened, and by its watchdog without `heartbeat`.
+
+    A class of one's own derives from it, so that it has the defaults of the optional members.
+    """
 
     rate: float  # sampling rate of each input [Hz]
 
@@ -73,10 +93,53 @@ class Backend(Protocol):
     def close(self) -> None:
         """Vent, stop, and close the devices. Never raises."""
 
+    def host_watchdog(self) -> AbstractContextManager[None]:
+        """Context in which the rig is vented if this process dies; by default there is none, and a warning."""
+        message = f"nothing vents the {self.description['kind']} rig if this process dies, other than its own watchdog"
+        warnings.warn(message, McKibbenWarning, stacklevel=3)
+        return nullcontext()
+
 
 @runtime_checkable
 class MovingBackend(Backend, Protocol):
     """A backend with a motor that stretches the muscle."""
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Calibrations of the channels `force`, `pressure` and `valve`."""
+        ...
+
+    @property
+    def drive(self) -> Drive:
+        """The motor with its gear, by default the paper's."""
+        from mckibben.rig.bench import Drive
+
+        return Drive()
+
+    @property
+    def homed(self) -> bool:
+        """Whether the motor stands where the muscle was mounted whenever it is opened; by default where it was left."""
+        return False
+
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of its channels, vented and at rest: by default each sensor is read for 0.1 s."""
+        yield ChannelStatus(
+            "rig", "", f"{self.description['kind']}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s"
+        )
+        self.open()
+        try:
+            volts = self.read(max(1, round(0.1 * self.rate))).volts
+        finally:
+            self.close()
+        for channel, read in zip(self.inputs, volts.T, strict=True):
+            calibration = self.calibrations[channel.name]
+            lost = bool(calibration.lost(read, channel).any())
+            reading = f"{read.mean():.4f} V, "
+            shown = f"{reading}{calibration.si(read).mean():.4g} {calibration.unit}"
+            problem = f"{reading}lost: check its plug and its supply" if lost else ""
+            yield ChannelStatus(channel.name, channel.where, shown, problem)
+        for channel in self.outputs:
+            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} V")
 
     def move(self, pulses: int, rate: float) -> None:
         """Begin a move by pulses, positive = stretching, at a rate [Hz]; `RigError` if it is moving already."""

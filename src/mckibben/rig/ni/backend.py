@@ -5,16 +5,18 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError
-from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.backend import AnalogChannel, Block, ChannelStatus, Watchdog
+from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.ni.driver import Driver, Terminals
 
@@ -157,6 +159,12 @@ class NiBackend:
         self._tasks, self._driver, self._lines = [], None, {}
         self._inputs = self._reader = self._writer = self._switch = None
 
+    def host_watchdog(self) -> AbstractContextManager[None]:
+        """A second process that vents the card if this one dies within the block."""
+        from mckibben.rig.ni.watchdog import host_watchdog
+
+        return host_watchdog(self)
+
     def _open_tasks(self, driver: Driver) -> None:
         self._open_outputs(driver)
         self._open_inputs(driver)
@@ -276,10 +284,21 @@ class NiRig(NiBackend):
     A 62xx needs both of its counters for a finite train, ctr1 along with ctr0.
     """
 
+    homed = False
+
     def __init__(
-        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self,
+        wiring: Terminals | None = None,
+        *,
+        rate: float = 1000.0,
+        patience: float = 1.0,
+        server: str = "",
+        calibrations: Mapping[str, Calibration] | None = None,
+        drive: Drive | None = None,
     ) -> None:
         super().__init__(wiring, rate=rate, patience=patience, server=server)
+        self.calibrations: Mapping[str, Calibration] = calibrations or {}
+        self.drive = drive or Drive()
         if not self.wiring.counter:
             raise RangeError("a stretching device needs a counter for its pulses", remedy="give the counter")
         self._train: Any = None
@@ -287,6 +306,10 @@ class NiRig(NiBackend):
         self._rate = 1.0
         self._pulses = 0
         self._position = 0
+
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of driver, devices and terminals, see `channel_status`."""
+        yield from channel_status(self.wiring, self.calibrations, server=self.server)
 
     def open(self) -> None:
         """Open the card as `NiBackend`; the pulses of the motor count from here."""
@@ -367,15 +390,6 @@ class NiRig(NiBackend):
 
 
 _READING = 0.1  # s
-
-
-class ChannelStatus(NamedTuple):
-    """Status of a channel, device or driver: its reading as text, or its problem and the remedy."""
-
-    name: str
-    where: str
-    reading: str
-    problem: str = ""
 
 
 def channel_status(

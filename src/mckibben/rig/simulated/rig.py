@@ -7,13 +7,14 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 
 from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
-from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.backend import AnalogChannel, Block, MovingBackend, Watchdog
 from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
@@ -125,6 +126,13 @@ class SimulatedRig:
     def outputs(self) -> Sequence[AnalogChannel]:
         """The valve."""
         return (AnalogChannel("valve", -10.0, 10.0, "simulated regulator"),)
+
+    homed = True
+    status = MovingBackend.status
+
+    def host_watchdog(self) -> AbstractContextManager[None]:
+        """No watchdog: nothing real is under pressure."""
+        return nullcontext()
 
     @property
     def calibrations(self) -> Mapping[str, Calibration]:
@@ -308,6 +316,20 @@ class RealTimeRig:
         self.rate, self.patience = rig.rate, rig.patience
         self._wall, self._sleep = wall, sleep
         self._began = wall()
+
+    homed = True
+    status = MovingBackend.status
+    host_watchdog = SimulatedRig.host_watchdog
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """As of the rig."""
+        return self.rig.calibrations
+
+    @property
+    def drive(self) -> Drive:
+        """As of the rig."""
+        return self.rig.drive
 
     @property
     def inputs(self) -> Sequence[AnalogChannel]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.component.schema import model_of
+from mckibben.component.schema import PartOf, model_of
 from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
@@ -86,7 +85,7 @@ class CardSpec(ConfigModel):
 
 
 class RigSpec(ConfigModel):
-    """One of `simulated` and `nidaqmx`."""
+    """One of `simulated` and `nidaqmx`; with the key ``class``, a `MovingBackend` of one's own, a dataclass."""
 
     renamed: ClassVar = {"virtual": "simulated"}
 
@@ -112,6 +111,13 @@ class RigSpec(ConfigModel):
             )
         return value
 
+    def backend(self, test: RigTest, session: int) -> MovingBackend:
+        """The rig, which is not opened yet."""
+        if self.simulated is not None:
+            return _simulated(self.simulated, test, session)
+        assert self.nidaqmx is not None  # `_one` sees to it
+        return _card(self.nidaqmx)
+
 
 class LimitsSpec(model_of(RigLimits)):
     """Safety limits; the force is the rated one unless given."""
@@ -128,7 +134,7 @@ class RigTest(ConfigModel):
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
     muscle: TestedMuscleSpec
-    rig: RigSpec
+    rig: Annotated[RigSpec, PartOf("mckibben.rig.backend:MovingBackend")]
     limits: LimitsSpec
     recording: RecordingSpec = RecordingSpec()
     protocol: ProtocolSpec
@@ -137,7 +143,8 @@ class RigTest(ConfigModel):
     @classmethod
     def _law_known(cls, value: RigSpec, info: ValidationInfo) -> RigSpec:
         muscle = info.data.get("muscle")
-        if value.simulated is not None and value.simulated.law is None and muscle is not None and muscle.law is None:
+        simulated = value.simulated if isinstance(value, RigSpec) else None
+        if simulated is not None and simulated.law is None and muscle is not None and muscle.law is None:
             fail_validation(
                 "has no law for its simulated muscle", "give `simulated: {law: lei-mas-10-180n}`, or the muscle a law"
             )
@@ -150,6 +157,16 @@ class RigTest(ConfigModel):
         if value.force is None and muscle is not None and muscle.specimen.effective("rated_force") is None:
             fail_validation("has no force, and the specimen no rated_force", "give `force`, such as `force: 200 N`")
         return value
+
+    @property
+    def physical(self) -> bool:
+        """Whether it moves a real muscle."""
+        return not isinstance(self.rig, RigSpec) or self.rig.simulated is None
+
+    def is_same(self, other: RigTest) -> bool:
+        """Whether two tests are the same, if on the same hardware at other terminals."""
+        moved = self.physical and other.physical and type(self.rig) is type(other.rig)
+        return (self.model_copy(update={"rig": other.rig}) if moved else self) == other
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RigTest:
@@ -194,18 +211,15 @@ class Setup:
 def build_setup(test: RigTest, session: int = 0) -> Setup:
     """The rig of a test; `session` counts its resumptions."""
     of = build_muscle(test)
-    if test.rig.simulated is not None:
-        backend, calibrations, drive = _simulated(test.rig.simulated, test, session)
-    else:
-        assert test.rig.nidaqmx is not None  # the model of the rig sees to it
-        backend, calibrations, drive = _card(test.rig.nidaqmx)
+    rig: Any = test.rig
+    backend: MovingBackend = rig.backend(test, session) if isinstance(rig, RigSpec) else rig.build()
     specimen = of.specimen if isinstance(of, Muscle) else of
     limits = RigLimits(**{"force": specimen.force_limit, **explicit_fields(test.limits)})
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
-        drive=drive,
-        calibrations=calibrations,
+        drive=backend.drive,
+        calibrations=backend.calibrations,
         limits=limits,
         rate=backend.rate,
         **explicit_fields(test.recording),
@@ -226,9 +240,7 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
     return steps_of(getattr(protocol, protocol.form).build(), of)
 
 
-def _simulated(
-    spec: SimulatedRigSpec, test: RigTest, session: int
-) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
+def _simulated(spec: SimulatedRigSpec, test: RigTest, session: int) -> MovingBackend:
     from dataclasses import replace
 
     from mckibben.rig.simulated import (
@@ -253,15 +265,16 @@ def _simulated(
             "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
         }
     twin = SimulatedRig(muscle, seed=spec.seed + _APART * session, mounted_at=test.muscle.mounted_at, **parts)
-    return RealTimeRig(twin) if spec.paced else twin, twin.calibrations, twin.drive
+    return RealTimeRig(twin) if spec.paced else twin
 
 
-def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
+def _card(spec: CardSpec) -> MovingBackend:
     from mckibben.rig.ni import NiRig
 
     calibrations = rig_calibrations(cast(Path, spec.calibration))
     given = {name: getattr(spec, name) for name in ("rate", "patience", "server") if getattr(spec, name) is not None}
-    return NiRig(build_wiring(spec), **given), calibrations, Drive(**explicit_fields(spec.drive) if spec.drive else {})
+    drive = Drive(**explicit_fields(spec.drive) if spec.drive else {})
+    return NiRig(build_wiring(spec), **given, calibrations=calibrations, drive=drive)
 
 
 def build_wiring(spec: CardSpec) -> Terminals:
