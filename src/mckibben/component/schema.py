@@ -22,7 +22,15 @@ from types import UnionType
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
-from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, PlainSerializer, TypeAdapter, create_model
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    PlainSerializer,
+    TypeAdapter,
+    ValidationError,
+    create_model,
+)
 from pydantic_core import PydanticSerializationError, core_schema
 
 from mckibben.component.base import Checked, Component, Inherited, field_hints, field_quantities
@@ -34,6 +42,7 @@ from mckibben.component.classes import (
     find_class,
     is_abstract,
 )
+from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, relative_path, write_path
 from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
@@ -199,8 +208,8 @@ class Part:
         changed, name = context.pop("changed", None), info.field_name or ""
         scope: Scope = ChainMap({"key": name}, dict(info.data or {}), *context.get("scope", ()))
         around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
-        normalise = getattr(self.base, "from_file", None)
-        value = value if normalise is None else normalise(value)
+        written, value = value, self._normalised(value)
+        below = _short_key(written, value)
         if isinstance(value, str) and value:
             if find_class(self.base, value) is not None:
                 value = {"class": value}
@@ -229,7 +238,11 @@ class Part:
             around = None
         model = section_of(kind, self.units, partial=around is not None)
         context |= {"scope": scope.maps if isinstance(scope, ChainMap) else (scope,), "changed": around}
-        given = model.model_validate(section, context=context)
+        try:
+            given = model.model_validate(section, context=context)
+        except ValidationError as error:
+            details = [{**one, "loc": (*below, *one["loc"])} for one in error.errors(include_url=False)]
+            raise ValidationError.from_exception_data(error.title, cast(Any, details)) from None
         fields = {name: getattr(given, name) for name in given.model_fields_set - {"class_"}}
         for alias, names in getattr(kind, "aliases", {}).items():
             if alias not in fields:
@@ -240,6 +253,11 @@ class Part:
             fields |= dict.fromkeys(names, fields.pop(alias))
         fields = {name: _member(kind, name, one) for name, one in fields.items()}
         return build(kind, fields, scope) if around is None else replaced(around, fields)
+
+    def _normalised(self, value: Any) -> Any:
+        """Section of a value in the short form of the base."""
+        normalise = getattr(self.base, "from_file", None)
+        return value if normalise is None else normalise(value)
 
     def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
         """Component of a catalog entry or a file."""
@@ -286,9 +304,11 @@ class Part:
         kind = find_class(self.base, named) if isinstance(named, str) else None
         if kind is None:
             remedy = suggest(str(named), list(known)) if known else "there is none yet"
+            own = "for a class of your own load its module first: `mckibben --extension FILE.py ...`, or a module"
+            broken = (f"{one.message} ({one.remedy})" for one in load_installed())
             fail_validation(
                 f"there is no class {quoted(named)} of {self.base.__name__}",
-                f"{remedy}; for a class of your own import its module first: `mckibben --extension FILE.py ...`",
+                "; ".join([remedy, own, *broken]),
                 value=named,
             )
         return kind
@@ -296,8 +316,12 @@ class Part:
     def model_for(self, value: Any) -> type[Section] | None:
         """Return the model of a section, for messages; None for one that names no class."""
         with contextlib.suppress(McKibbenError):
+            written, value = value, self._normalised(value)
             if isinstance(value, dict) and "class" not in value and "from" in value:
                 return None
+            if below := _short_key(written, value):
+                inner = section_of(self.class_for(value), self.units)
+                return cast(Any, create_model)("Keyed", __base__=Section, **{below[0]: (inner, ...)})
             return section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
         return None
 
@@ -313,6 +337,13 @@ class Part:
         if value == "":
             return "has no value", "write one, or leave the key out"
         return f"{given} stands where keys and values belong", f"give a mapping of {keys}"
+
+
+def _short_key(written: Any, section: Any) -> tuple[str, ...]:
+    """Key of a section below the name of its class, as in ``isobaric: {repeats: 2}``; none of another one."""
+    if isinstance(written, dict) and isinstance(section, dict) and isinstance(written.get(section.get("class")), dict):
+        return (section["class"],)
+    return ()
 
 
 def _member(kind: type, name: str, value: Any) -> Any:

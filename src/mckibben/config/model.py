@@ -275,8 +275,8 @@ class _Diagnosis:
         for key in place:
             value = _item(value, key)
             if isinstance(key, int):  # an item of a list of models
-                continue
-            if get_origin(annotation) is dict:  # of sections, by names that people choose
+                annotation, marks = next(iter(get_args(annotation)), annotation), ()
+            elif get_origin(annotation) is dict:  # of sections, by names that people choose
                 annotation, marks = get_args(annotation)[1], ()
             else:
                 found = model_in(annotation)

@@ -1,4 +1,4 @@
-"""JointSession of a scenario on a joint rig, from the file to the recorded run."""
+"""Session of a scenario on a joint rig, from the file to the recorded run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import read_calibrations
-from mckibben.rig.ni.watchdog import host_watchdog
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.scenario import Scenario
@@ -95,7 +94,7 @@ class JointSession:
         with (
             file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
-            host_watchdog(self.backend),
+            self.backend.host_watchdog(),
             realtime_process_settings() as priority,
         ):
             header = {**self.header, "priority": priority}
@@ -156,7 +155,7 @@ def prepare(
         If parts of the scenario make no sense together, or a calibration cannot be read.
     """
     rig = rig or JointRig.model_validate({"simulated": {}})
-    if ideal and rig.simulated is None:
+    if ideal and rig.physical:
         raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
         plant = scenario.plant()
