@@ -189,9 +189,7 @@ class SimulatedJoint(Backend):
                 remedy="find out what kept the host busy, and reopen it",
             )
         commands = []
-        for signal, valve, channel, (low, high) in zip(
-            volts, self._wiring.valves, _OUTPUTS, self._rated, strict=True
-        ):
+        for signal, valve, channel, (low, high) in zip(volts, self._wiring.valves, _OUTPUTS, self._rated, strict=True):
             given = min(max(float(signal), channel.low), channel.high)
             commands.append(min(max((given - valve.offset) * valve.gain - valve.tare, low), high))
         self._command(now, (commands[0], commands[1]))
