@@ -69,7 +69,7 @@ def plants(runs, seed):
         dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1]),
         dataclasses.replace(LOAD, mass2=mass),
         FirstOrderValve(draw.uniform(10 * ms, 50 * ms, runs)),
-        SampledSensors(0.022 * deg, 4 * kPa, 0.0, np.arange(runs)),
+        sensors=SampledSensors(0.022 * deg, 4 * kPa, 0.0, np.arange(runs)),
     )
     return plant, mass, length
 

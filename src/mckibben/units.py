@@ -420,28 +420,6 @@ class Percent(Quantity):
         return "'10 %'"
 
 
-@dataclass(frozen=True, init=False)
-class Units:
-    """What the symbols of `SYMBOLS` stand for in a component: metadata of the field that holds it.
-
-    >>> Units(signal=Angle).get("signal").shown
-    'deg'
-    """
-
-    quantities: tuple[tuple[str, Quantity], ...]
-
-    def __init__(self, **types: Any) -> None:
-        found = tuple((name, kind.__metadata__[0]) for name, kind in types.items())
-        object.__setattr__(self, "quantities", found)
-
-    def get(self, symbol: str, default: Any = None) -> Any:
-        """Return the quantity of a symbol; `default` without one."""
-        return next((quantity for name, quantity in self.quantities if symbol == name), default)
-
-    def __bool__(self) -> bool:
-        return bool(self.quantities)
-
-
 # Types of fields, for runtime classes and configuration files.
 Duration = Annotated[float, Quantity("s", "s", 0, 1e6, open_lower=True)]
 Instant = Annotated[float, Quantity("s", "s", -1e6, 1e6)]
@@ -456,18 +434,11 @@ Diameter = Annotated[float, Quantity("m", "mm", 0, 500, open_lower=True)]
 MomentArm = Annotated[float, Quantity("m", "mm", 0, 2e3, open_lower=True)]  # a linear axis has a pulley of 1 m
 Distance = Annotated[float, Quantity("m", "mm", 0, 1e4)]
 Coordinate = Annotated[float, Quantity("m", "mm", -1e4, 1e4)]
-ArmSlope = Annotated[float, Quantity("m/rad", "mm/rad", -1e4, 1e4)]
-ArmCurvature = Annotated[float, Quantity("m/rad^2", "mm/rad^2", -1e4, 1e4)]
 BraidAngle = Annotated[float, Quantity("rad", "deg", 0.6, 54.7)]  # above this, a muscle extends
 Mass = Annotated[float, Quantity("kg", "kg", 0, 1e4)]
 PositiveMass = Annotated[float, Quantity("kg", "kg", 0, 1e4, open_lower=True)]
 Inertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4)]
-PositiveInertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4, open_lower=True)]
 Damping = Annotated[float, Quantity("N*m*s/rad", "N*m*s/rad", 0, 1e6)]
-StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
-ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
-ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
-DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
 Gravity = Annotated[float, Quantity("m/s^2", "m/s^2", 0, 1e3)]
 SpringRate = Annotated[float, Quantity("N/m", "N/mm", 0, 1e6, open_lower=True)]
 Force = Annotated[float, Quantity("N", "N", 0, 1e6)]
@@ -475,21 +446,16 @@ SignedForce = Annotated[float, Quantity("N", "N", -1e6, 1e6)]
 ForcePerPressure = Annotated[float, Quantity("N/Pa", "N/bar", -1e5, 1e5)]  # an area: a larger number is in N/bar
 ForceTerm = Annotated[float, Quantity("N", "N", -1e40, 1e40)]  # terms of a law may cancel: `check_gain`
 GainTerm = Annotated[float, Quantity("N/Pa", "N/bar", -1e40, 1e40)]
-PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
 Tension = Annotated[float, Quantity("N", "N", 0, 1e6, open_lower=True)]
 Pressure = Annotated[float, Quantity("Pa", "bar", -1e3, 1e3)]
 PositivePressure = Annotated[float, Quantity("Pa", "bar", 0.01, 1e3)]
 Conductance = Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4, open_lower=True)]
 Volume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6, open_lower=True)]
-VolumeTerm = Annotated[float, Quantity("m^3", "cm^3", -1e6, 1e6)]
 PressureNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e5)]
 AngleStep = Annotated[float, Quantity("rad", "deg", 0, 90)]
 Torque = Annotated[float, Quantity("N*m", "N*m", -1e6, 1e6)]
 Share = Annotated[float, Quantity("1", "1", 0, 100)]
-PositiveTorque = Annotated[float, Quantity("N*m", "N*m", 0, 1e6, open_lower=True)]
 Strength = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]
-StrengthSpread = Annotated[float, Quantity("1", "1", 0, 0.3, open_lower=True)]
-TimeConstantSpread = Annotated[float, Quantity("1", "1", 0, 0.6, open_lower=True)]
 Delay = Annotated[float, Quantity("1", "1", 0, 1)]
 Angle = Annotated[float, Quantity("rad", "deg", -360, 360)]
 Stiffness = Annotated[float, Quantity("N*m/rad", "N*m/rad", -1e6, 1e6)]
@@ -499,35 +465,23 @@ StiffnessScale = Annotated[float, Quantity("N*m/rad", "N*m/rad", 0, 1e6, open_lo
 PressureScale = Annotated[float, Quantity("Pa", "bar", 1e-3, 1e3)]
 PressureRate = Annotated[float, Quantity("Pa/s", "bar/s", 1e-3, 1e6)]
 Rate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6)]
-PositiveRate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6, open_lower=True)]
 Bandwidth = Annotated[float, Quantity("rad/s", "rad/s", 0, 1e6, open_lower=True)]
 AngularAcceleration = Annotated[float, Quantity("rad/s^2", "rad/s^2", 0, 1e6, open_lower=True)]
 PoleDamping = Annotated[float, Quantity("1", "1", 2, 3)]
-Momentum = Annotated[float, Quantity("1", "1", 0, 0.999999)]
 Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 Count = Annotated[int, BoundedInt(1, 1000)]
-Iterations = Annotated[int, BoundedInt(1, 100)]
 Ratio = Annotated[float, Quantity("1", "1", 1, 1e6, open_lower=True)]
 
 AngleGain = Annotated[float, Quantity("Pa/rad", "bar/rad", -1e6, 1e6)]
-AngleIntegralGain = Annotated[float, Quantity("Pa/(rad*s)", "bar/(rad*s)", -1e6, 1e6)]
-AngleDerivativeGain = Annotated[float, Quantity("Pa*s/rad", "bar*s/rad", -1e6, 1e6)]
-StiffnessGain = Annotated[float, Quantity("Pa/(N*m/rad)", "bar/(N*m/rad)", -1e6, 1e6)]
-StiffnessIntegralGain = Annotated[float, Quantity("Pa/(N*m*s/rad)", "bar/(N*m*s/rad)", -1e6, 1e6)]
-StiffnessDerivativeGain = Annotated[float, Quantity("Pa*s/(N*m/rad)", "bar*s/(N*m/rad)", -1e6, 1e6)]
 SignalValue = Annotated[float, Quantity("signal")]
 Gain = Annotated[float, Quantity("gain")]
 IntegralGain = Annotated[float, Quantity("integral_gain")]
 DerivativeGain = Annotated[float, Quantity("derivative_gain")]
-ControlledScale = Annotated[float, Quantity("scale")]
 Contraction = Annotated[float, Percent("1", "%", -50, 80)]
-ForceReserve = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
 Speed = Annotated[float, Quantity("m/s", "mm/s", 0, 1e3, open_lower=True)]
 Travel = Annotated[float, Quantity("m", "mm", 0, 2e3, open_lower=True)]
 WaitTime = Annotated[float, Quantity("s", "s", 0, 1e6)]
 SampleRate = Annotated[float, Quantity("1/s", "Hz", 0.001, 1e6)]
-Spread = Annotated[float, Percent("1", "%", 0, 50)]
 Factor = Annotated[float, Quantity("1", "1", 0, 1e6, open_lower=True)]
 Samples = Annotated[int, BoundedInt(1, 1_000_000)]
 Repeats = Annotated[int, BoundedInt(1, 10_000)]
-AngularRate = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e4, open_lower=True)]

@@ -45,12 +45,12 @@ def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
 @pytest.mark.slow
 def test_files_name_the_model(calibrated, tmp_path):
     text = EXAMPLE.read_text(encoding="utf-8").replace("../comparison", str(EXAMPLE.parents[1] / "comparison"))
-    start, end = text.index("  model:"), text.index("  decoupling:")
+    start, end = text.index("  model:"), text.index("  load:")
     (tmp_path / "s.yaml").write_text(
         f"{text[:start]}  model: {calibrated / 'model.yaml'}\n{text[end:]}", encoding="utf-8"
     )
     read, kept = Scenario.read(tmp_path / "s.yaml"), Scenario.read(calibrated / "scenario.yaml")
-    assert read.controller.model.arm_scale == kept.controller.model.arm_scale
+    assert read.controller.model.geometry == kept.controller.model.geometry
     assert read.controller.model.muscle1.correction == kept.controller.model.muscle1.correction
     assert "/Pa" not in (calibrated / "model.yaml").read_text(encoding="utf-8"), "one unit a quantity"
 

@@ -71,7 +71,7 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
         (("short.yaml", "--out", "run", "--duration", "3 bar"), "--duration"),
         (
             ("short.yaml", "--out", "run", "--rig", "wrong.yaml"),
-            "line 2, simulated.angle_step: 'bar' is not a unit",
+            "line 2, simulated.angle_step: unit 'bar'",
         ),
         (("short.yaml", "--out", "run", "--rig", "both.yaml"), "has no rig; give one of simulated, nidaqmx"),
         (("short.yaml", "--out", "short.yaml"), "it is a file"),

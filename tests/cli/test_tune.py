@@ -170,16 +170,16 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
     assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("known", "believed"), [((), 208), (("--known", "joint.geometry.connector_length"), None)])
+@pytest.mark.parametrize(("known", "believed"), [((), 208e-3), (("--known", "joint.geometry.connector_length"), None)])
 def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, tmp_path, monkeypatch, known, believed):
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 0])  # what is found does not matter here
     plant = ("--parameters", "joint.geometry.connector_length=206..208 mm", *COST, "--iterations", "1", "--out", "kept")
     found = cli("tune", "s.yaml", *plant, "--method", "evolution", *known)
     assert found.code == 0, found.err
     tuned = Scenario.read(tmp_path / "kept" / "s-tuned.yaml")
-    assert 206e-3 <= tuned.joint.connector_length < 208e-3
-    model = tuned.controller.model
-    assert (model and round(1e3 * model.connector_length)) == believed
+    assert 206e-3 <= tuned.joint.geometry.connector_length < 208e-3
+    true = tuned.joint.geometry.connector_length
+    assert tuned.controller.model.geometry.connector_length == pytest.approx(believed or true, rel=1e-12)
 
 
 def test_a_scenario_that_cannot_start_is_mended(cli, scenario, tmp_path, text):

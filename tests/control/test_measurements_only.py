@@ -92,7 +92,9 @@ def run(knee, load):
     def run(control, strengths, *, mass=0.5, lag=0.02, pulses=PULSES, sensors=SENSORS, tape=None, reference=SLOW):
         told = Tape(sensors, tape or silent, np.asarray(tape is not None))
         heavy = dataclasses.replace(load, mass2=mass)
-        plant = JointPlant(with_strengths(knee, strengths), heavy, FirstOrderValve(lag), told, pulses)
+        plant = JointPlant(
+            with_strengths(knee, strengths), heavy, FirstOrderValve(lag), sensors=told, disturbance=pulses
+        )
         start = plant.complete_state(numeric(START))
         given = jax.tree.map(jnp.asarray, numeric((plant, Reporting(control))))
         return compiled_episode(*given, setpoints_of[reference], start, jnp.asarray(PERIOD), 2)[1]

@@ -144,7 +144,7 @@ REFERENCE = Reference(Sine(5 * deg, 1.0, phase=np.pi / 2), Step(14.0, 16.0, 0.5)
 def test_a_controller_with_it_is_nearly_as_good_as_one_that_knows_its_valves(kind, controllers, knee, load):
     """Slow valves of 50 ms, 20 ms in the model; errors after the first third of a second."""
     sensors = SampledSensors(pressure_noise=NOISE, seed=3)
-    plant = JointPlant(knee, load, FirstOrderValve(50 * ms), sensors)
+    plant = JointPlant(knee, load, FirstOrderValve(50 * ms), sensors=sensors)
 
     def run(**valves):
         control = controllers[kind](knee, **valves)

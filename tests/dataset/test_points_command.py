@@ -49,7 +49,7 @@ COLUMN = ("--column", "Druck [bar]=pressure_bar", "--contraction", "10 %")
 def test_plateaus_become_a_file_that_is_read_as_points(run):
     write("rig.csv", LEVEL)
     text = run("rig.csv", *COLUMN, "--out", "points.csv", "--specimen", "DMSP-10")
-    assert "rig.csv: 5 points of 1500 samples" in text
+    assert "rig.csv: 5 points from 1500 samples" in text
     assert "1500 samples: 1470 used" in text or "1500 samples: 1480 used" in text
     assert "filling" in text and "venting" in text
     assert "wrote 5 points to points.csv; fit a law with: mckibben identify points.csv" in text

@@ -157,7 +157,7 @@ def test_a_regulator_that_follows_slowly_is_told_from_creep():
     onwards = table.assign(force_samples=(("point", "sample"), table["force_samples"].to_numpy() - 0.5 * side * decay))
     against = identify_creep(IsobaricDataset(onwards), **TIMES)
     assert (
-        not against.is_significant and against.significance < -3 and "goes on in the direction" in against.warnings[0]
+        not against.is_significant and against.significance < -3 and "continues in the direction" in against.warnings[0]
     )
 
 

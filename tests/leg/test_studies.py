@@ -38,7 +38,7 @@ def test_changes_of_the_catalog_name_the_joint() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [
-        (HEAD + "  joints: {knee: {muscles: {connector_length: 190 mm}}}\n", 4, "too short"),
+        (HEAD + "  joints: {knee: {muscles: {geometry: {connector_length: 190 mm}}}}\n", 4, "too short"),
         (HEAD + "  joints: {knee: {lower: -80 deg}}\n", 4, "too long"),
         (HEAD + "  joints: {ankle: {damping: 0.1 N*m*s/rad}}\n", 2, "ankle"),
         (HEAD + "  trunk: {mass: 2 kg, freedom: flying}\n", 4, "freedom"),

@@ -201,6 +201,6 @@ def test_a_measured_volume_takes_the_place_of_the_braid(knee, specimen):
 @pytest.mark.parametrize("parts", [{}, RESERVOIR])
 def test_the_pressure_of_a_reservoir_is_told_where_there_is_one(parts):
     valve = FlowValve(C, 7e5, **parts)
-    told = valve.telemetry(valve.init_air((2e5, 3e5)), (2e5, 3e5), (2e5, 3e5))
+    told = valve.telemetry(valve.init_states((2e5, 3e5)), (2e5, 3e5), (2e5, 3e5))
     assert set(told) == {"opening1", "opening2"} | ({"reservoir"} if parts else set())
     assert float(told.get("reservoir", 7e5)) == 7e5

@@ -121,7 +121,7 @@ def test_a_quick_turn_meets_more_than_the_law(creeping):
 
 
 def test_a_series_spring_is_refused(knee):
-    with pytest.raises(RangeError, match="in series with a SeriesSpring: its creep follows the rate"):
+    with pytest.raises(RangeError, match="in series with a SeriesSpring: creep needs the rate"):
         with_creep(knee, tendon=SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm))
 
 

@@ -73,7 +73,7 @@ def test_the_rate_is_equation_6(plant, paper_precontracted):
     state = PlantState(*map(jnp.asarray, (0.2, -1.5)), tuple(map(jnp.asarray, (3.2e5, 4.1e5))))
     got = plant.rate(state)
     expected = paper_precontracted.acceleration(0.2, -1.5, (3.2e5, 4.1e5))
-    assert float(got.angle) == -1.5
+    assert float(got.position) == -1.5
     assert float(got.velocity) == pytest.approx(expected, rel=1e-11)
 
 

@@ -64,7 +64,7 @@ def test_an_offset_of_the_encoder_is_in_the_measurement_and_not_in_the_joint(tru
     np.testing.assert_array_equal(found.pressures, true.pressures)
     steps = measured(SampledSensors(STEP, encoder_offset=0.3 * STEP), true).angle / STEP
     np.testing.assert_allclose(steps, np.round(true.angle / STEP + 0.3), atol=1e-9)
-    sensing = JointPlant(plant.joint, plant.load, plant.valve, SampledSensors(encoder_offset=2 * deg))
+    sensing = JointPlant(plant.joint, plant.load, plant.valve, sensors=SampledSensors(encoder_offset=2 * deg))
     state, seen = sensing.sample(sensing.equilibrium(0.1), PERIOD)
     assert (float(state.angle), float(seen.angle)) == pytest.approx((0.1, 0.1 + 2 * deg))
 
@@ -139,4 +139,4 @@ def test_invalid_sensors_are_refused(field, value, unit):
 
 def test_arguments_that_are_swapped_are_named(knee, load):
     with pytest.raises(RangeError, match=r"sensors: is a NoDisturbance.*swapped"):
-        JointPlant(knee, load, IdealValve(), NoDisturbance(), PerfectSensors())
+        JointPlant(knee, load, IdealValve(), sensors=NoDisturbance(), disturbance=PerfectSensors())

@@ -19,7 +19,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def scenario():
     read = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
     angle = dataclasses.replace(read.signals.angle, amplitude=20 * deg, frequency=5.0)
-    signals = read.signals.model_copy(update={"angle": angle})
+    signals = dataclasses.replace(read.signals, angle=angle)
     return read.model_copy(update={"signals": signals, "duration": 0.2})
 
 

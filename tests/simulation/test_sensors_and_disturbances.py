@@ -51,7 +51,7 @@ class Listener(Controller):
 
 @pytest.fixture(scope="module")
 def plant(knee, load):
-    return JointPlant(knee, load, IdealValve(), REAL, PULSES)
+    return JointPlant(knee, load, IdealValve(), sensors=REAL, disturbance=PULSES)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def heard(plant):
     setpoints = sampled(REFERENCE, PERIODS * PERIOD, PERIOD)[1]
 
     def heard(sensors=REAL, disturbance=PULSES, *, share=0.0, start=START, step=True, kind=jnp.float64):
-        other = JointPlant(plant.joint, plant.load, plant.valve, sensors, disturbance)
+        other = JointPlant(plant.joint, plant.load, plant.valve, sensors=sensors, disturbance=disturbance)
         asked = setpoints if step else without_last_change(setpoints)
         given = numeric(other), numeric(Listener(share)), asked, other.complete_state(numeric(start)), PERIOD
         given = cast(jax.tree.map(jnp.asarray, numeric(given)), kind)

@@ -16,7 +16,7 @@ from mckibben.units import deg, ms
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 MUSCLE = "law: lei-mas-10-180n}"
-LOOPS = BASE[BASE.index("  # From the angle's error") : BASE.index("reference:")]
+LOOPS = BASE[BASE.index("  # From the angle error") : BASE.index("reference:")]
 SENSORS = "sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 0.5, seed: 7}\n"
 PULSES = "disturbance: {height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 250 ms}\n"
 DECOUPLING = """\

@@ -40,9 +40,13 @@ MUSCLE = catalog.joint("knee-table-2").muscle1
 async def visitor():
     """A user of a new server."""
     session._sessions.clear()
-    async with user_simulation(root=lambda: None) as user:
-        app.pages()
-        yield user
+    loaded = dict(sys.modules)
+    try:
+        async with user_simulation(root=lambda: None) as user:
+            app.pages()
+            yield user
+    finally:
+        sys.modules.update(loaded)  # NiceGUI unloads the packages of the pages, which later tests still hold
 
 
 def the(user, kind, marker=None):

@@ -21,6 +21,7 @@ from typer import Argument, Option
 
 import mckibben
 from mckibben.cli.calibrate import calibrate
+from mckibben.cli.check import check
 from mckibben.cli.compare import compare
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, points, validate
@@ -94,6 +95,7 @@ def reproduce(
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
+app.command()(check)
 app.command()(points)
 app.command()(identify)
 app.command()(validate)

@@ -8,6 +8,7 @@ import operator
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from inspect import get_annotations
 from numbers import Integral, Real
 from types import NoneType, SimpleNamespace, UnionType
@@ -18,9 +19,34 @@ import equinox as eqx
 from mckibben.component.checks import check_kind, known_numbers
 from mckibben.errors import Problem, RangeError, printable, quoted, refuse_problems
 from mckibben.notebook import html_table
-from mckibben.units import SYMBOLS, BoundedInt, Quantity, Units, factor, show
+from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
 _LONGEST = 120  # characters of a value
+
+
+@dataclass(frozen=True, init=False)
+class Units:
+    """What the symbols of `SYMBOLS` stand for in a component: metadata of the field that holds it.
+
+    >>> from mckibben.units import Angle
+    >>> Units(signal=Angle).get("signal").shown
+    'deg'
+    """
+
+    quantities: tuple[tuple[str, Quantity], ...]
+
+    def __init__(self, **types: Any) -> None:
+        found = tuple((name, kind.__metadata__[0]) for name, kind in types.items())
+        object.__setattr__(self, "quantities", found)
+
+    def get(self, symbol: str, default: Any = None) -> Any:
+        """Return the quantity of a symbol; `default` without one."""
+        return next((quantity for name, quantity in self.quantities if symbol == name), default)
+
+    def __bool__(self) -> bool:
+        return bool(self.quantities)
+
+
 _NO_UNITS = Units()
 
 
@@ -47,6 +73,11 @@ class Described:
     """Keys in files that give several fields one value."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """What stands in place of a former key of files, for its error."""
+
+    @classmethod
+    def from_file(cls, value: Any) -> Any:
+        """Return a section with a form of its own in the usual form; by default as it is."""
+        return value
 
     @classmethod
     def unit_of(cls, name: str) -> Quantity | None:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 
 from mckibben.errors import Problem, ScenarioError
 
@@ -20,8 +21,8 @@ _FILE = "mckibben_extension_"
 _loaded: dict[str, None] = {}
 
 
-def load_extension(named: str | os.PathLike[str]) -> None:
-    """Run a Python file, or import a module by its name, so that files can name the classes that it defines.
+def load_extension(named: str | os.PathLike[str]) -> ModuleType:
+    """Run a Python file, or import a module by its name, so that files can name its classes; return the module.
 
     Raises
     ------
@@ -31,7 +32,7 @@ def load_extension(named: str | os.PathLike[str]) -> None:
     source = os.fspath(named)
     is_module = all(part.isidentifier() for part in source.split(".")) and not Path(source).is_file()
     try:
-        importlib.import_module(source) if is_module else _run_file(source)
+        module = importlib.import_module(source) if is_module else _run_file(source)
     except ScenarioError:
         raise
     except Exception as error:
@@ -40,9 +41,10 @@ def load_extension(named: str | os.PathLike[str]) -> None:
         text = f"cannot be {'imported' if is_module else 'run'}: {type(error).__name__}: {error}"
         raise ScenarioError(source, [Problem(text, remedy=remedy)]) from error
     _loaded[source if is_module else str(Path(source).absolute())] = None
+    return module
 
 
-def _run_file(source: str) -> None:
+def _run_file(source: str) -> ModuleType:
     name = f"{_FILE}{Path(source).stem}"
     spec = importlib.util.spec_from_file_location(name, source)
     if spec is None or spec.loader is None:
@@ -53,6 +55,7 @@ def _run_file(source: str) -> None:
     except BaseException:
         del sys.modules[name]
         raise
+    return sys.modules[name]
 
 
 def loaded_extensions() -> tuple[str, ...]:

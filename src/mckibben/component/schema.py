@@ -33,7 +33,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticSerializationError, core_schema
 
-from mckibben.component.base import Checked, Component, Inherited, field_hints, field_quantities
+from mckibben.component.base import Checked, Component, Inherited, Units, field_hints, field_quantities
 from mckibben.component.classes import (
     catalog_of,
     class_name,
@@ -47,7 +47,7 @@ from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, relative_path, write_path
 from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
 from mckibben.errors import FileError, McKibbenError, quoted, suggest
-from mckibben.units import SYMBOLS, BoundedInt, Quantity, Units
+from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
 
@@ -208,7 +208,7 @@ class Part:
         changed, name = context.pop("changed", None), info.field_name or ""
         scope: Scope = ChainMap({"key": name}, dict(info.data or {}), *context.get("scope", ()))
         around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
-        written, value = value, self._normalised(value)
+        written, value = value, self.base.from_file(value)
         below = _short_key(written, value)
         if isinstance(value, str) and value:
             if find_class(self.base, value) is not None:
@@ -253,11 +253,6 @@ class Part:
             fields |= dict.fromkeys(names, fields.pop(alias))
         fields = {name: _member(kind, name, one) for name, one in fields.items()}
         return build(kind, fields, scope) if around is None else replaced(around, fields)
-
-    def _normalised(self, value: Any) -> Any:
-        """Section of a value in the short form of the base."""
-        normalise = getattr(self.base, "from_file", None)
-        return value if normalise is None else normalise(value)
 
     def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
         """Component of a catalog entry or a file."""
@@ -316,8 +311,8 @@ class Part:
     def model_for(self, value: Any) -> type[Section] | None:
         """Return the model of a section, for messages; None for one that names no class."""
         with contextlib.suppress(McKibbenError):
-            written, value = value, self._normalised(value)
-            if isinstance(value, dict) and "class" not in value and "from" in value:
+            written, value = value, self.base.from_file(value)
+            if isinstance(value, dict) and "class" not in value and "from" in value and len(classes_of(self.base)) > 1:
                 return None
             if below := _short_key(written, value):
                 inner = section_of(self.class_for(value), self.units)

@@ -274,8 +274,8 @@ class _Diagnosis:
         value = self.document.data
         for key in place:
             value = _item(value, key)
-            if isinstance(key, int):  # an item of a list of models
-                annotation, marks = next(iter(get_args(annotation)), annotation), ()
+            if isinstance(key, int):  # an item of a list
+                marks = ()
             elif get_origin(annotation) is dict:  # of sections, by names that people choose
                 annotation, marks = get_args(annotation)[1], ()
             else:

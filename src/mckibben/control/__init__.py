@@ -2,7 +2,16 @@
 
 from mckibben.control.adaptation import LawAdaptation
 from mckibben.control.backprop import BackpropPID, Jacobian
-from mckibben.control.base import Controller, Loop, Measurement, Reference, Setpoint
+from mckibben.control.base import (
+    Controller,
+    JointModel,
+    LoadModel,
+    Loop,
+    Measurement,
+    Reference,
+    Setpoint,
+    ValveLagModel,
+)
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode
 from mckibben.control.friction_compensation import FrictionCompensation
@@ -37,7 +46,9 @@ __all__ = [
     "FrictionCompensation",
     "InverseModelControl",
     "Jacobian",
+    "JointModel",
     "LawAdaptation",
+    "LoadModel",
     "Loop",
     "Measurement",
     "Multisine",
@@ -59,5 +70,6 @@ __all__ = [
     "Sum",
     "SupplyLimit",
     "ValveAdaptation",
+    "ValveLagModel",
     "VelocityObserver",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from numbers import Real
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +19,10 @@ from mckibben.joint.geometry import Pair
 from mckibben.muscle import scaled_law
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import exp, floating
-from mckibben.units import Bandwidth, Duration, Mass, PositiveTorque, Share, StrengthSpread
+from mckibben.units import Bandwidth, Duration, Mass, Quantity, Share
+
+StrengthSpread = Annotated[float, Quantity("1", "1", 0, 0.3, open_lower=True)]
+PositiveTorque = Annotated[float, Quantity("N*m", "N*m", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
 Covariance = tuple[tuple[Scalar, ...], ...]

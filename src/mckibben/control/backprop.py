@@ -14,7 +14,10 @@ from mckibben.component.checks import check_positive
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
 from mckibben.numerics.elementary import floating
-from mckibben.units import ControlledScale, Count, Momentum, Quantity, Rate, Ratio, Seed
+from mckibben.units import Count, Quantity, Rate, Ratio, Seed
+
+Momentum = Annotated[float, Quantity("1", "1", 0, 0.999999)]
+ControlledScale = Annotated[float, Quantity("scale")]
 
 OutputRate = Annotated[float, Quantity("Pa/s", "bar/s", 0, 1e6, open_lower=True)]
 

@@ -9,10 +9,10 @@ from typing import Annotated, Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.base import Component, Inherited
+from mckibben.component.base import Component, Inherited, Units
 from mckibben.control.reference import Signal, as_signal
 from mckibben.joint import AntagonisticJoint, Load, Measurement
-from mckibben.units import Angle, Stiffness, Units, ValveLag
+from mckibben.units import Angle, Stiffness, ValveLag
 
 Scalar = Float[Array, ""]
 

@@ -1,7 +1,7 @@
 """Feedback from angle error to acceleration: pole placement and sliding mode."""
 
 import abc
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
 from mckibben.numerics.elementary import floating
-from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, PositiveRate
+from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, Quantity
+
+PositiveRate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6, open_lower=True)]
 
 # No `from __future__ import annotations`: equinox does not see an AbstractVar written as text.
 

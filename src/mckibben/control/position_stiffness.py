@@ -10,23 +10,19 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Units
 from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, JointModel, Loop, Measurement, Setpoint
 from mckibben.errors import McKibbenWarning
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative
-from mckibben.units import (
-    AngleDerivativeGain,
-    AngleGain,
-    AngleIntegralGain,
-    AngleScale,
-    StiffnessDerivativeGain,
-    StiffnessGain,
-    StiffnessIntegralGain,
-    StiffnessScale,
-    Tension,
-    Units,
-)
+from mckibben.units import AngleGain, AngleScale, Quantity, StiffnessScale, Tension
+
+AngleIntegralGain = Annotated[float, Quantity("Pa/(rad*s)", "bar/(rad*s)", -1e6, 1e6)]
+AngleDerivativeGain = Annotated[float, Quantity("Pa*s/rad", "bar*s/rad", -1e6, 1e6)]
+StiffnessGain = Annotated[float, Quantity("Pa/(N*m/rad)", "bar/(N*m/rad)", -1e6, 1e6)]
+StiffnessIntegralGain = Annotated[float, Quantity("Pa/(N*m*s/rad)", "bar/(N*m*s/rad)", -1e6, 1e6)]
+StiffnessDerivativeGain = Annotated[float, Quantity("Pa*s/(N*m/rad)", "bar*s/(N*m/rad)", -1e6, 1e6)]
 
 Scalar = Float[Array, ""]
 

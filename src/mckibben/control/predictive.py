@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,7 +22,9 @@ from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
-from mckibben.units import AngleScale, Bandwidth, Count, Iterations, PoleDamping, PositiveTime, StiffnessScale, bar, deg
+from mckibben.units import AngleScale, Bandwidth, BoundedInt, Count, PoleDamping, PositiveTime, StiffnessScale, bar, deg
+
+Iterations = Annotated[int, BoundedInt(1, 100)]
 
 Scalar = Float[Array, ""]
 

@@ -189,7 +189,7 @@ class Samples(Signal):
         times, values = (shape[-1] if shape else 0 for shape in (np.shape(self.times), np.shape(self.values)))
         if times != values or times == 0:
             raise RangeError(f"{times} times do not go with {values} values; give one value a time")
-        if not bool(jnp.all(jnp.diff(jnp.asarray(self.times)) > 0)):
+        if not bool(jnp.all(self.times[1:] > self.times[:-1])):
             raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +12,9 @@ from mckibben.component.base import Component
 from mckibben.control.observer import lag_fraction, lagged
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.elementary import exp, floating
-from mckibben.units import PositiveTime, PressureScale, TimeConstantSpread
+from mckibben.units import PositiveTime, PressureScale, Quantity
+
+TimeConstantSpread = Annotated[float, Quantity("1", "1", 0, 0.6, open_lower=True)]
 
 Scalar = Float[Array, ""]
 

@@ -60,7 +60,7 @@ def _usual(lengths: NDArray[np.int64]) -> int:
 
 
 def _stretches(at_end: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Saturated samples, and samples with at least a fifth of their surroundings saturated."""
+    """Saturated samples, and samples with at least a fifth of their neighbours saturated."""
     window = 2 * _LEAST + 1
     if len(at_end) < window:
         return at_end

@@ -14,7 +14,7 @@ from jax import lax
 from numpy.typing import NDArray
 
 from mckibben.codegen.source_module import SourceModule
-from mckibben.component.base import field_hints, field_quantities, units_of_part
+from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
 from mckibben.control import Controller, Setpoint
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import ForceLaw, PressureAffineLaw
@@ -23,7 +23,7 @@ from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
-from mckibben.units import SYMBOLS, Units
+from mckibben.units import SYMBOLS
 
 UNITS = {
     "parameters.control_period": "s",

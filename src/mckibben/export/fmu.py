@@ -108,7 +108,7 @@ def plant_unit(
         if held:
             pressures, air = valve.rates(state.pressures, state.air, commands, lambda: plant.air_volumes(state))
         muscles = tuple(MuscleState((), creep) for creep in motion.creep)
-        return {"rates": PlantState(motion.angle, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
+        return {"rates": PlantState(motion.position, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
 
     def project(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
         plant, at, _ = given(parameters, state, inputs)

@@ -139,6 +139,10 @@ def leg_model(
         "damper acts from the first touch",
         f"stops of the joints: likewise, at {LIMIT_SPEED:g} rad/s",
     ]
+    if any(joint.friction is not None for joint in joints):
+        left_out.append("friction of the joints")
+    if not plant.has_ideal_io or plant.command_delay is not None:
+        left_out.append("sensors, disturbances and command delay")
     if side is not None:
         left_out.append("inertia of the bodies in space: the planar inertia about each axis")
     xml = _mjcf(plant, module.name, timestep, bodies, driven, functions, found, start)

@@ -83,12 +83,12 @@ def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> Plan
 
     The pressures of an ideal valve are its commands: their rate is 0.
     """
-    commands = plant.clip_commands(commands)
-    state = plant.apply_commands(state, commands)
+    limited = plant.clip_commands(commands)
+    state = plant.apply_commands(state, limited)
     motion = plant.rate(state)
-    (first, second), air = plant.valve.rates(state.pressures, state.air, commands, lambda: plant.air_volumes(state))
+    (first, second), air = plant.valve.rates(state.pressures, state.air, limited, lambda: plant.air_volumes(state))
     pressures = first, second
-    return Motion(motion.angle, motion.velocity, ((), ()), pressures, air).applied_to(
+    return Motion(motion.position, motion.velocity, ((), ()), pressures, air).applied_to(
         PlantState(state.angle, state.velocity, state.pressures, NO_STATES), pressures
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,18 +12,9 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive
 from mckibben.numerics.elementary import sincos
-from mckibben.units import (
-    Angle,
-    Damping,
-    Distance,
-    Gravity,
-    Inertia,
-    Length,
-    Mass,
-    PositiveInertia,
-    PositiveMass,
-    Torque,
-)
+from mckibben.units import Angle, Damping, Distance, Gravity, Inertia, Length, Mass, PositiveMass, Quantity, Torque
+
+PositiveInertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4, open_lower=True)]
 
 _GRAVITY = 9.81  # m/s^2
 

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -23,7 +23,10 @@ from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint.geometry import Ends, Geometry, Pair
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.elementary import floating, sincos
-from mckibben.units import Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, MomentArm, deg, mm
+from mckibben.units import Angle, Coordinate, Distance, Length, MomentArm, Quantity, deg, mm
+
+ArmSlope = Annotated[float, Quantity("m/rad", "mm/rad", -1e4, 1e4)]
+ArmCurvature = Annotated[float, Quantity("m/rad^2", "mm/rad^2", -1e4, 1e4)]
 
 _Side = int
 """1 for muscle 1, which lengthens as the angle increases, -1 for muscle 2."""

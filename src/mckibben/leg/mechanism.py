@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,17 +19,11 @@ from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.units import (
-    Angle,
-    Damping,
-    Distance,
-    Inertia,
-    Length,
-    PositiveMass,
-    StiffnessScale,
-    StopDamping,
-    deg,
-)
+from mckibben.plant.joint_friction import JointFriction
+from mckibben.plant.sensors import Disturbance, NoDisturbance
+from mckibben.units import Angle, Damping, Distance, Inertia, Length, PositiveMass, Quantity, StiffnessScale, deg
+
+StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
 
 Scalar = Float[Array, ""]
 
@@ -109,6 +103,10 @@ class LegJoint(Component):
         Angle [rad] at which the joint is locked; movable unless given.
     name
         Name in results and errors.
+    friction
+        Friction of the joint itself; none unless given.
+    disturbance
+        External torque on the joint over time.
     """
 
     muscles: AntagonisticJoint
@@ -121,6 +119,8 @@ class LegJoint(Component):
     stop_damping: StopDamping = 0.2
     locked: Angle | None = None
     name: str = eqx.field(static=True, default="joint")
+    friction: JointFriction | None = eqx.field(kw_only=True, default=None)
+    disturbance: Disturbance = eqx.field(kw_only=True, default=NoDisturbance())
 
     def __check_init__(self) -> None:
         super().__check_init__()

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_positive
+from mckibben.component.checks import check_positive, known_numbers
 from mckibben.errors import RangeError
-from mckibben.joint import RigidTendon
+from mckibben.joint import Measurement, RigidTendon
 from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, frames, motion
 from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
-from mckibben.muscle import MuscleState
-from mckibben.numerics.calculus import rk4, value_and_derivative
+from mckibben.muscle import Muscle, MuscleState
+from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.plant.actuator import Actuator, AirState, AirVolume
-from mckibben.units import ContactDamping, ContactStiffness, Gravity, Share, Speed, bar, deg, mm
+from mckibben.plant.base import IOState, Motion, Plant
+from mckibben.plant.sensors import Disturbance
+from mckibben.units import Gravity, Quantity, Share, Speed, bar, deg, mm
+
+ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
+ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
 
@@ -61,41 +67,22 @@ class Ground(Component):
 
 
 class LegState(NamedTuple):
-    """State of a `LegPlant`; `muscles` has no leaves without friction and creep, `air` none without actuator states."""
+    """State of a `LegPlant`; what it lacks has no leaves, as in a `PlantState`."""
 
     posture: Posture
     velocity: Velocity
     pressures: tuple[Scalar, ...]
     muscles: tuple[MuscleState, ...]
+    io: IOState | tuple[()] = ()
     air: AirState | tuple[()] = ()
-
-
-class _Integrated(NamedTuple):
-    """Integrated part of a `LegState`, or its rate."""
-
-    posture: Any
-    velocity: Any
-    creep: tuple[Any, ...]
-    pressures: Any = ()
-    air: Any = ()
-
-    @classmethod
-    def of(cls, state: LegState) -> _Integrated:
-        pressures = state.pressures if isinstance(state.air, AirState) else ()
-        return cls(state.posture, state.velocity, tuple(one.creep for one in state.muscles), pressures, state.air)
-
-    def applied_to(self, state: LegState, pressures: tuple[Scalar, ...]) -> LegState:
-        """Return a state with this part, and other pressures [Pa] unless they belong to it."""
-        muscles = tuple(
-            MuscleState(held.friction, creep) for held, creep in zip(state.muscles, self.creep, strict=True)
-        )
-        return LegState(self.posture, self.velocity, self.pressures or pressures, muscles, self.air)
+    friction: tuple[FrictionState, ...] = ()
+    sent: tuple[tuple[Scalar, ...], ...] = ()
 
 
 class LegForces(NamedTuple):
     """Tensions [N] and contractions of the muscles, torques [N*m] of the joints, and the force of the ground [N].
 
-    Torques include damping and stops; `stops` are those of the stops alone.
+    Torques include disturbance, damping, friction and stops; `stops` are those of the stops alone.
     """
 
     tensions: tuple[Array, ...]
@@ -106,8 +93,8 @@ class LegForces(NamedTuple):
     ground: tuple[Array, Array]
 
 
-class LegPlant(Component):
-    """The simulated leg, of bodies, muscles, valves and ground; controllers have no access to it.
+class LegPlant(Plant):
+    """The simulated leg, of bodies, muscles, valves, ground and sensors; controllers have no access to it.
 
     Parameters
     ----------
@@ -115,6 +102,10 @@ class LegPlant(Component):
         The leg, the valve of each muscle, and the ground.
     gravity
         g [m/s^2].
+    sensors
+        Sensors of angles and pressures; the force on the foot is measured as it is.
+    command_delay
+        Time from a command to the valves [s].
     """
 
     leg: Leg
@@ -124,6 +115,22 @@ class LegPlant(Component):
 
     def __repr__(self) -> str:
         return f"LegPlant({self.leg!r}, {type(self.valve).__name__})"
+
+    @property
+    def muscles(self) -> tuple[Muscle, ...]:
+        return self.leg.muscles
+
+    @property
+    def disturbances(self) -> tuple[Disturbance, ...]:
+        return tuple(joint.disturbance for joint in self.leg.joints)
+
+    def true_measurement(self, state: LegState) -> Measurement:
+        angles: Any = state.posture.angles
+        pressures: Any = state.pressures
+        return Measurement(angles, pressures)
+
+    def disturbing_torque(self, time: ArrayLike) -> tuple[Array, ...]:
+        return tuple(floating(one.torque(time)) for one in self.disturbances)
 
     def init_state(
         self,
@@ -159,7 +166,7 @@ class LegPlant(Component):
             _check_pressure(name, pressure, highest)
             _check_pressure(f"{name} (supply)", pressure, highest if supply is None else supply)
         check_positive("LegPlant", "m", zero=True, clearance=clearance)
-        if leg.trunk.freedom == "fixed" and not (isinstance(upward_speed, Real) and upward_speed == 0):
+        if leg.trunk.freedom == "fixed" and np.any(known_numbers("LegPlant", "upward_speed", upward_speed)):
             raise RangeError(
                 "a fixed trunk has no speed",
                 field="upward_speed",
@@ -172,24 +179,37 @@ class LegPlant(Component):
         velocity = Velocity(zero, speed, zero, tuple(zero for _ in held))
         posture = posture._replace(z=floating(clearance) - contact(leg, frames(leg, posture, velocity)).z)
         inside = tuple(map(floating, pressures))
-        muscles = tuple(
+        muscles = (MuscleState((), ()),) * len(inside)
+        return self.complete_state(LegState(posture, velocity, inside, muscles))
+
+    def init_muscles(self, state: LegState) -> tuple[MuscleState, ...]:
+        units = zip(self.leg.routed_muscles(state.posture.angles), state.pressures, strict=True)
+        return tuple(
             unit.muscle.init_state(unit.tendon.contraction(unit.muscle, unit.path, pressure))
-            for unit, pressure in zip(leg.routed_muscles(held), inside, strict=True)
+            for unit, pressure in units
         )
-        air = self.valve.init_states(inside)
-        return LegState(posture, velocity, inside, muscles, air)
+
+    def init_friction(self, state: LegState) -> tuple[FrictionState, ...]:
+        if all(joint.friction is None for joint in self.leg.joints):
+            return ()
+        pairs = zip(self.leg.joints, state.posture.angles, strict=True)
+        return tuple(() if joint.friction is None else joint.friction.initial(angle) for joint, angle in pairs)
 
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] within rated pressures and supply; `RangeError` unless one for each muscle."""
         _check_count("commands", len(commands), self.leg.muscle_names)
-        rated = (muscle.specimen.domain for muscle in self.leg.muscles)
-        return tuple(map(self.valve.clip_command, commands, rated))
+        return super().clip_commands(commands)
 
     def forces(self, state: LegState) -> LegForces:
         """Return the forces in a state."""
         leg = self.leg
         angles, rates = state.posture.angles, state.velocity.angles
         torques: list[Array] = [-joint.damping * rate for joint, rate in zip(leg.joints, rates, strict=True)]
+        if isinstance(state.io, IOState):
+            torques = [one + torque for one, torque in zip(torques, state.io.disturbance, strict=True)]
+        for index, held in enumerate(state.friction):
+            if friction := leg.joints[index].friction:
+                torques[index] = torques[index] - friction.resisting_torque(held, angles[index])
         tensions, contractions, path_rates = [], [], []
         for unit, pressure, held in zip(leg.routed_muscles(angles), state.pressures, state.muscles, strict=True):
             path_rate = _path_rate(unit, rates)
@@ -214,51 +234,14 @@ class LegPlant(Component):
         """Return the force [N] of the ground on the foot, forward and up."""
         return self.ground.force(contact(self.leg, frames(self.leg, state.posture, state.velocity)))
 
-    def _rate(self, state: LegState) -> _Integrated:
-        """Time derivative of the motion at the pressures of a state."""
+    def rate(self, state: LegState) -> Motion:
         forces, velocity = self.forces(state), state.velocity
         moved = acceleration(self.leg, state.posture, velocity, forces.torques, forces.ground, self.gravity)
         creep = tuple(
             muscle.state_rate(held, rate).creep
             for muscle, held, rate in zip(self.leg.muscles, state.muscles, forces.path_rates, strict=True)
         )
-        return _Integrated(Posture(*velocity), moved, creep)
-
-    def advance(self, state: LegState, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int) -> LegState:
-        """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length."""
-        step = duration / substeps
-        valve: Any = self.valve
-        if valve.holds_air:
-            return lax.fori_loop(0, substeps, lambda _, one: self._step_with_air(valve, one, commands, step), state)
-
-        def integrate(_: Array, state: LegState) -> LegState:
-            def rate(part: _Integrated, *pressures: Array) -> _Integrated:
-                return self._rate(part.applied_to(state, pressures))
-
-            end, held = valve.all_after(state.pressures, state.air, commands, step)
-            middle, _ = valve.all_after(state.pressures, state.air, commands, step / 2)
-            state = state._replace(air=())
-            moved = rk4(rate, _Integrated.of(state), step, (state.pressures, middle, end))
-            return self._settled(moved.applied_to(state, end))._replace(air=held)
-
-        begun = tuple(map(valve.after_command, state.pressures, commands))
-        return lax.fori_loop(0, substeps, integrate, state._replace(pressures=begun))
-
-    def _step_with_air(self, valve: Any, state: LegState, commands: Sequence[ArrayLike], step: ArrayLike) -> LegState:
-        """State after a step [s] in which motion and air are integrated together."""
-        assert isinstance(state.air, AirState)
-        opened = tuple(
-            valve.before_step(*each, step) for each in zip(state.air.valves, commands, state.pressures, strict=True)
-        )
-        state = state._replace(air=state.air._replace(valves=opened))
-
-        def rate(part: _Integrated) -> _Integrated:
-            at = part.applied_to(state, state.pressures)
-            assert isinstance(at.air, AirState)
-            pressures, air = valve.air_rate(at.pressures, at.air, commands, self.air_volumes(at))
-            return self._rate(at)._replace(pressures=pressures, air=air)
-
-        return self._settled(rk4(rate, _Integrated.of(state), step).applied_to(state, state.pressures))
+        return Motion(Posture(*velocity), moved, creep)
 
     def air_volumes(self, state: LegState) -> list[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included."""
@@ -278,8 +261,11 @@ class LegPlant(Component):
             volumes.append(AirVolume(at, slope * _path_rate(unit, state.velocity.angles), by_pressure))
         return volumes
 
-    def _settled(self, state: LegState) -> LegState:
-        """State after a step with updated internal states of the muscles; no force changes by it."""
+    def project(self, state: LegState) -> LegState:
+        if state.friction:
+            joints = zip(self.leg.joints, state.friction, state.posture.angles, strict=True)
+            friction = tuple(joint.friction.project(held, at) if joint.friction else held for joint, held, at in joints)
+            state = state._replace(friction=friction)
         if not any(one.friction or one.creep for one in state.muscles):
             return state
         muscles = []

@@ -16,21 +16,25 @@ from mckibben.errors import quoted, suggest
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import Ground, LegPlant
 from mckibben.muscle import SpringLaw
-from mckibben.plant import IdealValve
-from mckibben.scenario.scenario import RunSettings, ValvePart
+from mckibben.plant import IdealValve, PerfectSensors
+from mckibben.scenario.scenario import RunSettings, SensorsPart, ValvePart
 from mckibben.units import (
     Angle,
     BoundedInt,
-    DropHeight,
+    CommandDelay,
     Duration,
+    Percent,
     PositiveTime,
     Pressure,
-    Spread,
+    Quantity,
     Stiffness,
     bar,
     deg,
     mm,
 )
+
+DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
+Spread = Annotated[float, Percent("1", "%", 0, 50)]
 
 _DEEPEST = 50 * mm
 """Largest static deflection of the ground under the weight of the leg."""
@@ -128,6 +132,8 @@ class LegScenario(RunSettings):
     leg: Annotated[Leg, Part(Leg)]
     valve: ValvePart = IdealValve()
     ground: Annotated[Ground, Part(Ground)] = Ground()
+    sensors: SensorsPart = PerfectSensors()
+    command_delay: CommandDelay | None = None
     landing: LandingSettings | None = None
     jump: JumpSettings | None = None
     uncertainty: DrawSettings = DrawSettings()
@@ -219,7 +225,8 @@ class LegScenario(RunSettings):
 
     def plant(self) -> LegPlant:
         """The simulated leg."""
-        return LegPlant(self.leg, self.valve, self.ground)
+        plant = LegPlant(self.leg, self.valve, self.ground, sensors=self.sensors, command_delay=self.command_delay)
+        return plant.with_period(self.step)
 
 
 def read_leg(name: str | os.PathLike[str]) -> Leg:

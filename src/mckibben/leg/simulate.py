@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -49,21 +49,23 @@ class LegStart(NamedTuple):
 def _begin(plant: LegPlant, controller: LegController, start: LegStart) -> tuple[LegState, Any]:
     """States of leg and controller at the start."""
     state = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
-    return state, controller.init(_measure(plant, state, 0.0))
+    return state, controller.init(_sample(plant, state, 0.0, 0.0)[1])
 
 
 def _period(
     plant: LegPlant, controller: LegController, state: tuple[LegState, Any], time: Array, period: Any, substeps: int
 ) -> tuple[tuple[LegState, Any], tuple[Array, ...]]:
     """A control period: the next states, and the commands."""
-    at, held = state
-    held, wanted = controller.step(held, _measure(plant, at, time), period)
+    at, measured = _sample(plant, state[0], time, period)
+    held, wanted = controller.step(state[1], measured, period)
     commands = plant.clip_commands(wanted)
-    return (plant.advance(at, commands, period, substeps), held), commands
+    return (plant.follow(at, commands, period, substeps), held), commands
 
 
-def _measure(plant: LegPlant, state: LegState, time: ArrayLike) -> LegMeasurement:
-    return LegMeasurement(jnp.asarray(time), state.posture.angles, state.pressures, plant.ground_force(state)[1])
+def _sample(plant: LegPlant, state: LegState, time: ArrayLike, period: ArrayLike) -> tuple[LegState, LegMeasurement]:
+    """State at the start of a control period, with its disturbance, and the measurement."""
+    state, (angles, pressures) = plant.sample(state, period)
+    return state, LegMeasurement(jnp.asarray(time), cast(Any, angles), pressures, plant.ground_force(state)[1])
 
 
 def leg_episode(
@@ -127,6 +129,7 @@ def simulate_leg(
     RangeError
         If the start is not possible; see `LegPlant.init_state`.
     """
+    plant = plant.with_period(control_period)
     _begin(plant, controller, start)  # raises
     times = sampling_times(duration, control_period, substeps)
     check_step(plant, start, control_period, substeps)
@@ -193,6 +196,7 @@ def simulate_legs(
         If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """
     trees = with_leaves({"plant": plant, "controller": controller, "start": start}, over or {})
+    trees["plant"] = plant = trees["plant"].with_period(control_period)
     count, varying = lanes_of(trees)
     if count is None:
         raise ParameterError("all runs are the same", remedy="give an array in place of a number, or use simulate_leg")
@@ -271,11 +275,17 @@ def check_step(plant: LegPlant, start: LegStart, control_period: float, substeps
         for joint, link in zip(leg.joints, leg.links, strict=True)
         if joint.locked is None
     ]
+    sticking = [
+        math.sqrt(float(joint.friction.steepest) / (link.inertia + link.mass * link.centre**2))
+        for joint, link in zip(leg.joints, leg.links, strict=True)
+        if joint.locked is None and joint.friction is not None
+    ]
     weight = float(leg.total_mass) * plant.gravity
     needed = {
         "the ground": math.sqrt(ground.stiffness * np.linalg.eigvalsh(mobility)[-1]) / _LONGEST,
         "the stops": max(stops, default=0.0) / _LONGEST,
-        "the friction": ground.friction * weight / ground.slip_speed * mobility[0, 0] / STABILITY_LIMIT,
+        "the friction of the joints": max(sticking, default=0.0) / _LONGEST,
+        "the friction of the ground": ground.friction * weight / ground.slip_speed * mobility[0, 0] / STABILITY_LIMIT,
     }
     if plant.valve.holds_air:
         muscles = (muscle for muscle in leg.muscles if not isinstance(muscle.law, SpringLaw))

@@ -1,6 +1,6 @@
 """Muscles: force laws, specimen, and the internal state of friction and creep."""
 
-from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, scaled_law
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, pressure_for, scaled_law
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
@@ -68,6 +68,7 @@ __all__ = [
     "TsagarakisCaldwellLaw",
     "corrected_law",
     "forces",
+    "pressure_for",
     "return_spring",
     "scaled_law",
 ]

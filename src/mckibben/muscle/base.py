@@ -13,7 +13,7 @@ from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, check_within
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
-from mckibben.units import Percent, Quantity, atm, bar, deg, mm
+from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm
 
 # No `from __future__ import annotations` here: equinox does not recognise an AbstractVar written as text.
 
@@ -122,7 +122,7 @@ class ScaledLaw(ForceLaw):
     """A law multiplied by a factor; see `scaled_law`."""
 
     law: ForceLaw
-    strength: Any
+    strength: Strength
     domain: Domain
 
     equation = "F = s F_law"
@@ -139,7 +139,7 @@ class ScaledAffineLaw(PressureAffineLaw):
     """A law affine in pressure, multiplied by a factor; see `scaled_law`."""
 
     law: PressureAffineLaw
-    strength: Any
+    strength: Strength
     domain: Domain
 
     equation = "F = s F_law"

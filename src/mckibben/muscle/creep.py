@@ -12,14 +12,12 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_within
 from mckibben.numerics.elementary import floating
-from mckibben.units import Quantity, SpringRate
+from mckibben.units import BoundedInt, Quantity, SpringRate
 
 CreepState = tuple[Array, ...]
 """Force [N] in each Maxwell arm."""
 
-_ARMS = 1, 8
 _DECADE = 10.0
 
 
@@ -98,6 +96,7 @@ class NoCreep(Creep):
 
 
 CreepTime = Annotated[float, Quantity("s", "s", 0.01, 1e6)]
+Arms = Annotated[int, BoundedInt(1, 8)]
 
 
 class MaxwellCreep(Creep):
@@ -144,11 +143,7 @@ class MaxwellCreep(Creep):
 
     stiffness: SpringRate
     time_constant: CreepTime
-    arms: int = eqx.field(default=1, kw_only=True, static=True)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_within("MaxwellCreep", *_ARMS, arms=self.arms)
+    arms: Arms = eqx.field(default=1, kw_only=True, static=True)
 
     @property
     def time_constants(self) -> list[float]:

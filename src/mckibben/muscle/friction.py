@@ -13,10 +13,9 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_within
 from mckibben.numerics.batching import compute_once
 from mckibben.numerics.elementary import floating
-from mckibben.units import Force, Pressure, Quantity
+from mckibben.units import BoundedInt, Force, Pressure, Quantity
 
 FrictionState = tuple[Array, ...]
 """Anchor of each element: the length [m] at which it is unstressed."""
@@ -26,7 +25,8 @@ MIN_HALF_WIDTH = 1e-6
 
 _LEAST = 1e-9  # N: lower bound of a half width that shrinks with pressure, to avoid a division by 0
 _KNOT = 0.7  # knot spacing that minimises the largest distance between polygon and exponential
-ELEMENTS = 1, 16
+Elements = Annotated[int, BoundedInt(1, 16)]
+"""Number of springs with a slider in parallel."""
 
 
 class Friction(Component):
@@ -175,11 +175,7 @@ class MaxwellSlip(Friction):
     tension_growth: TensionGrowth | None = eqx.field(default=None, kw_only=True)
     reference_tension: Force = eqx.field(default=0.0, kw_only=True)
     viscous: Viscosity = eqx.field(default=0.0, kw_only=True)
-    elements: int = eqx.field(default=6, kw_only=True, static=True)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_within("MaxwellSlip", *ELEMENTS, elements=self.elements)
+    elements: Elements = eqx.field(default=6, kw_only=True, static=True)
 
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         tension, pressure = jnp.asarray(tension), jnp.asarray(pressure)

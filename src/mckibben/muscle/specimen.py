@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from numbers import Real
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,9 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.numerics.elementary import polynomial
-from mckibben.units import BraidAngle, Contraction, Diameter, Length, Pressure, Tension, VolumeTerm, bar, percent
+from mckibben.units import BraidAngle, Contraction, Diameter, Length, Pressure, Quantity, Tension, bar, percent
+
+VolumeTerm = Annotated[float, Quantity("m^3", "cm^3", -1e6, 1e6)]
 
 
 class Domain(Component):

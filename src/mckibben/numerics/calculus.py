@@ -41,17 +41,22 @@ def bracketed_root(function: Callable[[Array], Array], low: ArrayLike, high: Arr
     rising = at_low <= at_high
     exists = jnp.where(rising, (at_low <= 0) & (at_high >= 0), (at_low >= 0) & (at_high <= 0))
 
-    def bisect(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bounds
-        middle = (low + high) / 2
-        beyond = (function(middle) > 0) == rising
-        return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
+    def solve(function: Callable[[Array], Array], start: Array) -> Array:
+        def bisect(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+            low, high = bounds
+            middle = (low + high) / 2
+            beyond = (function(middle) > 0) == rising
+            return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
-    low, high = lax.stop_gradient(lax.fori_loop(0, _BISECTIONS, bisect, (low, high)))
-    root = (low + high) / 2
-    for _ in range(_NEWTON_STEPS):
-        value, slope = value_and_derivative(function, lax.stop_gradient(root))
-        root = lax.stop_gradient(root) - value / lax.stop_gradient(slope)
+        below, above = lax.fori_loop(0, _BISECTIONS, bisect, (low, high))
+        root = (below + above) / 2
+        for _ in range(_NEWTON_STEPS):
+            value, slope = value_and_derivative(function, root)
+            root = root - value / slope
+        return root
+
+    # Derivatives of any order are those of the implicit function.
+    root = lax.custom_root(function, low, solve, lambda tangent, y: y / tangent(jnp.ones_like(y)))
     return jnp.where(exists, root, jnp.nan)
 
 

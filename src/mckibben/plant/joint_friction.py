@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_within
-from mckibben.muscle.friction import ELEMENTS, FrictionState, anchors, polygon, slip_forces
+from mckibben.muscle.friction import Elements, FrictionState, anchors, polygon, slip_forces
 from mckibben.numerics.elementary import floating
-from mckibben.units import PreslidingAngle, Quantity
+from mckibben.units import Quantity
+
+PreslidingAngle = Annotated[float, Quantity("rad", "deg", 0, 360, open_lower=True)]
 
 FrictionTorque = Annotated[float, Quantity("N*m", "N*m", 1e-9, 1e6)]  # it is divided by
 
@@ -56,11 +57,7 @@ class JointFriction(Component):
 
     torque: FrictionTorque
     presliding: PreslidingAngle = 0.5 * jnp.pi / 180
-    elements: int = eqx.field(default=4, kw_only=True, static=True)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_within("JointFriction", *ELEMENTS, elements=self.elements)
+    elements: Elements = eqx.field(default=4, kw_only=True, static=True)
 
     @property
     def steepest(self) -> Float[Array, ""]:

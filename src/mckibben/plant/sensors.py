@@ -18,7 +18,10 @@ from mckibben.units import Angle, AngleStep, Delay, Duration, PositiveTime, Pres
 
 
 class Sensors(Component):
-    """Sensor model: maps the true state to a measurement once per control period."""
+    """Sensor model: maps the true state to a measurement once per control period.
+
+    Of a leg, the angle of a measurement is a tuple over the joints, and there is a pressure for each muscle.
+    """
 
     default_class = "sampled"
 
@@ -68,14 +71,15 @@ class SampledSensors(Sensors):
 
     def _sample(self, index: ArrayLike, true: Measurement) -> Measurement:
         """Quantised, noisy sample without delay."""
-        angle = floating(true.angle) + self.encoder_offset
-        step = jnp.asarray(self.encoder)
-        quantised = jnp.where(step > 0, jnp.round(angle / jnp.where(step > 0, step, 1.0)) * step, angle)
         key = jax.random.fold_in(jax.random.key(self.seed), jnp.asarray(index).astype(jnp.uint32))
-        normal = jax.random.normal(key, (2,), jnp.float32)  # the same in either precision
-        noise = normal.astype(angle.dtype) * self.pressure_noise
-        pressure1, pressure2 = true.pressures
-        return Measurement(quantised, (pressure1 + noise[0], pressure2 + noise[1]))
+        noise = jax.random.normal(key, (len(true.pressures),), jnp.float32)  # the same in either precision
+        pressures = zip(map(floating, true.pressures), noise, strict=True)
+        measured: Any = tuple(one + error.astype(one.dtype) * self.pressure_noise for one, error in pressures)
+        return Measurement(jax.tree.map(self._quantised, true.angle), measured)
+
+    def _quantised(self, angle: ArrayLike) -> Array:
+        angle, step = floating(angle) + self.encoder_offset, jnp.asarray(self.encoder)
+        return jnp.where(step > 0, jnp.round(angle / jnp.where(step > 0, step, 1.0)) * step, angle)
 
 
 class Disturbance(Component):

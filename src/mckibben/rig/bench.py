@@ -18,7 +18,6 @@ from mckibben.rig.calibration import Calibration
 from mckibben.rig.protocol import specimen_of
 from mckibben.units import (
     Angle,
-    AngularRate,
     BoundedInt,
     Duration,
     Factor,
@@ -38,6 +37,8 @@ from mckibben.units import (
     ms,
     s,
 )
+
+AngularRate = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e4, open_lower=True)]
 
 MonitorTime = Annotated[float, Quantity("s", "ms", 0, 5e3, open_lower=True)]  # more is one in ms
 

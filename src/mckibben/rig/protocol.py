@@ -19,7 +19,7 @@ from mckibben.muscle.muscle import LEAST_PRESSURE
 from mckibben.units import (
     Contraction,
     Duration,
-    ForceReserve,
+    Percent,
     Quantity,
     Repeats,
     Samples,
@@ -30,6 +30,8 @@ from mckibben.units import (
     percent,
     s,
 )
+
+ForceReserve = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
 
 
 class _SetPressureRange(Quantity):

@@ -8,14 +8,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, get_args, get_origin
 
-from mckibben.component.base import Component
+from mckibben.component.base import Component, Units
 from mckibben.component.classes import class_name
 from mckibben.component.schema import declared_fields, forms, inherited_fields, part_of
 from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
 from mckibben.scenario.scenario import Scenario, Start
-from mckibben.units import BoundedInt, Quantity, Units, show
+from mckibben.units import BoundedInt, Quantity, show
 
 Place = tuple[str, ...]
 """Keys from the top of a scenario to a value; of an item of a list its index."""
@@ -237,7 +237,7 @@ def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
     >>> find_parameter(scenario, "load.mass3")
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: load, of class knee, has no parameter 'mass3'; did you mean 'mass1'? ...
+    mckibben.errors.ParameterError: load, of class knee, has no parameter 'mass3'; did you mean 'load.mass2'? ...
     """
     return find_parameters(scenario, [name])[0]
 

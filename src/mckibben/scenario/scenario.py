@@ -166,8 +166,8 @@ class Scenario(RunSettings):
 
     def plant(self) -> JointPlant:
         """Return the simulated plant."""
-        parts = self.joint, self.load, self.valve, self.sensors, self.disturbance, self.friction
-        return JointPlant(*parts, command_delay=self.command_delay)
+        names = "sensors", "disturbance", "friction", "command_delay"
+        return JointPlant(self.joint, self.load, self.valve, **{name: getattr(self, name) for name in names})
 
     def control(self) -> Controller:
         """Return the controller; what its file does not state of its model is taken from this scenario's plant."""

@@ -326,8 +326,8 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     >>> for before, after in zip(text.splitlines(), changed.splitlines()):
     ...     if before != after:
     ...         print(after)
-    load: {from: knee-table-2, damping: 0.1 N*m*s/rad}            # or, with a heavier weight, ...
-    valve: {time_constant: 30 ms}   # or ideal: the pressure is what is commanded, at once
+    load: {from: knee-table-2, damping: 0.1 N*m*s/rad}            # or, with ...
+    valve: {time_constant: 30 ms}   # or ideal: the pressure equals the command at once
     """
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)

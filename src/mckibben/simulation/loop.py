@@ -47,7 +47,7 @@ def control_period(
     controller_state, wanted = controller.step(controller_state, setpoint, measurement, period)
     commands = plant.clip_commands(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
-    record = Record(plant_state, *commands, limited, controller.telemetry(controller_state))
+    record = Record(plant_state, commands[0], commands[1], limited, controller.telemetry(controller_state))
     return (plant.follow(plant_state, commands, period, substeps), controller_state), record
 
 

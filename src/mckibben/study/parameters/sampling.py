@@ -70,8 +70,8 @@ class SweptParameter:
                 text = f"{distribution.low}..{distribution.high}"
             case Values():
                 text = ", ".join(write(value) for value in distribution.values)
-            case Normal():
-                text = f"normal {write(distribution.deviation)}"
+            case Normal(deviation=deviation):  # a percentage would be relative to the nominal value
+                text = f"normal {deviation if self.parameter.shown == '%' else write(deviation)}"
             case _:
                 text = repr(distribution)
         return f"{self.name}={text}"
@@ -248,7 +248,7 @@ def _parse_amount(text: str, parameter: ScenarioParameter) -> tuple[float, float
         _fail(f"{parameter.name} has no nominal value in the scenario", "give a range, like `12..18 N*m/rad`")
     relative = _RELATIVE.fullmatch(text)
     if not relative:
-        amount = _read(replace(mark, lower=0.0, upper=1e12, open_lower=True, open_upper=False), text)
+        amount = _read(replace(mark, lower=0.0, upper=1e60, open_lower=True, open_upper=False), text)
     elif nominal == 0:
         _fail(
             f"{text} of a nominal value of {parameter.show(0.0)} is nothing",

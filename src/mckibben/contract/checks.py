@@ -1,0 +1,427 @@
+"""Checks of the contract: units, files, determinism, batches, derivatives, C, and the identities of a base."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Annotated, Any, get_args, get_origin
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.codegen.native import NativeFunction, compiler
+from mckibben.component.base import Component, Units, field_hints, field_quantities
+from mckibben.component.classes import class_name
+from mckibben.component.extensions import load_extension
+from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
+from mckibben.config.document import to_text
+from mckibben.contract.probes import Identity, Probe, Probes, Ranges, plant_scope, probes_of
+from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
+from mckibben.errors import McKibbenError, ParameterError, printable
+from mckibben.numerics.compiled import numeric
+from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
+
+UNITS = Units(
+    signal=Angle,
+    gain=AngleGain,
+    integral_gain=AngleIntegralGain,
+    derivative_gain=AngleDerivativeGain,
+    scale=AngleScale,
+)
+"""Units of symbolic fields in the file of the round trip: those of a position loop."""
+
+_ROWS = 4  # samples, in addition to the lowest and the middle of the ranges
+_STEP = 1e-6  # of a finite difference, relative to range or value
+_EQUAL, _SLOPE, _NOISE = 1e-8, 1e-4, 1e-6  # relative tolerances: of values, of derivatives, and of their rounding
+_ROUNDING = 1e-14  # of a result that is the difference of others, relative to the largest
+_APART = 1e-4  # relative change of the parameters for finite differences, so that equal limits are no kinks
+_ADDRESS = re.compile(r"0x[0-9a-f]+")
+_LONGEST = 300  # characters of a finding
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of one check of a class; `passed` is None if it was not possible."""
+
+    kind: str
+    check: str
+    passed: bool | None
+    found: str = ""
+    remedy: str = ""
+
+
+class _BrokenError(Exception):
+    """A part of the contract does not hold."""
+
+    def __init__(self, found: str, remedy: str = "") -> None:
+        super().__init__(found)
+        self.remedy = remedy
+
+
+class _SkippedError(Exception):
+    """A check that is not possible here."""
+
+
+def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | None = None) -> list[Finding]:
+    """Run the contract of every class of a Python file or module, on its module-level instances or as by `check_class`.
+
+    Raises `ScenarioError` if the module cannot be run, `ParameterError` if it has no component, or none has a field.
+    """
+    module = load_extension(named)
+    kinds = list(_own_classes(module))
+    if not kinds:
+        remedy = "define a class that derives from a base, such as Valve, Geometry or Controller"
+        raise ParameterError(f"{os.fspath(named)} defines no component", value=os.fspath(named), remedy=remedy)
+    given = dict(fields or {})
+    if unknown := [name for name in given if not any(name in declared_fields(kind) for kind in kinds)]:
+        names = ", ".join(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
+        raise ParameterError(f"no class has the field {unknown[0]!r}", value=unknown[0], remedy=f"known are {names}")
+    findings = []
+    for kind in kinds:
+        own = {name: value for name, value in given.items() if name in declared_fields(kind)}
+        instances = [] if own else [one for one in vars(module).values() if type(one) is kind]
+        findings += check_class(kind, own, instances)
+    return findings
+
+
+def _own_classes(module: ModuleType) -> Iterator[type]:
+    """Components that a module or its package defines; not the abstract ones that it derives others from."""
+    package = module.__name__.partition(".")[0]
+    found = [one for one in vars(module).values() if isinstance(one, type) and issubclass(one, Component)]
+    own = [one for one in dict.fromkeys(found) if one.__module__.partition(".")[0] == package]
+    for one in own:
+        is_base = inspect.isabstract(one) and any(issubclass(other, one) and other is not one for other in own)
+        if not one.__name__.startswith("_") and not is_base:
+            yield one
+
+
+def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: Sequence[Any] = ()) -> list[Finding]:
+    """Run the contract of a component class; failures of the class are findings, not exceptions.
+
+    Parameters
+    ----------
+    fields
+        Values of fields as in a file, such as ``{"rate": "20 bar/s"}``; others have their defaults, and models of the
+        plant are those of the paper's knee.
+    instances
+        Instances to check in place of one from `fields`.
+    """
+    findings = [_finding(kind, "units", lambda: _check_units(kind))]
+    if not instances:
+        made: list[Any] = []
+        findings.append(_finding(kind, "instance", lambda: made.append(_made(kind, fields or {}))))
+        instances = made
+    for one in instances:
+        findings += _check_instance(one)
+    worst: dict[str, Finding] = {}
+    for one in findings:
+        if one.check not in worst or (worst[one.check].passed is not False and one.passed is not True):
+            worst[one.check] = one
+    return list(worst.values())
+
+
+def _check_instance(component: Any) -> Iterator[Finding]:
+    """Findings of a component."""
+    kind = type(component)
+    made: list[Probes] = []
+    if not (prepared := _finding(kind, "arguments", lambda: made.append(probes_of(component)))).passed:
+        yield prepared
+        return
+    probes = made[0]
+    if probes.in_files:
+        yield _finding(kind, "file", lambda: _check_file(component))
+    for probe in probes.functions:
+        sampled = _Sampled(component, probe)
+        yield (traced := _finding(kind, "batch", lambda sampled=sampled: sampled.values))
+        if traced.passed:
+            yield (same := _finding(kind, "determinism", sampled.check_program))
+            if same.passed:
+                yield _finding(kind, "batch", sampled.check_batch)
+                yield _finding(kind, "derivatives", sampled.check_derivatives)
+                if probes.emitted:
+                    yield _finding(kind, "C", sampled.check_native)
+    for identity in probes.identities:
+        yield _finding(kind, identity.name, lambda identity=identity: _check_identity(component, identity))
+
+
+def _finding(kind: type, check: str, function: Callable[[], object]) -> Finding:
+    """Finding of a check, which raises where the contract does not hold."""
+    found = Finding(kind.__name__, check, True)
+    try:
+        function()
+    except _SkippedError as reason:
+        return replace(found, passed=None, found=str(reason))
+    except _BrokenError as error:
+        return replace(found, passed=False, found=str(error), remedy=error.remedy)
+    except jax.errors.ConcretizationTypeError as error:
+        remedy = "use jax.numpy: jnp.where in place of `if`, no float() or NumPy function of an argument or a field"
+        text = f"uses the value of a traced number{_place(error, kind)}"
+        return replace(found, passed=False, found=text, remedy=remedy)
+    except McKibbenError as error:
+        return replace(found, passed=False, found=printable(error.message, _LONGEST), remedy=error.remedy)
+    except Exception as error:
+        text = next(iter(str(error).splitlines()), "")
+        text = f"{type(error).__name__}: {text}{_place(error, kind)}"
+        return replace(found, passed=False, found=printable(text, _LONGEST))
+    return found
+
+
+def _place(error: BaseException, kind: type) -> str:
+    """Line of the class's module in which an error was raised."""
+    lines, trace = [], error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_globals.get("__name__") == kind.__module__:
+            lines.append(f" (line {trace.tb_lineno}, {trace.tb_frame.f_code.co_name})")
+        trace = trace.tb_next
+    return lines[-1] if lines else ""
+
+
+def _base_of(kind: type) -> type:
+    """Base whose fields in files hold a class: the one that derives from `Component` itself."""
+    return next((one for one in kind.__mro__ if Component in one.__bases__), kind)
+
+
+def _made(kind: type, fields: Mapping[str, str]) -> Any:
+    """Component from a file with some of its fields."""
+    if inspect.isabstract(kind):
+        missing = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
+        raise _BrokenError(f"it lacks {missing}", "implement the abstract methods and fields of the base")
+    try:
+        given = {"class": class_name(kind), **fields}
+        return _read(kind, "it:\n" + "".join(f"  {name}: {value}\n" for name, value in given.items()))
+    except McKibbenError as error:
+        problems = getattr(error, "problems", ())
+        text = "; ".join(f"{one.field}: {one.message}".lstrip(": ") for one in problems) or error.message
+        remedy = "define an instance in the module, or give fields: --with 'NAME=VALUE'"
+        raise _BrokenError(text, remedy) from error
+
+
+def _read(kind: type, text: str) -> Any:
+    """Component under the key `it` of a file, in the plant of `plant_scope`."""
+    context = {"scope": (plant_scope(),)}
+    return parse_component(_base_of(kind), text, source=kind.__name__, key="it", context=context, units=UNITS)
+
+
+def _check_units(kind: type) -> None:
+    """Each number of a file has a unit in SI."""
+    hints, marks, symbolic = field_hints(kind), field_quantities(kind), symbolic_fields(kind)
+    for name in declared_fields(kind):
+        if name not in hints:
+            raise _BrokenError(f"the type of {name} is not found", "import it at the top of the module")
+        mark = marks.get(name) or kind.unit_of(name)  # type: ignore[attr-defined]
+        if mark is None and _has_bare_float(hints[name]):
+            remedy = "use a type of mckibben.units, or Annotated[float, Quantity('N*s/m', lower=0, upper=1e3)]"
+            raise _BrokenError(f"{name} has no unit", remedy)
+        if mark is not None and name not in symbolic and not np.isclose(factor(mark.unit), 1.0, rtol=1e-12, atol=0):
+            raise _BrokenError(f"{name} is in {mark.unit}", f"fields are in SI: Quantity('SI unit', '{mark.unit}')")
+
+
+def _has_bare_float(hint: Any) -> bool:
+    """Whether a type contains a float without unit."""
+    if get_origin(hint) is Annotated and any(isinstance(one, Quantity | BoundedInt) for one in hint.__metadata__):
+        return False
+    return hint is float or any(_has_bare_float(one) for one in get_args(hint))
+
+
+def _check_file(component: Any) -> None:
+    """A component that is written to a file and read again is the same."""
+    kind = type(component)
+    back = _read(kind, to_text({"it": write(component, Part(_base_of(kind), UNITS))}))
+    if type(back) is not kind:
+        raise _BrokenError(f"a file gives a {type(back).__name__}", "give the class a `short_name` of its own")
+    for name in declared_fields(kind):
+        before, after = getattr(component, name), getattr(back, name)
+        if not _is_same(before, after):
+            remedy = (
+                "its type must be one that files hold: a quantity, Flag, word, path, component, or a tuple of these"
+            )
+            raise _BrokenError(f"{name} is {_short(before)} in Python and {_short(after)} after a file", remedy)
+
+
+def _short(value: Any) -> str:
+    return printable(" ".join(repr(value).split()), 60)
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Whether two values of a field are equal, number by number."""
+    (leaves, structure), (others, another) = (jax.tree.flatten(numeric(each)) for each in (one, other))
+    return structure == another and all(np.array_equal(*pair) for pair in zip(leaves, others, strict=True))
+
+
+def _samples(ranges: Ranges) -> NDArray[np.float64]:
+    """Arguments, shape (samples, arguments): random ones, then the lowest and the middle of each range."""
+    low, high = np.array(list(ranges.values())).T
+    random = np.random.default_rng(0).uniform(low, high, (_ROWS, len(low)))
+    return np.concatenate([random, [low, (low + high) / 2]])
+
+
+class _Sampled:
+    """A probe of a component as a function of one vector, of arguments and then of parameters, and its values."""
+
+    def __init__(self, component: Any, probe: Probe) -> None:
+        self.component, self.probe = component, probe
+        self.arguments = _samples(probe.ranges)
+        paths, self._structure = jax.tree_util.tree_flatten_with_path(numeric(component))
+        self._leaves = [leaf for _, leaf in paths]
+        self._free = [n for n, leaf in enumerate(self._leaves) if _is_parameter(leaf)]
+        free = [np.asarray(self._leaves[n], float) for n in self._free]
+        names = [jax.tree_util.keystr(paths[n][0]).lstrip(".") for n in self._free for _ in range(self._leaves[n].size)]
+        self.names = [*probe.ranges, *names]
+        values = np.concatenate([np.empty(0), *map(np.ravel, free)])
+        self.points = np.concatenate([self.arguments, np.tile(values, (len(self.arguments), 1))], axis=1)
+        widths = [high - low for low, high in probe.ranges.values()]
+        self.scales = np.concatenate([widths, np.abs(values)])
+        self.moving = np.flatnonzero(self.scales)
+        self.moves = np.eye(len(self.scales))[self.moving] * self.scales[self.moving, None]  # (directions, numbers)
+        apart = np.random.default_rng(1).uniform(1 - _APART, 1 + _APART, (_ROWS, len(values)))
+        self._middle = self.points[:_ROWS] * np.concatenate([np.ones_like(self.arguments[:_ROWS]), apart], axis=1)
+        around = [self._middle[:, None] + sign * _STEP * self.moves for sign in (1, -1)]
+        self._points = np.concatenate([self.points, self._middle, *(x.reshape(-1, len(self.scales)) for x in around)])
+
+    def __call__(self, point: Any) -> Any:
+        """Results, flat."""
+        count, leaves = len(self.probe.ranges), list(self._leaves)
+        at = count
+        for n in self._free:
+            size, shape = leaves[n].size, leaves[n].shape
+            leaves[n], at = jnp.reshape(point[at : at + size], shape), at + size
+        results = self.probe.function(jax.tree.unflatten(self._structure, leaves), *(point[i] for i in range(count)))
+        return jnp.concatenate([jnp.ravel(jnp.asarray(one, float)) for one in jax.tree.leaves(results)])
+
+    @functools.cached_property
+    def _program(self) -> Any:
+        return jax.jit(jax.vmap(self))
+
+    @functools.cached_property
+    def _computed(self) -> NDArray[np.float64]:
+        """Results of the samples and around them, shape (points, results), by one program."""
+        return np.asarray(self._program(self._points))
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Results of all samples, shape (samples, results)."""
+        return self._computed[: len(self.points)]
+
+    def check_program(self) -> None:
+        """The same arguments give the same program and the same results."""
+        first, second = (self._traced() for _ in range(2))
+        if first != second or not np.array_equal(self._computed, self._program(self._points), equal_nan=True):
+            remedy = (
+                "no random numbers, time or counters of its own: draw by a seed from the state, keep all in the state"
+            )
+            raise _BrokenError("two evaluations with the same arguments differ", remedy)
+
+    def _traced(self) -> tuple[Any, ...]:
+        program = jax.make_jaxpr(lambda point: self(point))(self.points[0])
+        return _ADDRESS.sub("", str(program.jaxpr)), *(np.asarray(one).tobytes() for one in program.consts)
+
+    def check_batch(self) -> None:
+        """A batch gives the results of single evaluations, and so does an array of arguments where it broadcasts."""
+        for row in (0, -2):
+            single = np.asarray(self(jnp.asarray(self.points[row])))
+            self._compare(self.values[row], single, f"in a batch at {self._where(row)}")
+        if self.probe.broadcasts:
+            whole = self.probe.function(self.component, *map(jnp.asarray, self.arguments.T))
+            leaves = jax.tree.leaves(whole)
+            if any(np.shape(one) != (len(self.arguments),) for one in leaves):
+                raise _BrokenError("an array of arguments does not give an array of results", "use jax.numpy")
+            self._compare(self.values, np.stack(leaves, axis=1), "of an array of arguments")
+
+    def _compare(self, one: Any, other: Any, where: str, remedy: str = "", tolerance: float = _EQUAL) -> None:
+        if (at := _difference(one, other, tolerance, self.values)) is not None:
+            text = f"the result {where} is {at[0]:.6g}, alone {at[1]:.6g}"
+            raise _BrokenError(text, remedy or "the result must not depend on other samples or on the number of them")
+
+    def _where(self, row: int) -> str:
+        pairs = zip(self.probe.ranges, np.concatenate([self.points, self._middle])[row], strict=False)
+        return ", ".join(f"{name} {value:.4g}" for name, value in pairs)
+
+    def check_derivatives(self) -> None:
+        """Derivatives are finite, and those of finite differences; at a kink between those of its two sides."""
+        values, moving = self.values, self.moving
+        for row in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
+            raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
+        points = np.concatenate([self.points, self._middle])
+        try:
+            jacobians = jax.jit(jax.vmap(jax.jacrev(self)))(points)
+        except ValueError:  # a loop that ends on a condition has forward mode alone
+            jacobians = jax.jit(jax.vmap(jax.jacfwd(self)))(points)
+        found = (np.asarray(jacobians)[..., moving] * self.scales[moving]).swapaxes(
+            1, 2
+        )  # (points, directions, results)
+        bad = (np.isfinite(self._computed[: len(points), None]) & ~np.isfinite(found)).any(axis=2)
+        for row, direction in np.argwhere(bad).tolist():
+            text = f"the derivative by {self.names[moving[direction]]} is not finite at {self._where(row)}"
+            remedy = "keep arguments off the edge: jnp.sqrt(jnp.where(x > 0, x, 1.0)) within jnp.where(x > 0, ..., 0.0)"
+            raise _BrokenError(text, remedy)
+        found, here = found[-_ROWS:], self._computed[len(self.points) :][:_ROWS, None]
+        above, below = self._computed[len(self.points) + _ROWS :].reshape(2, *found.shape)
+        with np.errstate(invalid="ignore"):
+            sides = np.sort([(above - here) / _STEP, (here - below) / _STEP], axis=0)
+            allowed = _SLOPE * np.abs([*sides, found]).max(axis=0) + _NOISE * _sizes(values, _ROUNDING / _STEP / _NOISE)
+            wrong = (found < sides[0] - allowed) | (found > sides[1] + allowed)
+        for row, direction, result in np.argwhere(wrong & np.isfinite(here)).tolist():
+            scale = self.scales[moving[direction]]
+            text = (
+                f"the derivative by {self.names[moving[direction]]} is {found[row, direction, result] / scale:.4g}, "
+                f"finite differences give {sides[:, row, direction, result].mean() / scale:.4g} at {self._where(row)}"
+            )
+            raise _BrokenError(text, "use operations of jax.numpy that have derivatives, no stop_gradient or rounding")
+
+    def check_native(self) -> None:
+        """The emitted C gives the results of JAX."""
+        if compiler() is None:
+            raise _SkippedError("there is no C compiler")
+        given = self.probe.function, numeric(self.component)
+        emitted = np.array([_flat(_NATIVE((*given, *row))) for row in self.arguments])
+        if (at := _difference(emitted, self.values, _EQUAL, self.values)) is not None:
+            raise _BrokenError(f"emitted C gives {at[0]:.6g}, JAX {at[1]:.6g}", "report it, with the class")
+
+
+def _apply(shared: Any, _: Any) -> Any:
+    function, component, *arguments = shared
+    return function(component, *arguments)
+
+
+_NATIVE = NativeFunction(_apply)
+
+
+def _is_parameter(leaf: Any) -> bool:
+    """Whether a leaf has finite real numbers, by which to differentiate."""
+    return isinstance(leaf, np.ndarray | jax.Array) and leaf.dtype.kind == "f" and bool(np.all(np.isfinite(leaf)))
+
+
+def _sizes(values: NDArray[np.float64], rounding: float) -> NDArray[np.float64]:
+    """Size of each result over all samples, and at least a small part of the largest."""
+    sizes = np.where(np.isfinite(values), np.abs(values), 0.0).max(axis=0)
+    return np.maximum(sizes, rounding * sizes.max(initial=0.0))
+
+
+def _difference(one: Any, other: Any, tolerance: float, values: NDArray[np.float64]) -> tuple[float, float] | None:
+    """First two results that differ by more than rounding, for the sizes of all `values`; None if there are none."""
+    one, other = np.broadcast_arrays(np.asarray(one, float), np.asarray(other, float))
+    allowed = tolerance * _sizes(values, _ROUNDING / tolerance)
+    wrong = ~np.isclose(one, other, rtol=tolerance, atol=allowed, equal_nan=True)
+    return (float(one[wrong][0]), float(other[wrong][0])) if wrong.any() else None
+
+
+def _check_identity(component: Any, identity: Identity) -> None:
+    """Both results of an identity are equal."""
+    rows = _samples(identity.ranges)
+    pairs = [identity.function(component, *map(jnp.asarray, row)) for row in rows]
+    found, expected = (np.array([_flat(pair[side]) for pair in pairs]) for side in (0, 1))
+    for row, one, other in zip(rows, found, expected, strict=True):
+        if (at := _difference(one, other, identity.tolerance, expected)) is not None:
+            where = ", ".join(f"{name} {value:.4g}" for name, value in zip(identity.ranges, row, strict=True))
+            raise _BrokenError(f"{at[0]:.6g} in place of {at[1]:.6g} at {where}", identity.remedy)
+
+
+def _flat(tree: Any) -> NDArray[np.float64]:
+    return np.concatenate([np.empty(0), *(np.ravel(np.asarray(one, float)) for one in jax.tree.leaves(tree))])

@@ -1,0 +1,294 @@
+"""What all plants have in common: actuators, sensors, delayed commands, and the integration over a control period."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.component.base import Component
+from mckibben.errors import RangeError
+from mckibben.joint import Measurement
+from mckibben.muscle import Muscle, MuscleState
+from mckibben.numerics.calculus import rk4
+from mckibben.numerics.elementary import floating
+from mckibben.plant.actuator import AirState, AirVolume
+from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
+from mckibben.units import CommandDelay
+
+_MOST_PERIODS = 100  # of a command delay
+_ROUNDING = 1e-9  # periods
+
+Scalar = Float[Array, ""]
+
+
+class IOState(NamedTuple):
+    """State of sensors and disturbance, constant over a control period."""
+
+    sample: Scalar
+    disturbance: Any
+    sensors: Any
+
+
+class State(Protocol):
+    """State of a plant: a named tuple of positions, velocities, and these; what a plant lacks has no leaves."""
+
+    @property
+    def pressures(self) -> tuple[Scalar, ...]: ...
+    @property
+    def muscles(self) -> tuple[MuscleState, ...]: ...
+    @property
+    def io(self) -> IOState | tuple[()]: ...
+    @property
+    def air(self) -> AirState | tuple[()]: ...
+    @property
+    def friction(self) -> Any: ...
+    @property
+    def sent(self) -> tuple[tuple[Scalar, ...], ...]: ...
+
+    @property
+    def _fields(self) -> tuple[str, ...]: ...
+    def _replace(self, **changes: Any) -> Any: ...
+    def __getitem__(self, index: Any, /) -> Any: ...
+
+
+S = TypeVar("S", bound=State)
+
+
+class Motion(NamedTuple):
+    """Integrated part of a state, or its rate: positions, velocities, and creep of the muscles [N].
+
+    With an actuator that `holds_air` pressures [Pa] and the state of the valves as well.
+    """
+
+    position: Any
+    velocity: Any
+    creep: tuple[Any, ...] = ((), ())
+    pressures: tuple[Scalar, ...] = ()
+    air: AirState | tuple[()] = ()
+
+    @classmethod
+    def of(cls, state: State) -> Motion:
+        """Return the integrated part of a state."""
+        pressures = state.pressures if isinstance(state.air, AirState) else ()
+        return cls(state[0], state[1], tuple(one.creep for one in state.muscles), pressures, state.air)
+
+    def applied_to(self, state: S, pressures: tuple[Scalar, ...]) -> S:
+        """Return a state with this motion, and other pressures [Pa] unless they are part of it."""
+        position, velocity = state._fields[:2]
+        held = zip(state.muscles, self.creep, strict=True)
+        return state._replace(
+            **{position: self.position, velocity: self.velocity},
+            pressures=self.pressures or pressures,
+            muscles=tuple(MuscleState(muscle.friction, creep) for muscle, creep in held),
+            air=self.air,
+        )
+
+
+class Plant(Component):
+    """Bodies moved by muscles, with actuators, sensors, disturbances and a delay of the commands.
+
+    `command_delay` is the time from a command to the valves [s]; `delay_periods`, its length in control periods, is set
+    by `with_period`.
+    """
+
+    sensors: Sensors = eqx.field(kw_only=True, default=PerfectSensors())
+    command_delay: CommandDelay | None = eqx.field(kw_only=True, default=None)
+    delay_periods: int = eqx.field(kw_only=True, default=0, static=True)
+
+    @property
+    def _valve(self) -> Any:
+        """The field `valve` of each plant, in its own order of arguments."""
+        return self.valve  # type: ignore[attr-defined]
+
+    @property
+    @abc.abstractmethod
+    def muscles(self) -> tuple[Muscle, ...]:
+        """All muscles, in the order of commands and pressures."""
+
+    @property
+    @abc.abstractmethod
+    def disturbances(self) -> tuple[Disturbance, ...]:
+        """Disturbances of all joints."""
+
+    @abc.abstractmethod
+    def true_measurement(self, state: Any) -> Measurement:
+        """Return what perfect sensors measure."""
+
+    @abc.abstractmethod
+    def disturbing_torque(self, time: ArrayLike) -> Any:
+        """Return the torque [N*m] of the disturbances at a time [s] since the start."""
+
+    @abc.abstractmethod
+    def rate(self, state: Any) -> Motion:
+        """Return the time derivative of the motion at the pressures of a state."""
+
+    @abc.abstractmethod
+    def project(self, state: Any) -> Any:
+        """Return the state after an integration step with updated internal states; no force changes by it."""
+
+    @abc.abstractmethod
+    def air_volumes(self, state: Any) -> Sequence[AirVolume]:
+        """Return the volume of the air of each muscle, dead volume included, at the velocity of a state."""
+
+    @abc.abstractmethod
+    def init_muscles(self, state: Any) -> tuple[MuscleState, ...]:
+        """Return the relaxed states of the muscles at the positions and pressures of a state."""
+
+    @abc.abstractmethod
+    def init_friction(self, state: Any) -> Any:
+        """Return the unstressed states of the friction of the joints at the positions of a state."""
+
+    @property
+    def has_ideal_io(self) -> bool:
+        """Whether sensors are perfect and there is no disturbance."""
+        quiet = all(isinstance(one, NoDisturbance) for one in self.disturbances)
+        return isinstance(self.sensors, PerfectSensors) and quiet
+
+    def with_period(self, period: float) -> Self:
+        """Return the plant with states that hold the commands on their way, one each control period [s].
+
+        Raises `RangeError` for a delay of more than 100 periods.
+        """
+        if self.command_delay is None:
+            return self
+        longest = float(np.max(self.command_delay))
+        periods = math.ceil(longest / period - _ROUNDING)
+        if periods > _MOST_PERIODS:
+            raise RangeError(
+                f"a command delay of {longest:g} s is {periods} control periods of {period:g} s",
+                field="command_delay",
+                value=longest,
+                upper=_MOST_PERIODS * period,
+                unit="s",
+                remedy=f"give at most {_MOST_PERIODS} periods",
+            )
+        return dataclasses.replace(self, delay_periods=periods)
+
+    def sample(self, state: S, period: ArrayLike) -> tuple[S, Measurement]:
+        """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
+        true, io = self.true_measurement(state), state.io
+        if not isinstance(io, IOState):
+            return state, true
+        sensors, measured = self.sensors.measure(io.sensors, io.sample, true)
+        disturbance = self.disturbing_torque(io.sample * period)
+        return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
+
+    def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Any, ...]:
+        """Return the commands [Pa] clipped to the specimens' rated pressures and to the supply.
+
+        Openings of valves with `direct` commands are clipped to -1..1.
+        """
+        rated = (muscle.specimen.domain for muscle in self.muscles)
+        return tuple(map(self._valve.clip_command, commands, rated))
+
+    def apply_commands(self, state: S, commands: Sequence[ArrayLike]) -> S:
+        """Return the state right after new commands [Pa]."""
+        if self._valve.holds_air:
+            return state
+        return state._replace(pressures=tuple(map(self._valve.after_command, state.pressures, commands)))
+
+    def arriving(self, state: State, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[Any, ...]:
+        """Return the commands [Pa] that reach the valves in a control period [s], of which new ones are sent.
+
+        With a delay between two multiples of the period they are their mean over it.
+        """
+        if not state.sent:
+            return tuple(commands)
+        late = jnp.minimum(jnp.asarray(self.command_delay) / period, len(state.sent))
+        shares = [jnp.maximum(1 - jnp.abs(late - number), 0.0) for number in range(len(state.sent) + 1)]
+        return tuple(
+            sum(share * jnp.asarray(command) for share, command in zip(shares, side, strict=True))
+            for side in zip(commands, *state.sent, strict=True)
+        )
+
+    def follow(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike, substeps: int) -> S:
+        """Return the state after a control period [s] at whose start commands [Pa] are sent to the valves."""
+        sent = (tuple(commands), *state.sent)[: len(state.sent)]
+        after = self.advance(state._replace(sent=()), self.arriving(state, commands, period), period, substeps)
+        return after._replace(sent=sent)
+
+    def advance(self, state: S, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int) -> S:
+        """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
+
+        A closed form gives the pressures where there is one; motion and creep are integrated, and air.
+        """
+        step, valve = duration / substeps, self._valve
+        one_step = self._step_with_air if valve.holds_air else self._step
+
+        def integrate(_: Array, state: S) -> S:
+            return one_step(valve, state, commands, step)
+
+        return lax.fori_loop(0, substeps, integrate, self.apply_commands(state, commands))
+
+    def _step(self, valve: Any, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
+        """State after a step [s] with the pressures of a closed form."""
+
+        def rate(motion: Motion, *pressures: Scalar) -> Motion:
+            return self.rate(motion.applied_to(state, pressures))
+
+        end, held = valve.all_after(state.pressures, state.air, commands, step)
+        middle, _ = valve.all_after(state.pressures, state.air, commands, step / 2)
+        state = state._replace(air=())
+        motion = rk4(rate, Motion.of(state), step, (state.pressures, middle, end))
+        return self.project(motion.applied_to(state, end))._replace(air=held)
+
+    def _step_with_air(self, valve: Any, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
+        """State after a step [s] in which motion and air are integrated together."""
+        assert isinstance(state.air, AirState)
+        each = zip(state.air.valves, commands, state.pressures, strict=True)
+        state = state._replace(air=state.air._replace(valves=tuple(valve.before_step(*one, step) for one in each)))
+
+        def rate(motion: Motion) -> Motion:
+            at = motion.applied_to(state, state.pressures)
+            assert isinstance(at.air, AirState)
+            pressures, air = valve.air_rate(at.pressures, at.air, commands, self.air_volumes(at))
+            return self.rate(at)._replace(pressures=pressures, air=air)
+
+        return self.project(rk4(rate, Motion.of(state), step).applied_to(state, state.pressures))
+
+    def commands_for(self, state: State, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
+        """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite where none does."""
+        given = zip(state.pressures, rates, strict=True)
+        valve = self._valve
+        if not valve.holds_air:
+            return tuple(valve.command_for(*pair) for pair in given)
+        return tuple(
+            valve.command_for(*pair, volume) for pair, volume in zip(given, self.air_volumes(state), strict=True)
+        )
+
+    def complete_state(self, state: S) -> S:
+        """Return a state with initial values for the internal states, the io state and the commands that it lacks."""
+        pairs = zip(state.muscles, self.init_muscles(state), strict=True)
+        zero = jnp.zeros_like(floating(jax.tree.leaves(state[1])[0]))
+        io, air = state.io, state.air
+        if io == () and not self.has_ideal_io:
+            torque = jax.tree.map(jnp.zeros_like, self.disturbing_torque(zero))
+            io = IOState(zero, torque, self.sensors.init(self.true_measurement(state)))
+        state = state._replace(
+            muscles=tuple(MuscleState(*map(_given_or, *pair)) for pair in pairs),
+            io=io,
+            air=self._valve.init_states(tuple(map(floating, state.pressures))) if air == () else air,
+            friction=self.init_friction(state) if state.friction == () else state.friction,
+        )
+        if state.sent == () and self.delay_periods:
+            state = state._replace(sent=(self._holding(state, zero),) * self.delay_periods)
+        return state
+
+    def _holding(self, state: State, zero: Scalar) -> tuple[Array, ...]:
+        """Commands [Pa] at which the pressures stay; the opening 0 of valves with `direct` commands."""
+        zeros = (zero,) * len(state.pressures)
+        return zeros if self._valve.direct else self.clip_commands(self.commands_for(state, zeros))
+
+
+def _given_or(given: tuple[Array, ...], initial: tuple[Array, ...]) -> tuple[Array, ...]:
+    return given if len(given) else initial

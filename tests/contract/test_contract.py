@@ -1,0 +1,426 @@
+"""The contract: all built-in classes keep it, and one class for each check that breaks it is found."""
+
+import ast
+import dataclasses
+import doctest
+import importlib
+import pkgutil
+import textwrap
+from pathlib import Path
+from typing import Annotated
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import mckibben
+from mckibben import catalog, control, joint, leg, muscle, plant
+from mckibben.codegen.native import compiler
+from mckibben.component.base import Component
+from mckibben.component.classes import concrete_subclasses
+from mckibben.contract import check_class, check_extension
+from mckibben.contract.probes import plant_scope
+from mckibben.control import Controller, Reference, Setpoint, Signal, Sine
+from mckibben.errors import ParameterError, ScenarioError
+from mckibben.joint import PendulumLoad
+from mckibben.muscle import Domain, ForceLaw, MaxwellSlip
+from mckibben.plant import Disturbance, FirstOrderValve, Valve
+from mckibben.study.rig.document import MountedMuscle
+from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
+
+for module in pkgutil.walk_packages(mckibben.__path__, "mckibben."):
+    if not module.name.startswith(("mckibben.cli", "mckibben.web", "mckibben.__main__")):
+        importlib.import_module(module.name)
+CLASSES = {
+    kind.__name__: kind
+    for kind in concrete_subclasses(Component)
+    if kind.__module__.startswith("mckibben.") and not kind.__name__.startswith("_")
+}
+
+BOX, ANGLE, DIAMETER = Domain(-0.03, 0.25, 0.0, 6e5), 25 * deg, 10 * mm
+EQ_3 = [getattr(catalog.law("lei-mas-10-180n"), p.name) for p in muscle.ExponentialLaw.parameters()]
+S0, S1, S2 = (np.array([[8.0, -20.0, 30.0, 10.0, -15.0, 5.0]]) * [[1.0], [0.3e-5], [0.05e-10]]).tolist()
+CHOU = muscle.ChouLaw(ANGLE, DIAMETER, BOX)
+TONDU = muscle.TonduLopezVariableLaw(ANGLE, DIAMETER, 0.2, 1.2, BOX)
+CORRECTION = muscle.ForceCorrection((-20.0, 5.0), (1e-5, 0.0), 0.1, 0.05)
+KNEE, LOAD = plant_scope()["joint"], plant_scope()["load"]
+SPECIMEN = KNEE.muscle1.specimen
+SLIP = MaxwellSlip(12.0, 0.5 * mm, growth=1e-5, tension_growth=0.02, viscous=20.0, elements=4)
+ROUGH = dataclasses.replace(KNEE.muscle1, friction=SLIP)
+TWO_BONES, PULLEY = joint.TwoBonePath(-0.02, 0.30, -0.03, 0.0), joint.Pulley(25 * mm, 0.3)
+PID = control.PID(2 * bar, 60 * bar, 0.4 * bar)
+LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=KNEE)
+REFERENCE = Reference(Sine(0.1, 1.0), 15.0)
+TIMED = leg.TimedReference((REFERENCE, REFERENCE))
+PHASES = [(Setpoint(0.1 * k, 15.0), Setpoint(0.2 * k, 20.0)) for k in range(4)]
+LEG = dataclasses.replace(
+    leg.read_leg("lei-leg"),
+    biarticular=(
+        leg.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),
+    ),
+)
+EXAMPLES = [
+    CHOU,
+    muscle.TonduLopezLaw(ANGLE, DIAMETER, 1.25, BOX),
+    TONDU,
+    muscle.TsagarakisCaldwellLaw(2e4, ANGLE, DIAMETER, 5e-4, 0.1, BOX),
+    muscle.MartensBoblanLaw(300.0, 20.0, ANGLE, DIAMETER, BOX),
+    muscle.ReppergerLaw(200.0, 3e-3, 0.28, BOX),
+    muscle.ReynoldsLaw(100.0, 1.4e-3, 1400.0, 3e-3, BOX),
+    muscle.HuntLaw(254.3e3, 1230.0, 192e3, 0.22, Domain(0.0, 0.2, 0.0, 5e5)),
+    catalog.law("sarosi-dmsp-10"),
+    catalog.law("lei-mas-10-180n"),
+    muscle.SmoothAffineLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, BOX),
+    muscle.SmoothLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, *S2, BOX),
+    muscle.SpringLaw(1000.0, 180 * mm),
+    *(muscle.scaled_law(law, 1.1) for law in (CHOU, TONDU)),
+    *(muscle.corrected_law(law, CORRECTION) for law in (CHOU, TONDU)),
+    CORRECTION,
+    SLIP,
+    muscle.MaxwellCreep(500.0, 5.0, arms=2),
+    Domain(0.0, 0.2),
+    SPECIMEN,
+    ROUGH,
+    joint.SeriesSpring(20e3, 50.0, 5 * mm),
+    KNEE.geometry,
+    joint.ScaledArms(KNEE.geometry, 1.02),
+    joint.PairedPaths(TWO_BONES, PULLEY),
+    PULLEY,
+    joint.Cam(25 * mm, 0.3, 1e-3, 2e-3),
+    TWO_BONES,
+    joint.TabulatedPath((-0.5, -0.2, 0.0, 0.2, 0.4), arms=(0.024, 0.0245, 0.025, 0.026, 0.0265), rest_length=0.3),
+    LOAD,
+    joint.PendulumLoad(0.3, 250 * mm),
+    joint.GeneralLoad(0.02, 0.5),
+    KNEE,
+    plant.FirstOrderValve(0.05, rate=10 * bar),
+    plant.SecondOrderValve(60.0, damping=0.5),
+    plant.FlowValve(5e-9, 7 * bar),
+    plant.PressureRegulator(5e-9, 7 * bar, time_constant=0.02, reservoir_volume=1e-3, line_conductance=5e-9),
+    plant.SwitchingValves(5e-9, 7 * bar, period=0.02),
+    plant.SampledSensors(0.01 * deg, 1e3, 0.5, 3),
+    plant.TorquePulses(0.5),
+    plant.JointFriction(0.3, elements=3),
+    plant.JointPlant(KNEE, LOAD, FirstOrderValve(0.02)),
+    control.Constant(0.1),
+    control.Step(0.0, 0.1, 1.0),
+    control.Ramp(0.0, 0.1, 1.0, 2.0),
+    control.RandomSteps(-0.1, 0.1, 0.5, 0.8, 3),
+    Sine(0.1, 1.0),
+    control.Multisine((0.1, 0.05), (1.0, 2.0), (0.0, 1.0)),
+    control.Samples((0.0, 1.0, 3.0), (0.0, 0.1, 0.05)),
+    control.Sum((control.Step(0.0, 0.1, 1.0), Sine(0.1, 1.0))),
+    REFERENCE,
+    PID,
+    control.BackpropPID(PID, signal_scale=0.02, error_scale=0.02, output_scale=bar),
+    control.PolePlacement(integral=True, damping=2.5),
+    control.ExtendedStateObserver(damping=2.5),
+    LOOPS,
+    control.DecouplingControl(KNEE, LOAD, control.PolePlacement()),
+    control.InverseModelControl(LOOPS, LOAD),
+    control.FrictionCompensation(LOOPS, model=joint.AntagonisticJoint(KNEE.geometry, ROUGH, ROUGH)),
+    control.SupplyLimit(LOOPS),
+    leg.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),
+    TIMED,
+    leg.JointwiseControl((LOOPS, LOOPS), TIMED),
+    leg.PhasedReference(*PHASES),
+    LEG,
+    LEG.trunk,
+    LEG.links[0],
+    LEG.joints[0],
+    LEG.biarticular[0],
+    leg.LegPlant(LEG, FirstOrderValve(0.02)),
+    MountedMuscle(SPECIMEN, CHOU, friction=SLIP),
+]
+INSTANCES = {type(one).__name__: one for one in EXAMPLES}
+SLOW = {
+    name
+    for name, kind in CLASSES.items()
+    if issubclass(kind, control.Controller | leg.LegController) and kind is not leg.PressureSchedule
+} | {"HuntLaw", "ScaledLaw", "CorrectedLaw", "BackpropPID"}
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name in SLOW)) for name, kind in CLASSES.items()]
+)
+def test_every_built_in_class_keeps_it(kind, tmp_path):
+    samples = tmp_path / "samples.csv"
+    samples.write_text("time_s,angle_deg\n0,1\n1,5\n", encoding="utf-8")
+    instances = {**INSTANCES, "SamplesFile": control.SamplesFile(samples, "angle")}
+    findings = check_class(kind, instances=[instances[kind.__name__]] if kind.__name__ in instances else [])
+    assert [one for one in findings if one.passed is False] == []
+    assert {"units"} <= {one.check for one in findings}
+
+
+class _Valve(Valve):
+    def command_for(self, pressure, rate):
+        return jnp.asarray(pressure)
+
+
+class SecondOrderLag(_Valve):
+    """Critically damped from rest: the rate of the pressure is lost between two intervals."""
+
+    bandwidth: Bandwidth = 60.0
+
+    def pressure_after(self, pressure, command, elapsed):
+        phase = self.bandwidth * elapsed
+        return command + (pressure - command) * (1 + phase) * jnp.exp(-phase)
+
+
+class WithState(SecondOrderLag):
+    def init(self, pressure):
+        return jnp.zeros_like(pressure)
+
+    def after(self, pressure, state, command, elapsed):
+        return plant.SecondOrderValve(self.bandwidth, damping=1.0).after(pressure, state, command, elapsed)
+
+
+class Moving(WithState):
+    """It starts with a pressure that rises."""
+
+    def init(self, pressure):
+        return jnp.full_like(pressure, 1e5)
+
+
+class OneSignal(Signal):
+    amplitude: SignalValue = 0.1
+
+
+class Root(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.where(time > 0, jnp.sqrt(time), 0.0)
+
+
+class Stopped(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * lax.stop_gradient(jnp.sin(time))
+
+
+class NotANumber(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.log(time - 1.0)
+
+
+class Branched(OneSignal):
+    def __call__(self, time):
+        return self.amplitude if time > 1.0 else 0.0 * time
+
+
+class OfTheBatch(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * (time - jnp.mean(time))
+
+
+class Summed(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.sum(time)
+
+
+class Raising(OneSignal):
+    def __call__(self, time):
+        raise KeyError("no such thing")
+
+
+class Drawn(OneSignal):
+    def __call__(self, time):
+        return self.amplitude * jnp.sin(time) + np.random.default_rng().normal()
+
+
+class Called(OneSignal):
+    """Random numbers within a compiled program."""
+
+    def __call__(self, time):
+        shape = jax.ShapeDtypeStruct(jnp.shape(time), float)
+        draw = lambda time: np.random.default_rng().normal(size=np.shape(time))  # noqa: E731
+        noise = jax.pure_callback(draw, shape, lax.stop_gradient(time), vmap_method="expand_dims")
+        return self.amplitude * jnp.sin(time) + noise
+
+
+class WithoutUnit(Sine):
+    gain: float = 1.0
+
+
+class NotSI(Sine):
+    limit: Annotated[float, Quantity("bar", lower=0, upper=10)] = 1.0
+
+
+class Unresolved(Sine):
+    gain: "Missing" = 1.0
+
+
+class Lost(Sine):
+    count: int = eqx.field(static=True, default=3)
+
+
+class Sorted(Disturbance):
+    def torque(self, time):
+        return jnp.sort(jnp.stack([1.0 + time, 2.0 - time]), axis=0)[0]
+
+
+class SpringLoad(PendulumLoad):
+    def gravity_torque(self, angle):
+        return super().gravity_torque(angle) - 2.0 * angle
+
+
+class Square(ForceLaw):
+    domain: Domain = BOX
+
+    def force(self, contraction, pressure):
+        return 1e-8 * jnp.asarray(pressure) ** 2 * (1 - jnp.asarray(contraction))
+
+    def pressure_for(self, force, contraction):
+        return 1e3 * jnp.asarray(force)
+
+
+class NumericInverse(Square):
+    def pressure_for(self, force, contraction):
+        return muscle.pressure_for(self, force, contraction)
+
+
+class Sticking(MaxwellSlip):
+    def project(self, state, length, tension, pressure):
+        return state
+
+
+class Unfinished(Controller):
+    def init(self, measurement):
+        return ()
+
+
+class Restless(Controller):
+    """Its state does not keep its structure."""
+
+    def init(self, measurement):
+        return ()
+
+    def step(self, state, setpoint, measurement, period):
+        return (*state, setpoint.angle), measurement.pressures
+
+    def telemetry(self, state):
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("kind", "instances", "broken"),
+    [
+        (SecondOrderLag, [], {"composition"}),
+        (WithState, [], set()),
+        (Moving, [], {"rest"}),
+        (Root, [], {"derivatives"}),
+        (Stopped, [], {"derivatives"}),
+        (NotANumber, [], {"derivatives"}),
+        (Branched, [], {"batch"}),
+        (OfTheBatch, [], {"batch"}),
+        (Summed, [], {"batch"}),
+        (Raising, [], {"batch"}),
+        (Drawn, [], {"determinism"}),
+        (Called, [], {"determinism"}),
+        (WithoutUnit, [WithoutUnit(0.1, 1.0)], {"units"}),
+        (NotSI, [NotSI(0.1, 1.0)], {"units"}),
+        (Unresolved, [Unresolved(0.1, 1.0)], {"units", "file"}),
+        (Lost, [Lost(0.1, 1.0), Lost(0.1, 1.0, count=4)], {"file"}),
+        pytest.param(Sorted, [], {"C"}, marks=pytest.mark.skipif(compiler() is None, reason="there is no C compiler")),
+        (SpringLoad, [SpringLoad(0.3, 0.25)], {"slope"}),
+        (Square, [], {"inverse"}),
+        (NumericInverse, [], set()),
+        (Sticking, [Sticking(12.0, 0.5 * mm)], {"path"}),
+        (Unfinished, [], {"instance"}),
+        (Restless, [], {"batch"}),
+        (Sine, [], {"instance"}),  # its fields have no default
+    ],
+    ids=lambda one: one.__name__ if isinstance(one, type) else "",
+)
+def test_the_check_finds_what_breaks_it(kind, instances, broken):
+    findings = check_class(kind, instances=instances)
+    assert {one.check for one in findings if one.passed is False} == broken
+    assert all(one.found for one in findings if one.passed is False)
+
+
+def test_a_finding_names_the_place_and_a_remedy():
+    (missing,) = [one for one in check_class(SecondOrderLag) if not one.passed]
+    assert "SecondOrderValve" in missing.remedy and "elapsed" in missing.found
+    (branched,) = [one for one in check_class(Branched) if not one.passed]
+    assert "jnp.where" in branched.remedy and "__call__" in branched.found
+
+
+def test_without_a_compiler_c_is_not_checked(monkeypatch):
+    monkeypatch.setattr("mckibben.contract.checks.compiler", lambda: None)
+    results = {one.check: one.passed for one in check_class(WithState)}
+    assert results.pop("C") is None and set(results.values()) == {True}
+
+
+GOOD = """
+from mckibben.control import Sine
+from mckibben.plant import FirstOrderValve
+
+class Named(FirstOrderValve):
+    pass
+
+class Given(Sine):
+    pass
+
+class _Private(Sine):
+    pass
+
+EXAMPLE = Given(0.1, 2.0)
+"""
+
+
+def test_instances_of_the_module_and_given_fields_are_checked(tmp_path):
+    (tmp_path / "contract_good.py").write_text(textwrap.dedent(GOOD), encoding="utf-8")
+    path = tmp_path / "contract_good.py"
+    findings = check_extension(path, {"time_constant": "20 ms"})
+    assert {one.kind for one in findings} == {"Named", "Given"}
+    assert [one for one in findings if not one.passed] == []
+    (missing,) = [one for one in check_extension(path) if not one.passed]
+    assert (missing.kind, missing.check) == ("Named", "instance") and "time_constant" in missing.found
+    (wrong,) = [one for one in check_extension(path, {"time_constant": "20 mm"}) if not one.passed]
+    assert wrong.check == "instance"
+    with pytest.raises(ParameterError) as refused:
+        check_extension(path, {"lag": "20 ms"})
+    assert refused.value.value == "lag"
+
+
+def test_a_module_without_components_or_with_a_mistake_is_bad_input(tmp_path):
+    (tmp_path / "contract_empty.py").write_text("from mckibben.control import Sine\n", encoding="utf-8")
+    with pytest.raises(ParameterError):
+        check_extension(tmp_path / "contract_empty.py")
+    (tmp_path / "contract_broken.py").write_text("1 / 0\n", encoding="utf-8")
+    with pytest.raises(ScenarioError):
+        check_extension(tmp_path / "contract_broken.py")
+
+
+INSTANCES_OF_THE_PAGE = """
+linear = LinearLaw(a=1e-3, b=-2e-3, k=500.0)
+slider = Slider(half_width=10.0, stiffness=20e3)
+creep = SlowCreep(stiffness=500.0, time_constant=5.0, arms=2)
+spool = Spool(5e-9, 7 * bar)
+load = SpringLoad(0.5, 200 * mm, spring=2.0)
+sway = Sway(0.1)
+chirp = Chirp(5 * deg)
+eased = Eased(Proportional(mk.catalog.joint("knee-table-2")))
+integral = Integral(60 * bar)
+twisting = SuperTwisting(k1=2.0)
+"""
+
+
+@pytest.mark.slow
+def test_the_classes_of_the_documentation_keep_it(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+    nodes = [node for one in doctest.DocTestParser().get_examples(page) for node in ast.parse(one.source).body]
+    sources = [ast.unparse(one) for one in nodes if isinstance(one, ast.ClassDef | ast.Import | ast.ImportFrom)]
+    made = [
+        ast.unparse(one)
+        for one in nodes
+        if isinstance(one, ast.Assign) and isinstance(one.value, ast.Call) and ast.unparse(one.value.func)[0].isupper()
+    ]
+    path = tmp_path / "extending_page.py"
+    path.write_text("\n".join([*sources, *made, INSTANCES_OF_THE_PAGE]), encoding="utf-8")
+    findings = check_extension(path)
+    failed = [(one.kind, one.check, one.found) for one in findings if not one.passed]
+    assert [each[:2] for each in failed] == [("Overshooting", "composition")], failed
+    defined = [one.name for one in nodes if isinstance(one, ast.ClassDef)]
+    assert {one.kind for one in findings} == set(defined) and len(defined) == len(set(defined)) > 18

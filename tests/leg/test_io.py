@@ -1,0 +1,143 @@
+"""Sensors, delays, joint friction and disturbances of a leg."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.leg import LegPlant, LegScenario, LegStart, PressureSchedule, simulate_leg, simulate_legs
+from mckibben.leg.control import LegController
+from mckibben.plant import FirstOrderValve, IdealValve, JointFriction, SampledSensors, TorquePulses
+from mckibben.units import deg, kPa, ms
+from tests.leg.conftest import leg_of
+
+RUN = {"duration": 0.06, "control_period": 1 * ms, "substeps": 4}
+PRESSURES = (3e5, 3.2e5, 3.8e5, 3e5, 3e5, 3.1e5)
+START = LegStart((0.0, 0.0, 0.0), PRESSURES, clearance=1.0)
+
+
+class Recorder(LegController):
+    """Constant commands; telemetry has what was measured."""
+
+    commands: tuple[float, ...]
+
+    def init(self, measurement):
+        return measurement
+
+    def step(self, state, measurement, period):
+        return measurement, tuple(map(jnp.asarray, self.commands))
+
+    def telemetry(self, state):
+        return {"seen_angle": state.angles[1], "seen_pressure": state.pressures[0]}
+
+
+@pytest.fixture(scope="module")
+def fixed(pair):
+    """A leg of three joints that hangs from a fixed trunk."""
+    return LegPlant(leg_of(pair, "fixed"), FirstOrderValve(20 * ms))
+
+
+def with_joints(plant, **changes):
+    joints = tuple(dataclasses.replace(one, **changes) for one in plant.leg.joints)
+    return eqx.tree_at(lambda p: p.leg, plant, dataclasses.replace(plant.leg, joints=joints))
+
+
+def schedule(*switches, last=4.8e5):
+    levels = [(one, last) if i == 2 and switches else (one,) for i, one in enumerate(PRESSURES)]
+    return PressureSchedule(tuple(levels), tuple(switches if i == 2 else () for i in range(len(PRESSURES))))
+
+
+def test_a_delay_is_that_of_a_schedule_that_switches_later(fixed):
+    late = dataclasses.replace(fixed, command_delay=4.5 * ms)
+    delayed, shifted = (
+        simulate_leg(plant, schedule(at), START, **RUN) for plant, at in ((late, 10 * ms), (fixed, 14.5 * ms))
+    )
+    assert abs(delayed["angle"] - shifted["angle"]).max() < 1e-12
+    assert abs(delayed["angle"] - simulate_leg(fixed, schedule(10 * ms), START, **RUN)["angle"]).max() > 0.1 * deg
+
+
+def test_sensors_quantise_angles_and_disturb_pressures(fixed):
+    sensors = SampledSensors(encoder=0.1 * deg, pressure_noise=4 * kPa, seed=3)
+    plant = dataclasses.replace(fixed, sensors=sensors)
+    run, again = (simulate_leg(plant, Recorder(PRESSURES), START, **RUN) for _ in range(2))
+    steps = run["seen_angle"].to_numpy() / (0.1 * deg)
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    assert np.ptp(steps) > 3
+    noise = run["seen_pressure"] - run["pressure"].isel(muscle=0)
+    assert float(noise.std()) == pytest.approx(4 * kPa, rel=0.3)
+    assert run.equals(again)
+
+
+def test_a_joint_sticks_below_its_friction(fixed):
+    held = with_joints(fixed, friction=JointFriction(20.0, 1 * deg))
+    moved = [
+        float(abs(simulate_leg(plant, schedule(5 * ms), START, **RUN)["angle"]).max()) / deg for plant in (held, fixed)
+    ]
+    assert moved[0] < 0.5 and moved[1] > 1
+
+
+def test_friction_is_the_only_loss_of_a_free_leg(pair):
+    """Without muscles' pressure and damping, energy falls by the friction torque times the angle that is turned."""
+    plant = LegPlant(leg_of(pair, "fixed", ("hip",)), IdealValve())
+    rubbing = with_joints(plant, friction=JointFriction(0.05, 0.01 * deg), lower=-25 * deg, upper=25 * deg)
+    state = rubbing.init_state((10 * deg,), (0.0, 0.0), clearance=1.0)
+    energies, angles = [], []
+    for _ in range(40):
+        state = rubbing.advance(state, (0.0, 0.0), 2 * ms, 20)
+        energies.append(float(rubbing.energy(state)))
+        angles.append(float(state.posture.angles[0]))
+    lost, turned = energies[0] - energies[-1], angles[0] - angles[-1]
+    assert turned > 0.5 * deg
+    assert lost == pytest.approx(0.05 * turned, abs=0.05 * 0.01 * deg)  # less what the presliding springs hold
+
+
+def test_a_disturbance_turns_its_joint(fixed):
+    pulses = TorquePulses(2.0, width=20 * ms, start=5 * ms)
+    plant = with_joints(fixed, disturbance=pulses)
+    state = plant.init_state((0.0, 0.0, 0.0), PRESSURES)
+    for period, torque in ((0, 0.0), (6, 2.0), (30, 0.0)):
+        at = state._replace(io=state.io._replace(sample=jnp.asarray(float(period))))
+        sampled, _ = plant.sample(at, 1 * ms)
+        np.testing.assert_allclose(np.subtract(plant.forces(sampled).torques, plant.forces(state).torques), torque)
+    pushed, free = (simulate_leg(one, schedule(), START, **RUN)["angle"] for one in (plant, fixed))
+    assert float((pushed - free).isel(joint=2, time=30)) > 1 * deg
+
+
+@pytest.mark.slow
+def test_a_batch_is_single_runs(fixed):
+    plant = dataclasses.replace(
+        with_joints(fixed, friction=JointFriction(0.3), disturbance=TorquePulses(1.0, start=5 * ms)),
+        sensors=SampledSensors(0.1 * deg, 4 * kPa),
+        command_delay=2.5 * ms,
+    )
+    masses = [0.4, 0.6]
+    batch = simulate_legs(plant, schedule(10 * ms), START, over={"plant.leg.links.0.mass": masses}, **RUN)
+    for row, mass in enumerate(masses):
+        links = (dataclasses.replace(plant.leg.links[0], mass=mass), *plant.leg.links[1:])
+        own = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, links=links))
+        run = simulate_leg(own, schedule(10 * ms), START, **RUN)
+        assert float(batch["muscle_work"][row]) != 0
+        peak = float(abs(run["stop_torque"]).max())
+        assert float(batch["stop_torque"][:, row].max()) == pytest.approx(peak, rel=1e-6)
+
+
+def test_a_file_has_them_all():
+    text = """name: leg with sensors
+leg:
+  from: lei-leg
+  joints: {knee: {friction: {torque: 0.3 N*m}, disturbance: {height: 1 N*m, width: 50 ms}}}
+sensors: {encoder: 0.022 deg}
+command_delay: 3 ms
+"""
+    scenario = LegScenario.parse(text)
+    plant = scenario.plant()
+    assert plant.leg.joints[1].friction == JointFriction(0.3)
+    assert plant.leg.joints[1].disturbance == TorquePulses(1.0, 50 * ms)
+    assert plant.leg.joints[0].friction is None
+    assert (plant.sensors, plant.command_delay) == (SampledSensors(0.022 * deg), pytest.approx(3 * ms))
+    assert plant.delay_periods == 12  # of 0.25 ms
+    assert LegScenario.parse(scenario.dumps()) == scenario
