@@ -136,3 +136,10 @@ class Keyed:
         if not inner:
             return name
         return {name: inner[alone] if list(inner) == [alone] else inner}
+
+
+def short_key(written: Any, section: Any) -> tuple[str, ...]:
+    """Return the key of a section below the name of its class, as in ``isobaric: {repeats: 2}``; none of another."""
+    if isinstance(written, dict) and isinstance(section, dict) and isinstance(written.get(section.get("class")), dict):
+        return (section["class"],)
+    return ()

@@ -22,16 +22,8 @@ from types import UnionType
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
-from pydantic import (
-    BeforeValidator,
-    Field,
-    GetCoreSchemaHandler,
-    PlainSerializer,
-    TypeAdapter,
-    ValidationError,
-    create_model,
-)
-from pydantic_core import PydanticSerializationError, core_schema
+from pydantic import Field, GetCoreSchemaHandler, TypeAdapter, create_model
+from pydantic_core import PydanticSerializationError, ValidationError, core_schema
 
 from mckibben.component.base import Checked, Component, Inherited, Units, field_hints, field_quantities
 from mckibben.component.classes import (
@@ -41,11 +33,12 @@ from mckibben.component.classes import (
     default_class,
     find_class,
     is_abstract,
+    short_key,
 )
 from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
-from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, relative_path, write_path
-from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
+from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
+from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text
 from mckibben.errors import FileError, McKibbenError, quoted, suggest
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
@@ -176,14 +169,6 @@ def _form(hint: Any, units: Units) -> Any:
     return {bool: Flag, str: Title, Path: FilePath}.get(hint)
 
 
-Title = Annotated[str, BeforeValidator(read_title)]
-FilePath = Annotated[
-    Path,
-    BeforeValidator(lambda value, info: read_path(value, info, "")),
-    PlainSerializer(write_path, when_used="json"),
-]
-
-
 @dataclass(frozen=True)
 class Part:
     """Marks a section of a file that holds a component of a base class; `units` are those of its symbolic fields."""
@@ -209,7 +194,7 @@ class Part:
         scope: Scope = ChainMap({"key": name}, dict(info.data or {}), *context.get("scope", ()))
         around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
         written, value = value, self.base.from_file(value)
-        below = _short_key(written, value)
+        below = short_key(written, value)
         if isinstance(value, str) and value:
             if find_class(self.base, value) is not None:
                 value = {"class": value}
@@ -241,8 +226,7 @@ class Part:
         try:
             given = model.model_validate(section, context=context)
         except ValidationError as error:
-            details = [{**one, "loc": (*below, *one["loc"])} for one in error.errors(include_url=False)]
-            raise ValidationError.from_exception_data(error.title, cast(Any, details)) from None
+            raise located_below(error, below) from None
         fields = {name: getattr(given, name) for name in given.model_fields_set - {"class_"}}
         for alias, names in getattr(kind, "aliases", {}).items():
             if alias not in fields:
@@ -301,11 +285,8 @@ class Part:
             remedy = suggest(str(named), list(known)) if known else "there is none yet"
             own = "for a class of your own load its module first: `mckibben --extension FILE.py ...`, or a module"
             broken = (f"{one.message} ({one.remedy})" for one in load_installed())
-            fail_validation(
-                f"there is no class {quoted(named)} of {self.base.__name__}",
-                "; ".join([remedy, own, *broken]),
-                value=named,
-            )
+            message = f"there is no class {quoted(named)} of {self.base.__name__}"
+            fail_validation(message, "; ".join([remedy, own, *broken]), value=named)
         return kind
 
     def model_for(self, value: Any) -> type[Section] | None:
@@ -314,7 +295,7 @@ class Part:
             written, value = value, self.base.from_file(value)
             if isinstance(value, dict) and "class" not in value and "from" in value and len(classes_of(self.base)) > 1:
                 return None
-            if below := _short_key(written, value):
+            if below := short_key(written, value):
                 inner = section_of(self.class_for(value), self.units)
                 return cast(Any, create_model)("Keyed", __base__=Section, **{below[0]: (inner, ...)})
             return section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
@@ -332,13 +313,6 @@ class Part:
         if value == "":
             return "has no value", "write one, or leave the key out"
         return f"{given} stands where keys and values belong", f"give a mapping of {keys}"
-
-
-def _short_key(written: Any, section: Any) -> tuple[str, ...]:
-    """Key of a section below the name of its class, as in ``isobaric: {repeats: 2}``; none of another one."""
-    if isinstance(written, dict) and isinstance(section, dict) and isinstance(written.get(section.get("class")), dict):
-        return (section["class"],)
-    return ()
 
 
 def _member(kind: type, name: str, value: Any) -> Any:

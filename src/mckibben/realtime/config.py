@@ -11,8 +11,8 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.component.schema import FilePath, section_of
-from mckibben.config.fields import Title
+from mckibben.component.schema import section_of
+from mckibben.config.fields import FilePath, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
