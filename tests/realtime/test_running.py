@@ -73,6 +73,7 @@ def test_the_torque_of_the_vented_joint_falls_through_zero_at_its_angle(knee):
 
 def test_a_virtual_joint_is_a_backend(stiff):
     assert isinstance(stiff.joint(), Backend)
+    assert [one.problem for one in stiff.joint().status()] == [""] * 6
 
 
 def test_unpaced_and_measured_perfectly_it_is_the_simulation(ran, simulated):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -184,7 +184,8 @@ def prepare(
         command_limits=_rated(plant),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
-    wiring, backend = _connected(rig, plant, scenario, start if ideal else None, paced, ideal)
+    backend = _backend(rig, plant, scenario, start if ideal else None, paced, ideal)
+    wiring = Wiring(**backend.calibrations)
     header = {
         "what": "joint rig",
         "scenario": scenario.dumps(),
@@ -224,31 +225,28 @@ def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[
     return JointLimits(**defaults | given)
 
 
-def _connected(
+def _backend(
     rig: JointRig, plant: JointPlant, scenario: Scenario, start: PlantState | None, paced: bool, ideal: bool
-) -> tuple[Wiring, Backend]:
+) -> Backend:
     period = scenario.control_period
     if rig.nidaqmx is not None:
         return _card(rig.nidaqmx, period, rig.patience)
     spec = rig.simulated
     assert spec is not None  # the model of the rig sees to it
     given = {name: value for name, value in spec if value is not None and name != "seed"}
-    wiring = Wiring()
-    joint = SimulatedJoint(
+    return SimulatedJoint(
         plant,
         period=period,
         substeps=scenario.substeps,
         start=start,
-        wiring=wiring,
         sensing=PERFECT if ideal else Sensing(**given),
         patience=rig.patience,
         paced=paced,
         seed=spec.seed,
     )
-    return wiring, joint
 
 
-def _card(spec: JointCardSettings, period: float, patience: float) -> tuple[Wiring, Backend]:
+def _card(spec: JointCardSettings, period: float, patience: float) -> Backend:
     from mckibben.rig import ni
 
     def terminal(name: str) -> str:
@@ -261,8 +259,8 @@ def _card(spec: JointCardSettings, period: float, patience: float) -> tuple[Wiri
         hold=terminal(spec.hold),
         counter="",
     )
-    wiring = read_wiring(cast(Path, spec.calibration))
-    return wiring, ni.NiBackend(terminals, rate=1 / period, patience=patience, server=spec.server)
+    calibrations = vars(read_wiring(spec.calibration))
+    return ni.NiBackend(terminals, rate=1 / period, patience=patience, server=spec.server, calibrations=calibrations)
 
 
 def read_wiring(path: str | os.PathLike[str]) -> Wiring:

@@ -16,6 +16,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
 from mckibben.realtime.config import Wiring
 from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
+from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import (
     Fault,
     HostDelayed,
@@ -151,6 +152,11 @@ class SimulatedJoint(Backend):
     def outputs(self) -> Sequence[AnalogChannel]:
         """Both valves."""
         return _OUTPUTS
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Calibrations by channel."""
+        return vars(self._wiring)
 
     @property
     def description(self) -> Mapping[str, str]:

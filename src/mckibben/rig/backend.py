@@ -69,6 +69,11 @@ class Backend(abc.ABC):
 
     @property
     @abc.abstractmethod
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Calibrations by channel."""
+
+    @property
+    @abc.abstractmethod
     def description(self) -> Mapping[str, str]:
         """Description for the record: kind, devices, serial numbers, driver and versions, seed."""
 
@@ -107,6 +112,23 @@ class Backend(abc.ABC):
             warnings.warn(message, McKibbenWarning, stacklevel=2)
         return nullcontext()
 
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of its channels, vented and at rest; each sensor is read for 0.1 s unless overridden."""
+        kind = self.description["kind"]
+        yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
+        self.open()
+        try:
+            volts = self.read(max(1, round(0.1 * self.rate))).volts
+        finally:
+            self.close()
+        for channel, read in zip(self.inputs, volts.T, strict=True):
+            calibration, mean = self.calibrations[channel.name], f"{read.mean():.4f} V"
+            problem = f"{mean}, lost: check its plug and its supply" if calibration.lost(read, channel).any() else ""
+            reading = f"{mean}, {calibration.si(read).mean():.4g} {calibration.unit}"
+            yield ChannelStatus(channel.name, channel.where, reading, problem)
+        for channel in self.outputs:
+            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} V")
+
 
 class MuscleRig(Keyed, abc.ABC):
     """Rig of a protocol file: a backend, or the settings of one."""
@@ -135,11 +157,6 @@ class MovingBackend(Backend, MuscleRig):
         return self
 
     @property
-    @abc.abstractmethod
-    def calibrations(self) -> Mapping[str, Calibration]:
-        """Calibrations of the channels "force", "pressure" and "valve"."""
-
-    @property
     def drive(self) -> Drive:
         """The motor, its reducer and its lead screw; the paper's unless overridden."""
         from mckibben.rig.bench import Drive
@@ -158,23 +175,6 @@ class MovingBackend(Backend, MuscleRig):
     @abc.abstractmethod
     def stop(self) -> None:
         """Stop the motor at once. Never raises."""
-
-    def status(self) -> Iterator[ChannelStatus]:
-        """Status of its channels, vented and at rest; each sensor is read for 0.1 s unless overridden."""
-        kind = self.description["kind"]
-        yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
-        self.open()
-        try:
-            volts = self.read(max(1, round(0.1 * self.rate))).volts
-        finally:
-            self.close()
-        for channel, read in zip(self.inputs, volts.T, strict=True):
-            calibration, mean = self.calibrations[channel.name], f"{read.mean():.4f} V"
-            problem = f"{mean}, lost: check its plug and its supply" if calibration.lost(read, channel).any() else ""
-            reading = f"{mean}, {calibration.si(read).mean():.4g} {calibration.unit}"
-            yield ChannelStatus(channel.name, channel.where, reading, problem)
-        for channel in self.outputs:
-            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} V")
 
 
 class Watchdog:

@@ -44,10 +44,18 @@ class NiBackend(Backend):
         Timeout of the watchdog relay [s].
     server
         Address of an NI gRPC Device Server, "host:port", on whose machine the card is; empty: this one.
+    calibrations
+        Calibrations by channel; none for volts alone.
     """
 
     def __init__(
-        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self,
+        wiring: Terminals | None = None,
+        *,
+        rate: float = 1000.0,
+        patience: float = 1.0,
+        server: str = "",
+        calibrations: Mapping[str, Calibration] | None = None,
     ) -> None:
         check_positive("rig", "Hz", rate=rate)
         check_positive("rig", "s", patience=patience)
@@ -55,6 +63,7 @@ class NiBackend(Backend):
         self.rate = float(rate)
         self.patience = float(patience)
         self.server = server
+        self._calibrations = calibrations or {}
         self._driver: Driver | None = None
         self._tasks: list[Any] = []
         self._inputs: Any = None
@@ -77,6 +86,11 @@ class NiBackend(Backend):
         return tuple(
             AnalogChannel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items()
         )
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Calibrations by channel."""
+        return self._calibrations
 
     @property
     def description(self) -> Mapping[str, str]:
@@ -166,6 +180,10 @@ class NiBackend(Backend):
         from mckibben.rig.ni.watchdog import host_watchdog
 
         return host_watchdog(self)
+
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of driver, devices and terminals, see `channel_status`."""
+        yield from channel_status(self.wiring, self.calibrations, server=self.server)
 
     def _open_tasks(self, driver: Driver) -> None:
         self._open_outputs(driver)
@@ -296,8 +314,8 @@ class NiRig(NiBackend, MovingBackend):
         calibrations: Mapping[str, Calibration] | None = None,
         drive: Drive | None = None,
     ) -> None:
-        super().__init__(wiring, rate=rate, patience=patience, server=server)
-        self._calibrations, self._drive = calibrations or {}, drive
+        super().__init__(wiring, rate=rate, patience=patience, server=server, calibrations=calibrations)
+        self._drive = drive
         if not self.wiring.counter:
             raise RangeError("a stretching device needs a counter for its pulses", remedy="give the counter")
         self._train: Any = None
@@ -307,18 +325,9 @@ class NiRig(NiBackend, MovingBackend):
         self._position = 0
 
     @property
-    def calibrations(self) -> Mapping[str, Calibration]:
-        """Calibrations by channel."""
-        return self._calibrations
-
-    @property
     def drive(self) -> Drive:
         """The motor, its reducer and its lead screw."""
         return self._drive or super().drive
-
-    def status(self) -> Iterator[ChannelStatus]:
-        """Status of driver, devices and terminals, see `channel_status`."""
-        yield from channel_status(self.wiring, self.calibrations, server=self.server)
 
     def open(self) -> None:
         """Open the card as `NiBackend`; the pulses of the motor count from here."""
