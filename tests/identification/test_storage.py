@@ -1,11 +1,16 @@
 import dataclasses
+import importlib
+import sys
+import textwrap
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben import catalog
+from mckibben.component import classes
 from mckibben.errors import FileError, ScenarioError
 from mckibben.identification import DatasetSummary, Fit, identify, read_law
 from mckibben.identification.storage import find_fit
@@ -171,3 +176,93 @@ def test_what_is_no_law_is_refused(text, line, field, tmp_path):
 def test_no_file(tmp_path):
     with pytest.raises(ScenarioError, match="cannot be read: No such file"):
         read_law(tmp_path / "nowhere.yaml")
+
+
+_LAW = """
+    from mckibben.muscle import Domain, Parameter, PressureAffineLaw
+
+    class LinearLaw(PressureAffineLaw):
+        a: float
+        k: float
+        domain: Domain = Domain()
+
+        equation = "{equation}"
+        source = "a test"
+        linear_parameters = (
+            Parameter("a", "N/Pa", "N/bar", "force per pressure"),
+            Parameter("k", "N", "N", "stiffness"),
+        )
+
+        def pressure_terms(self, contraction):
+            return {sign}self.k * contraction, self.a
+"""
+
+
+def imported(folder, monkeypatch, name, equation="F = a p - k eps", sign="-"):
+    """A module with a law, which is forgotten after the test."""
+    (folder / f"{name}.py").write_text(textwrap.dedent(_LAW.format(equation=equation, sign=sign)))
+    monkeypatch.syspath_prepend(folder)
+    module = importlib.import_module(name)
+    monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, name, module)
+    return module.LinearLaw
+
+
+@pytest.fixture
+def two_laws(tmp_path, monkeypatch):
+    found = [
+        imported(tmp_path, monkeypatch, "storage_one"),
+        imported(tmp_path, monkeypatch, "storage_two", "F = a p + k eps", "+"),
+    ]
+    monkeypatch.setattr(classes, "concrete_subclasses", lambda base: iter(found))
+    return found
+
+
+def test_a_fit_comes_back_with_its_own_class_among_two_of_one_name(two_laws, tmp_path):
+    for law in two_laws:
+        fit = identify(law, catalog.dataset("dmsp-10-250-martens2017"))
+        fit.to_yaml(tmp_path / "fit.yaml")
+        assert yaml.safe_load((tmp_path / "fit.yaml").read_text())["law"] == f"{law.__module__}:LinearLaw"
+        assert type(read_law(tmp_path / "fit.yaml")) is law
+        assert read_law(tmp_path / "fit.yaml") == fit.law
+
+
+def test_one_name_of_two_laws_is_refused_and_both_are_named(two_laws, tmp_path):
+    (tmp_path / "law.yaml").write_text("parameters: {a: 1 N/bar, k: 2 N}\nlaw: LinearLaw\n")
+    with pytest.raises(ScenarioError) as error:
+        read_law(tmp_path / "law.yaml")
+    (problem,) = error.value.problems
+    assert (problem.line, problem.field) == (2, "law")
+    assert all(law.__module__ in problem.message for law in two_laws)
+    (tmp_path / "law.yaml").write_text("parameters: {a: 1 N/bar, k: 2 N}\nlaw: storage_two:LinearLaw\n")
+    assert type(read_law(tmp_path / "law.yaml")) is two_laws[1]
+
+
+@pytest.mark.parametrize("name", ["storage_one:LinearLaw", "LinearLaw"])
+def test_another_equation_than_the_one_of_the_class_is_refused(name, two_laws, tmp_path, monkeypatch):
+    monkeypatch.setattr(classes, "concrete_subclasses", lambda base: iter(two_laws[:1]))
+    text = "law: {}\nparameters: {{a: 1 N/bar, k: 2 N}}\nequation: F = a p {} k eps\n"
+    (tmp_path / "law.yaml").write_text(text.format(name, "-"))
+    assert type(read_law(tmp_path / "law.yaml")) is two_laws[0]
+    (tmp_path / "law.yaml").write_text(text.format(name, "+"))
+    with pytest.raises(ScenarioError) as error:
+        read_law(tmp_path / "law.yaml")
+    (problem,) = error.value.problems
+    assert (problem.line, problem.field, problem.value) == (3, "equation", "F = a p + k eps")
+    assert "F = a p - k eps" in problem.message
+    assert problem.remedy
+
+
+def test_a_law_that_is_not_imported_needs_an_extension(tmp_path):
+    (tmp_path / "law.yaml").write_text("law: storage_nowhere:CubicLaw\nparameters: {a: 1}\n")
+    with pytest.raises(ScenarioError) as error:
+        read_law(tmp_path / "law.yaml")
+    (problem,) = error.value.problems
+    assert (problem.line, problem.field) == (1, "law")
+    assert "--extension" in problem.remedy
+
+
+def test_a_domain_may_be_left_out_where_the_class_has_one(two_laws, tmp_path):
+    path = tmp_path / "law.yaml"
+    path.write_text("law: storage_one:LinearLaw\nparameters: {a: 1 N/bar, k: 2 N}\n")
+    assert read_law(path) == two_laws[0](1e-5, 2.0)

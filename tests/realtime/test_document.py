@@ -47,8 +47,8 @@ def test_a_card_is_wired_as_it_is_said(tmp_path):
     (tmp_path / "rig.yaml").write_text(
         "nidaqmx: {device: Dev2, pressure2: ai5, calibration: knee.json}\n", encoding="utf-8"
     )
-    wiring, card = _card(JointRig.read(tmp_path / "rig.yaml").nidaqmx, 2 * ms, 0.5)
-    assert wiring == Wiring() and (card.rate, card.patience) == (500.0, 0.5)
+    card = _card(JointRig.read(tmp_path / "rig.yaml").nidaqmx, 2 * ms, 0.5)
+    assert Wiring(**card.calibrations) == Wiring() and (card.rate, card.patience) == (500.0, 0.5)
     assert {channel.name: channel.where for channel in (*card.inputs, *card.outputs)} == {
         "angle": "Dev2/ai0",
         "pressure1": "Dev2/ai1",

@@ -182,8 +182,7 @@ def run_sweeps(
     for mass, part in sweeps.scenarios(scenario).items():
         if ready is not None:
             ready(mass)
-        on_card = rig is not None and rig.nidaqmx is not None
-        session = prepare(part, rig, paced=on_card)
+        session = prepare(part, rig, paced=rig is not None and rig.physical)
         kept = Path(folder) / ("weighted" if mass else "bare")
         ran: JointRunResult = session.run(kept, progress=progress)
         if ran.outcome.error is not None or ran.result is None:

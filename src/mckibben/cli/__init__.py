@@ -238,17 +238,17 @@ def specimens(json: Json = False) -> None:
 def _root(
     version: Annotated[bool, Option("--version", help="Print the version.")] = False,
     extension: Annotated[
-        list[Path] | None,
-        Option(metavar="FILE.py", help="Python file with user-defined classes, which is executed; repeatable."),
+        list[str] | None,
+        Option(metavar="FILE.py|MODULE", help="File or module with user-defined classes, which is run; repeatable."),
     ] = None,
 ) -> None:
     if version:
         echo(f"mckibben {mckibben.__version__}")
         raise typer.Exit
-    for path in extension or ():
+    for name in extension or ():
         from mckibben.component.extensions import load_extension
 
-        load_extension(path)
+        load_extension(name)
 
 
 def main() -> None:

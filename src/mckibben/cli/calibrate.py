@@ -134,7 +134,7 @@ def _measured(scenario: Scenario, sweeps: Sweeps, out: Path, rig: Path | None, q
 
     def ready(mass: float) -> None:
         what = f"the weight of {mass:g} kg is clipped on" if mass else "no weight is on the limb"
-        if on is not None and on.nidaqmx is not None:
+        if on is not None and on.physical:
             typer.confirm(f"{what}, and nobody is within reach of the joint?", abort=True, err=True)
 
     try:

@@ -63,7 +63,7 @@ def control(
 
     read = _with_duration(Scenario.read(scenario), parse_optional_quantity("--duration", duration, "s"))
     on = None if rig is None else JointRig.read(rig)
-    if on is not None and on.nidaqmx is not None and unpaced:
+    if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
     check_free(make_folder(out), (*_KEPT, "record-0001.chunks"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)

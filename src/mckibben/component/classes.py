@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from mckibben.component.extensions import installed_package, load_installed
+from mckibben.component.extensions import installed_package, load_installed, module_origin
 from mckibben.errors import RangeError, quoted
 
 
@@ -49,9 +50,11 @@ def concrete_subclasses(base: type) -> Iterator[type]:
 
 
 def classes_of(base: type) -> dict[str, type]:
-    """Return the classes of a base that a file can name, by their name in files."""
+    """Return the classes of a base that a file can name, by their name in files, or in full where two have one name."""
     kinds = {(one.__module__, one.__qualname__): one for one in [*concrete_subclasses(base), base]}
-    return {class_name(one): one for one in kinds.values() if not (one.__name__.startswith("_") or is_abstract(one))}
+    found = [one for one in kinds.values() if not (one.__name__.startswith("_") or is_abstract(one))]
+    count = Counter(map(class_name, found))
+    return {class_name(one) if count[class_name(one)] == 1 else full_name(one): one for one in found}
 
 
 def is_abstract(kind: type) -> bool:
@@ -66,16 +69,33 @@ def class_name(kind: type) -> str:
     return f"{package}:{kind.__name__}" if package else own
 
 
+def full_name(kind: type) -> str:
+    """Return the name of a class after that of its installed package, or of its module or file."""
+    package = kind.__module__.partition(".")[0]
+    return f"{package if package == 'mckibben' else module_origin(kind.__module__)}:{kind.__name__}"
+
+
 def find_class(base: type, name: str) -> type | None:
     """Return the class of a base that a file names; None if there is none, `RangeError` if there are several."""
-    for known in (classes_of(base), classes_of(base) if load_installed() else {}):
-        found = [known[name]] if name in known else [one for one in known.values() if one.__name__ == name]
-        if len(found) > 1:
-            several = " and ".join(f"{one.__module__}:{one.__name__}" for one in found)
-            raise RangeError(f"{quoted(name)} may be {several}", value=name, remedy="write package:Class")
-        if found:
-            return found[0]
-    return None
+    found = _named(base, name)
+    if not found:
+        load_installed()
+        found = _named(base, name)
+    if len(found) > 1:
+        several = " and ".join(f"{module_origin(one.__module__)}:{one.__name__}" for one in found)
+        raise RangeError(f"{quoted(name)} may be {several}", value=name, remedy="write package:Class")
+    return found[0] if found else None
+
+
+def _named(base: type, name: str) -> list[type]:
+    """Classes of a base with a name in files, which may follow that of a package, module or file."""
+    origin, _, own = name.rpartition(":")
+    found = [one for one in classes_of(base).values() if own in (one.__name__, one.__dict__.get("short_name"))]
+    return [one for one in found if not origin or _is_from(one, origin)]
+
+
+def _is_from(kind: type, origin: str) -> bool:
+    return any(f"{one}.".startswith(f"{origin}.") for one in (kind.__module__, module_origin(kind.__module__)))
 
 
 def default_class(base: type) -> type | None:
@@ -84,3 +104,42 @@ def default_class(base: type) -> type | None:
     if named:
         return find_class(base, named)
     return None if is_abstract(base) else base
+
+
+class Keyed:
+    """Base of classes whose section may stand below their short name, as in ``isobaric: {repeats: 2}``."""
+
+    short_name: ClassVar[str] = ""
+    alone: ClassVar[str] = ""
+    """Field of a section that is one value, as in ``move: 10 %``."""
+
+    @classmethod
+    def from_file(cls, value: Any) -> Any:
+        """Return the section with its class of one below a short name."""
+        if cls.short_name or not isinstance(value, dict) or len(value) != 1:
+            return value
+        ((name, section),) = value.items()
+        kind = find_class(cls, name)
+        if kind is None:
+            return value
+        if section == "":
+            section = {}
+        return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "alone", ""): section})}
+
+    @classmethod
+    def to_file(cls, section: dict[str, Any]) -> Any:
+        """Return a section below the short name of its class."""
+        if cls.short_name:  # a field of one class
+            return section
+        name, inner = section.pop("class"), section
+        alone = getattr(find_class(cls, name), "alone", "")
+        if not inner:
+            return name
+        return {name: inner[alone] if list(inner) == [alone] else inner}
+
+
+def short_key(written: Any, section: Any) -> tuple[str, ...]:
+    """Return the key of a section below the name of its class, as in ``isobaric: {repeats: 2}``; none of another."""
+    if isinstance(written, dict) and isinstance(section, dict) and isinstance(written.get(section.get("class")), dict):
+        return (section["class"],)
+    return ()

@@ -22,8 +22,8 @@ from types import UnionType
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
-from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, PlainSerializer, TypeAdapter, create_model
-from pydantic_core import PydanticSerializationError, core_schema
+from pydantic import Field, GetCoreSchemaHandler, TypeAdapter, create_model
+from pydantic_core import PydanticSerializationError, ValidationError, core_schema
 
 from mckibben.component.base import Checked, Component, Inherited, Units, field_hints, field_quantities
 from mckibben.component.classes import (
@@ -33,10 +33,12 @@ from mckibben.component.classes import (
     default_class,
     find_class,
     is_abstract,
+    short_key,
 )
+from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
-from mckibben.config.fields import Flag, Number, OneOf, read_path, read_title, relative_path, write_path
-from mckibben.config.model import ConfigModel, fail_validation, parse_text, read_text
+from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
+from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text
 from mckibben.errors import FileError, McKibbenError, quoted, suggest
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
@@ -167,14 +169,6 @@ def _form(hint: Any, units: Units) -> Any:
     return {bool: Flag, str: Title, Path: FilePath}.get(hint)
 
 
-Title = Annotated[str, BeforeValidator(read_title)]
-FilePath = Annotated[
-    Path,
-    BeforeValidator(lambda value, info: read_path(value, info, "")),
-    PlainSerializer(write_path, when_used="json"),
-]
-
-
 @dataclass(frozen=True)
 class Part:
     """Marks a section of a file that holds a component of a base class; `units` are those of its symbolic fields."""
@@ -199,7 +193,8 @@ class Part:
         changed, name = context.pop("changed", None), info.field_name or ""
         scope: Scope = ChainMap({"key": name}, dict(info.data or {}), *context.get("scope", ()))
         around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
-        value = self.base.from_file(value)
+        written, value = value, self.base.from_file(value)
+        below = short_key(written, value)
         if isinstance(value, str) and value:
             if find_class(self.base, value) is not None:
                 value = {"class": value}
@@ -228,7 +223,10 @@ class Part:
             around = None
         model = section_of(kind, self.units, partial=around is not None)
         context |= {"scope": scope.maps if isinstance(scope, ChainMap) else (scope,), "changed": around}
-        given = model.model_validate(section, context=context)
+        try:
+            given = model.model_validate(section, context=context)
+        except ValidationError as error:
+            raise located_below(error, below) from None
         fields = {name: getattr(given, name) for name in given.model_fields_set - {"class_"}}
         for alias, names in getattr(kind, "aliases", {}).items():
             if alias not in fields:
@@ -285,19 +283,21 @@ class Part:
         kind = find_class(self.base, named) if isinstance(named, str) else None
         if kind is None:
             remedy = suggest(str(named), list(known)) if known else "there is none yet"
-            fail_validation(
-                f"there is no class {quoted(named)} of {self.base.__name__}",
-                f"{remedy}; for a class of your own import its module first: `mckibben --extension FILE.py ...`",
-                value=named,
-            )
+            own = "for a class of your own load its module first: `mckibben --extension FILE.py ...`, or a module"
+            broken = (f"{one.message} ({one.remedy})" for one in load_installed())
+            message = f"there is no class {quoted(named)} of {self.base.__name__}"
+            fail_validation(message, "; ".join([remedy, own, *broken]), value=named)
         return kind
 
     def model_for(self, value: Any) -> type[Section] | None:
         """Return the model of a section, for messages; None for one that names no class."""
         with contextlib.suppress(McKibbenError):
-            value = self.base.from_file(value)
+            written, value = value, self.base.from_file(value)
             if isinstance(value, dict) and "class" not in value and "from" in value and len(classes_of(self.base)) > 1:
                 return None
+            if below := short_key(written, value):
+                inner = section_of(self.class_for(value), self.units)
+                return cast(Any, create_model)("Keyed", __base__=Section, **{below[0]: (inner, ...)})
             return section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
         return None
 

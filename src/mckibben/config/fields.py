@@ -113,4 +113,7 @@ def read_title(value: Any) -> str:
 
 Title = Annotated[str, BeforeValidator(read_title)]
 Flag = Annotated[bool, BeforeValidator(read_flag)]
+FilePath = Annotated[
+    Path, BeforeValidator(lambda value, info: read_path(value, info, "")), PlainSerializer(write_path, when_used="json")
+]
 TablePath = Annotated[Path, BeforeValidator(read_table), PlainSerializer(write_path, when_used="json")]

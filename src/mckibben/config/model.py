@@ -110,6 +110,12 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
     raise ScenarioError(source, [problem]) from None
 
 
+def located_below(error: ValidationError, place: Place) -> ValidationError:
+    """Return the mistakes of a validation as those of a section below a place."""
+    details: Any = [{**one, "loc": (*place, *one["loc"])} for one in error.errors(include_url=False)]
+    return ValidationError.from_exception_data(error.title, details)
+
+
 def explained(error: ValidationError) -> ParameterError:
     """The first mistake of a validation."""
     first = error.errors(include_url=False)[0]

@@ -6,6 +6,7 @@ a text such as ``a2: 109 N/bar``.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -13,11 +14,13 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
-from mckibben.component.classes import concrete_subclasses
+from mckibben.component.classes import classes_of, find_class, full_name
+from mckibben.component.extensions import load_installed, package_version
+from mckibben.component.schema import declared_fields
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
-from mckibben.errors import Problem, ScenarioError, quoted, suggest
+from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
@@ -48,7 +51,8 @@ def write_fit(fit: Fit, path: Path) -> None:
         parameters[p.name] = {"estimate": value, "unit": p.unit}
         comments["parameters", p.name] = f"{show(value, p.shown)}: {p.meaning}, not estimated"
     data = {
-        "law": law.__name__,
+        "law": full_name(law) if _is_foreign(law) else law.__name__,
+        "version": package_version(law.__module__),
         "equation": law.equation,
         "parameters": parameters,
         "robust": {"by": robust.by.value, "groups": int(robust.groups)} if robust else None,
@@ -101,10 +105,43 @@ def find_fit(path: Path) -> Fit | None:
     return read.fit() if isinstance(read, _FitFile) else None
 
 
-def law_types() -> dict[str, type[ForceLaw]]:
-    """Force laws by name: those of mckibben, and classes of one's own that are imported."""
-    own = {law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}
-    return {**LAWS, **{name: law for name, law in own.items() if name not in LAWS}}
+def law_types(*, installed: bool = False) -> dict[str, type[ForceLaw]]:
+    """Force laws by name: those of mckibben, and imported ones, also those of installed packages where asked."""
+    if installed:
+        load_installed()
+    others = {name: law for name, law in classes_of(ForceLaw).items() if law.parameters()}
+    return {**LAWS, **{name: law for name, law in others.items() if law not in LAWS.values()}}
+
+
+def _is_foreign(law: type) -> bool:
+    """Whether a class is of a package or file that a reader may lack; that of a script or notebook has no name."""
+    return law.__module__.partition(".")[0] not in ("mckibben", "__main__")
+
+
+def _find_law(name: Any, line: int | None) -> tuple[type[ForceLaw] | None, list[Problem]]:
+    """The law of a name in a file, or the problems with it."""
+    try:
+        found = find_class(ForceLaw, name) if isinstance(name, str) else None
+    except RangeError as error:
+        return None, [Problem.of(error, line, "law")]
+    if found is not None and found.parameters():
+        return found, []
+    remedy = (
+        f"{suggest(str(name), sorted(law_types()))}; for a law of your own load its module first: "
+        "`mckibben --extension FILE.py ...`, or a module"
+    )
+    return None, [Problem(f"there is no law {quoted(name)}", line, "law", remedy, value=name), *load_installed()]
+
+
+def _check_equation(law: type[ForceLaw], data: dict[str, Any], line: int | None) -> list[Problem]:
+    """A problem if the file is of another law than the class."""
+    given = data.get("equation", law.equation)
+    if given == law.equation:
+        return []
+    message = f"is {quoted(given)}, that of {law.__module__}.{law.__qualname__} is {quoted(law.equation)}"
+    made = f" (version {data['version']})" if data.get("version") else ""
+    remedy = f"import the law that the file was made with{made}, or identify it again"
+    return [Problem(message, line, "equation", remedy, value=given)]
 
 
 def _of_kind(unit: str, expected: str) -> str:
@@ -215,15 +252,19 @@ class _LawFile(ConfigModel):
 
     model_config = ConfigDict(extra="ignore")
 
+    law_type: ClassVar[type[ForceLaw]]
+
     law: str
     parameters: Any
     domain: _Domain
 
     def force_law(self) -> ForceLaw:
-        law_type, contraction, pressure = law_types()[self.law], self.domain.contraction, self.domain.pressure
-        values = {name: row.si("estimate") for name, row in self.parameters}
-        limits = (contraction.si("min"), contraction.si("max"), pressure.si("min"), pressure.si("max"))
-        return law_type(**values, domain=Domain(*limits))
+        values: dict[str, Any] = {name: row.si("estimate") for name, row in self.parameters}
+        if self.domain is not None:
+            contraction, pressure = self.domain.contraction, self.domain.pressure
+            limits = (contraction.si("min"), contraction.si("max"), pressure.si("min"), pressure.si("max"))
+            values["domain"] = Domain(*limits)
+        return self.law_type(**values)
 
 
 class _FitFile(_LawFile):
@@ -237,8 +278,8 @@ class _FitFile(_LawFile):
 
     @field_validator("correlations", mode="after")
     @classmethod
-    def _square(cls, value: Any, info: Any) -> Any:
-        size = len(law_types()[info.data["law"]].parameters()) if "law" in info.data else len(value)
+    def _square(cls, value: Any) -> Any:
+        size = len(cls.law_type.parameters()) if hasattr(cls, "law_type") else len(value)
         if len(value) != size or any(len(row) != size for row in value):
             fail_validation(f"is not a table of {size} rows of {size} numbers", "keep the order of the parameters")
         return value
@@ -287,17 +328,13 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
         raise ScenarioError(source, document.problems)
     data = document.data if isinstance(document.data, dict) else {}
     complete = "correlations" in data if complete is None else complete
-    known = law_types()
-    law_type = known.get(data["law"]) if isinstance(data.get("law"), str) else None
-    if law_type is None and "law" in data:
-        problem = Problem(
-            f"there is no law {quoted(data['law'])}",
-            document.line(("law",)),
-            "law",
-            suggest(str(data["law"]), sorted(known)),
-            value=data["law"],
-        )
-        raise ScenarioError(source, [*document.problems, problem])
+    law_type = None
+    if "law" in data:
+        law_type, problems = _find_law(data["law"], document.line(("law",)))
+        if law_type is not None:
+            problems = _check_equation(law_type, data, document.line(("equation",)))
+        if problems:
+            raise ScenarioError(source, [*document.problems, *problems])
     base, row = (_FitFile, _FittedEstimate) if complete else (_LawFile, _Estimate)
     if complete and "robust" in data:
         row = _RobustEstimate
@@ -309,7 +346,11 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
             for p in parameters
         }
         parameters = create_model("Parameters", __base__=ConfigModel, **rows)
-        model = create_model("FitFile", __base__=base, parameters=(parameters, Field()))
+        fields: dict[str, Any] = {"parameters": (parameters, Field())}
+        if not complete and declared_fields(law_type)["domain"].default is not dataclasses.MISSING:
+            fields["domain"] = (_Domain | None, None)
+        model = create_model("FitFile", __base__=base, **fields)
+        model.law_type = law_type  # type: ignore[attr-defined]
     try:
         read = model.model_validate(document.data)
     except ValidationError as error:

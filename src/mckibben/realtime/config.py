@@ -12,13 +12,12 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.component.schema import section_of
-from mckibben.config.fields import Title
+from mckibben.config.fields import FilePath, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import Calibration
-from mckibben.study.rig.document import JsonPath
 from mckibben.units import (
     BoundedInt,
     Duration,
@@ -175,7 +174,7 @@ class JointCardSettings(ConfigModel):
     heartbeat: str = "port0/line0"
     hold: str = "port0/line1"
     server: str = ""
-    calibration: JsonPath
+    calibration: FilePath
 
 
 class JointLimitsSettings(section_of(JointLimits, partial=True)):
@@ -227,6 +226,11 @@ class JointRig(ConfigModel):
         """Read a file; `ScenarioError` with all problems: line, field, value, allowed range and remedy."""
         text = read_text(path, "a joint rig", "examples/rig/joint-rig.yaml")
         return parse_model(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
+
+    @property
+    def physical(self) -> bool:
+        """Whether it moves a real joint."""
+        return self.simulated is None
 
     def to_json(self) -> dict[str, Any]:
         """Explicit fields with units, for the record."""

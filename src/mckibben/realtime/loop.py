@@ -118,7 +118,7 @@ class RunOutcome:
 
 
 class StopFlag:
-    """Number of the signal that was received; 0 for none. CheckedTest once a period."""
+    """Number of the signal that was received; 0 for none. Checked once a period."""
 
     def __init__(self) -> None:
         self.signal = 0

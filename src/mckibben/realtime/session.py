@@ -1,4 +1,4 @@
-"""JointSession of a scenario on a joint rig, from the file to the recorded run."""
+"""Session of a scenario on a joint rig, from the file to the recorded run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import read_calibrations
-from mckibben.rig.ni.watchdog import host_watchdog
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.scenario import Scenario
@@ -95,7 +94,7 @@ class JointSession:
         with (
             file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
-            host_watchdog(self.backend),
+            self.backend.host_watchdog(),
             realtime_process_settings() as priority,
         ):
             header = {**self.header, "priority": priority}
@@ -156,7 +155,7 @@ def prepare(
         If parts of the scenario make no sense together, or a calibration cannot be read.
     """
     rig = rig or JointRig.model_validate({"simulated": {}})
-    if ideal and rig.simulated is None:
+    if ideal and rig.physical:
         raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
         plant = scenario.plant()
@@ -185,7 +184,8 @@ def prepare(
         command_limits=_rated(plant),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
-    wiring, backend = _connected(rig, plant, scenario, start if ideal else None, paced, ideal)
+    backend = _backend(rig, plant, scenario, start if ideal else None, paced, ideal)
+    wiring = Wiring(**backend.calibrations)
     header = {
         "what": "joint rig",
         "scenario": scenario.dumps(),
@@ -225,31 +225,28 @@ def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[
     return JointLimits(**defaults | given)
 
 
-def _connected(
+def _backend(
     rig: JointRig, plant: JointPlant, scenario: Scenario, start: PlantState | None, paced: bool, ideal: bool
-) -> tuple[Wiring, Backend]:
+) -> Backend:
     period = scenario.control_period
     if rig.nidaqmx is not None:
         return _card(rig.nidaqmx, period, rig.patience)
     spec = rig.simulated
     assert spec is not None  # the model of the rig sees to it
     given = {name: value for name, value in spec if value is not None and name != "seed"}
-    wiring = Wiring()
-    joint = SimulatedJoint(
+    return SimulatedJoint(
         plant,
         period=period,
         substeps=scenario.substeps,
         start=start,
-        wiring=wiring,
         sensing=PERFECT if ideal else Sensing(**given),
         patience=rig.patience,
         paced=paced,
         seed=spec.seed,
     )
-    return wiring, joint
 
 
-def _card(spec: JointCardSettings, period: float, patience: float) -> tuple[Wiring, Backend]:
+def _card(spec: JointCardSettings, period: float, patience: float) -> Backend:
     from mckibben.rig import ni
 
     def terminal(name: str) -> str:
@@ -262,8 +259,8 @@ def _card(spec: JointCardSettings, period: float, patience: float) -> tuple[Wiri
         hold=terminal(spec.hold),
         counter="",
     )
-    wiring = read_wiring(cast(Path, spec.calibration))
-    return wiring, ni.NiBackend(terminals, rate=1 / period, patience=patience, server=spec.server)
+    calibrations = vars(read_wiring(spec.calibration))
+    return ni.NiBackend(terminals, rate=1 / period, patience=patience, server=spec.server, calibrations=calibrations)
 
 
 def read_wiring(path: str | os.PathLike[str]) -> Wiring:

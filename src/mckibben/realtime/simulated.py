@@ -15,7 +15,8 @@ from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
 from mckibben.realtime.config import Wiring
-from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
+from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import (
     Fault,
     HostDelayed,
@@ -29,6 +30,8 @@ from mckibben.units import AngleStep, PressureNoise, deg, kPa, ms
 
 _SPIN = 80e-6  # s of spinning, by which a sleep may end late
 _DRAWN = 1024  # samples of noise drawn at once
+_INPUTS = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
+_OUTPUTS = tuple(AnalogChannel(name, 0.0, 10.0, "simulated") for name in ("valve1", "valve2"))
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,8 @@ PERFECT = Sensing(0.0, 0.0, 0.0)
 """Ideal sensors, as in a simulation."""
 
 
-class SimulatedJoint:
-    """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, in volts.
+class SimulatedJoint(Backend):
+    """The plant of a scenario as a backend: angle and two pressures in, two valves out, in volts.
 
     Samples are taken at multiples of the sampling period [s], the first when it is opened. Signals reach the valves
     when they are set, in between, or after the plant's delay of commands; the watchdog vents without one. Unpaced, its
@@ -86,8 +89,7 @@ class SimulatedJoint:
         If a fault is not supported.
     """
 
-    outputs = (AnalogChannel("valve1", 0.0, 10.0, "simulated"), AnalogChannel("valve2", 0.0, 10.0, "simulated"))
-    inputs = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
+    physical = False
 
     def __init__(
         self,
@@ -108,7 +110,7 @@ class SimulatedJoint:
         supported = (SensorDisconnected, SupplyLost, HostDelayed, SamplesStopped, SamplesDropped, SamplesDelayed)
         for fault in faults:
             if isinstance(fault, SensorDisconnected):
-                fault.check([channel.name for channel in self.inputs])
+                fault.check([channel.name for channel in _INPUTS])
         unsupported = [type(fault).__name__ for fault in faults if not isinstance(fault, supported)]
         if unsupported:
             raise RigError(
@@ -140,6 +142,21 @@ class SimulatedJoint:
         self._noise: list[list[float]] = []
         self._happened: set[Fault] = set()
         self._origin = time.perf_counter()
+
+    @property
+    def inputs(self) -> Sequence[AnalogChannel]:
+        """Angle and pressures."""
+        return _INPUTS
+
+    @property
+    def outputs(self) -> Sequence[AnalogChannel]:
+        """Both valves."""
+        return _OUTPUTS
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Calibrations by channel."""
+        return vars(self._wiring)
 
     @property
     def description(self) -> Mapping[str, str]:
@@ -178,9 +195,7 @@ class SimulatedJoint:
                 remedy="find out what kept the host busy, and reopen it",
             )
         commands = []
-        for signal, valve, channel, (low, high) in zip(
-            volts, self._wiring.valves, self.outputs, self._rated, strict=True
-        ):
+        for signal, valve, channel, (low, high) in zip(volts, self._wiring.valves, _OUTPUTS, self._rated, strict=True):
             given = min(max(float(signal), channel.low), channel.high)
             commands.append(min(max((given - valve.offset) * valve.gain - valve.tare, low), high))
         self._command(now, (commands[0], commands[1]))
@@ -276,7 +291,7 @@ class SimulatedJoint:
             pressure1, pressure2 = pressure1 + noise1, pressure2 + noise2
         volts = []
         for value, (gain, offset, tare), channel in zip(
-            (angle, pressure1, pressure2), self._volts_of, self.inputs, strict=True
+            (angle, pressure1, pressure2), self._volts_of, _INPUTS, strict=True
         ):
             signal = (value + tare) / gain + offset
             for fault in self._faults:

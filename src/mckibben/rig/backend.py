@@ -1,12 +1,22 @@
-"""Interface of the hardware of a rig."""
+"""Interface of the hardware of a rig, and of what a protocol file names as its rig."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+import abc
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from numpy import float64, int64
 from numpy.typing import NDArray
+
+from mckibben.component.classes import Keyed
+from mckibben.errors import McKibbenWarning
+
+if TYPE_CHECKING:  # the watchdog's process needs little
+    from mckibben.rig.bench import Drive
+    from mckibben.rig.calibration import Calibration
 
 
 class AnalogChannel(NamedTuple):
@@ -27,65 +37,142 @@ class Block(NamedTuple):
     pulses: NDArray[int64]  # of the motor since opening, positive = stretching, shape (samples,); zeros without a motor
 
 
-@runtime_checkable
-class Backend(Protocol):
+class ChannelStatus(NamedTuple):
+    """Status of a channel, device or driver: its reading as text, or its problem and the remedy."""
+
+    name: str
+    where: str
+    reading: str
+    problem: str = ""
+
+
+class Backend(abc.ABC):
     """Sensors and valves of a rig, in volts; vented when opened, and by its watchdog without `heartbeat`."""
 
-    rate: float  # sampling rate of each input [Hz]
+    physical: ClassVar[bool] = True
+    """Whether real air is under pressure."""
 
-    patience: float  # timeout of the watchdog [s], by the clock of the rig; until it is reopened
+    rate: float
+    """Sampling rate of each input [Hz]."""
+    patience: float
+    """Timeout of the watchdog [s], by the clock of the rig; until it is reopened."""
 
     @property
+    @abc.abstractmethod
     def inputs(self) -> Sequence[AnalogChannel]:
         """Inputs, in the order of the columns of a block."""
-        ...
 
     @property
+    @abc.abstractmethod
     def outputs(self) -> Sequence[AnalogChannel]:
         """Valves, in the order of the values of `set_valves`."""
-        ...
 
     @property
+    @abc.abstractmethod
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Calibrations by channel."""
+
+    @property
+    @abc.abstractmethod
     def description(self) -> Mapping[str, str]:
         """Description for the record: kind, devices, serial numbers, driver and versions, seed."""
-        ...
 
+    @abc.abstractmethod
     def open(self) -> None:
         """Open the devices; vented, at rest, the clock at 0. `RigError` if a driver or a device is missing."""
 
+    @abc.abstractmethod
     def clock(self) -> float:
         """Time since it was opened [s]."""
-        ...
 
+    @abc.abstractmethod
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
         """Wait for samples; `SilentError` if they are later than the timeout [s], `RigError` if the device is lost."""
-        ...
 
+    @abc.abstractmethod
     def set_valves(self, volts: Sequence[float]) -> None:
         """Set the signals of the valves [V], one per output."""
 
+    @abc.abstractmethod
     def heartbeat(self) -> None:
         """Reset the watchdog."""
 
+    @abc.abstractmethod
     def vent(self) -> None:
         """Vent at once. May be called at any time, repeatedly; never raises."""
 
+    @abc.abstractmethod
     def close(self) -> None:
         """Vent, stop, and close the devices. Never raises."""
 
+    def host_watchdog(self) -> AbstractContextManager[None]:
+        """Context in which the rig is vented if this process dies; unless overridden there is none, and a warning."""
+        if self.physical:
+            message = f"the {self.description['kind']} rig is vented by its own watchdog alone if this process dies"
+            warnings.warn(message, McKibbenWarning, stacklevel=2)
+        return nullcontext()
 
-@runtime_checkable
-class MovingBackend(Backend, Protocol):
-    """A backend with a motor that stretches the muscle."""
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of its channels, vented and at rest; each sensor is read for 0.1 s unless overridden."""
+        kind = self.description["kind"]
+        yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
+        self.open()
+        try:
+            volts = self.read(max(1, round(0.1 * self.rate))).volts
+        finally:
+            self.close()
+        for channel, read in zip(self.inputs, volts.T, strict=True):
+            calibration, mean = self.calibrations[channel.name], f"{read.mean():.4f} V"
+            problem = f"{mean}, lost: check its plug and its supply" if calibration.lost(read, channel).any() else ""
+            reading = f"{mean}, {calibration.si(read).mean():.4g} {calibration.unit}"
+            yield ChannelStatus(channel.name, channel.where, reading, problem)
+        for channel in self.outputs:
+            yield ChannelStatus(channel.name, channel.where, f"{channel.low:g}..{channel.high:g} V")
 
+
+class MuscleRig(Keyed, abc.ABC):
+    """Rig of a protocol file: a backend, or the settings of one."""
+
+    physical: ClassVar[bool] = True
+    """Whether it moves a real muscle."""
+
+    @abc.abstractmethod
+    def backend(self, session: int = 0) -> MovingBackend:
+        """Return the backend, closed; `session` counts the resumptions of the test."""
+
+
+class MovingBackend(Backend, MuscleRig):
+    """A backend with a motor that stretches the muscle; a dataclass that derives from it can stand in a protocol."""
+
+    homed: bool = False
+    """Whether opening it brings the motor to where the muscle was mounted; otherwise it stands where it was left."""
+
+    def __post_init__(self) -> None:
+        from mckibben.component.base import check_fields
+
+        check_fields(self)
+
+    def backend(self, session: int = 0) -> MovingBackend:
+        """Return the backend itself."""
+        return self
+
+    @property
+    def drive(self) -> Drive:
+        """The motor, its reducer and its lead screw; the paper's unless overridden."""
+        from mckibben.rig.bench import Drive
+
+        return Drive()
+
+    @abc.abstractmethod
     def move(self, pulses: int, rate: float) -> None:
         """Begin a move by pulses, positive = stretching, at a rate [Hz]; `RigError` if it is moving already."""
 
     @property
+    @abc.abstractmethod
     def moving(self) -> bool:
         """Whether the motor is moving."""
-        ...
 
+    @abc.abstractmethod
     def stop(self) -> None:
         """Stop the motor at once. Never raises."""
 

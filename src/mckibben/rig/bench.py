@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.base import Checked, Inherited, check_fields
-from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle, Specimen
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.protocol import specimen_of
 from mckibben.units import (
     Angle,
+    BoundedInt,
     Duration,
+    Factor,
     Force,
     Hz,
     N,
@@ -45,18 +46,13 @@ _WHOLE = 1e-6  # pulses
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class Drive(Checked):
     """Stepper motor, reducer and lead screw; the paper's."""
 
-    steps: int = 200  # pulses per revolution of the motor (ours: the usual motor, full steps)
-    reduction: float = 10.0  # revolutions of the motor per revolution of the screw (the paper, "Experimental system")
-    lead: float = 5 * mm  # travel per revolution of the screw [m] (the paper)
-    fastest: float = 2000.0  # highest pulse rate [Hz] (ours), which is 5 mm/s
-
-    def __post_init__(self) -> None:
-        check_positive("drive", steps=float(self.steps), reduction=self.reduction)
-        check_positive("drive", "m", lead=self.lead)
-        check_positive("drive", "Hz", fastest=self.fastest)
+    steps: Annotated[int, BoundedInt(1, 1_000_000)] = 200  # pulses per revolution (ours: the usual motor, full steps)
+    reduction: Factor = 10.0  # revolutions of the motor per revolution of the screw (the paper, "Experimental system")
+    lead: Travel = 5 * mm  # travel per revolution of the screw (the paper)
+    fastest: SampleRate = 2000.0  # highest pulse rate (ours), which is 5 mm/s
 
     @property
     def pulses_per_metre(self) -> float:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.base import Checked, field_problems
-from mckibben.component.classes import find_class
+from mckibben.component.classes import Keyed
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
@@ -140,38 +140,7 @@ class Plateaus(NamedTuple):
     time: NDArray[np.float64]  # start of the acquisition [s] after the start of the test
 
 
-class Keyed(Checked):
-    """Base of classes whose section may stand below their short name, as in ``isobaric: {repeats: 2}``."""
-
-    alone: ClassVar[str] = ""
-    """Field of a section that is one value, as in ``move: 10 %``."""
-
-    @classmethod
-    def from_file(cls, value: Any) -> Any:
-        """Return the section with its class of one below a short name."""
-        if cls.short_name or not isinstance(value, dict) or len(value) != 1:
-            return value
-        ((name, section),) = value.items()
-        kind = find_class(cls, name)
-        if kind is None:
-            return value
-        if section == "":
-            section = {}
-        return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "alone", ""): section})}
-
-    @classmethod
-    def to_file(cls, section: dict[str, Any]) -> Any:
-        """Return a section below the short name of its class."""
-        if cls.short_name:  # a field of one class
-            return section
-        name, inner = section.pop("class"), section
-        alone = getattr(find_class(cls, name), "alone", "")
-        if not inner:
-            return name
-        return {name: inner[alone] if list(inner) == [alone] else inner}
-
-
-class Protocol(Keyed):
+class Protocol(Keyed, Checked):
     """A test."""
 
 

@@ -1,4 +1,4 @@
-"""JointSession of a test on a rig: moves, pressures and samples, each cycle checked and recorded."""
+"""Session of a test on a rig: moves, pressures and samples, each cycle checked and recorded."""
 
 from __future__ import annotations
 

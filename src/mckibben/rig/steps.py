@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from mckibben.component.base import check_fields, field_problems
+from mckibben.component.base import Checked, check_fields, field_problems
+from mckibben.component.classes import Keyed
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.rig.protocol import (
     PAPER_PRESSURES,
     IsobaricProtocol,
-    Keyed,
     Protocol,
     SetPressure,
     StepTravel,
@@ -46,7 +46,7 @@ SPEED = 0.2 * mm / s
 """Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
 
 
-class ProtocolStep(Keyed):
+class ProtocolStep(Keyed, Checked):
     """A step of a test."""
 
     def describe(self) -> str:

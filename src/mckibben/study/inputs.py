@@ -90,15 +90,27 @@ def specimen_named(name: str) -> Specimen:
 
 def law_type_named(name: str) -> type[ForceLaw]:
     """A kind of law by its name, in any case, with or without "Law" and hyphens."""
+    from mckibben.component.extensions import load_installed
     from mckibben.identification.storage import law_types
 
-    laws = law_types()
-    plain = name.lower().replace("-", "").replace("_", "")
-    for known, law_type in laws.items():
-        if plain in (known.lower(), known.removesuffix("Law").lower()):
-            return law_type
+    laws: dict[str, type[ForceLaw]] = {}
+    for installed in (False, True):
+        laws = law_types(installed=installed)
+        known = {
+            one: {_plain(one), _plain(law.__name__), _plain(law.__name__.removesuffix("Law"))}
+            for one, law in laws.items()
+        }
+        if found := [one for one, words in known.items() if _plain(name) in words]:
+            if len(found) > 1:
+                raise _unknown("law", name, f"it may be {' or '.join(found)}")
+            return laws[found[0]]
     short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws)
-    raise _unknown("law", name, f"known are {short}")
+    broken = "".join(f"; {problem}" for problem in load_installed())
+    raise _unknown("law", name, f"known are {short}; load the module of your own law first (--extension){broken}")
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("-", "").replace("_", "")
 
 
 def joint_named(name: str) -> AntagonisticJoint:

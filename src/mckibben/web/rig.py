@@ -78,7 +78,7 @@ class RigState:
 def checked(text: str, folder: Path) -> CheckedTest:
     """A test on the simulated rig, checked by a dry run."""
     test, document = parse_model(RigTest, text, source="protocol", folder=folder, confined=True)
-    if test.rig.simulated is None:
+    if test.rig.physical:
         raise ParameterError("this page runs the simulated rig only", remedy="use `mckibben rig run` for a card")
     found = check(test, document)
     if found.dry_run.samples > _MOST_SAMPLES:

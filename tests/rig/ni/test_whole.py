@@ -11,9 +11,9 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
+from mckibben.rig.ni import NiBackend
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.simulated import SamplesStopped, SimulatedRig
-from mckibben.study.rig import running
 from mckibben.study.rig.document import read_test
 from mckibben.study.rig.running import check, readings, run_test
 from mckibben.units import bar
@@ -44,7 +44,7 @@ def watched(monkeypatch):
         backends.append(backend)
         yield
 
-    monkeypatch.setattr(running, "host_watchdog", watch)
+    monkeypatch.setattr(NiBackend, "host_watchdog", watch)
     return backends
 
 

@@ -157,8 +157,8 @@ protocol:
         "line 4, limits.shorten: is missing",
         "line 7, protocol.steps[0]: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
         "line 8, protocol.steps[1]: lacks the key `class`",
-        "line 10, protocol.steps[3].stp: is not a known key here; did you mean 'step'?",
-        "line 9, protocol.steps[2]: 'none' is not a whole number",
+        "line 10, protocol.steps[3].walk.stp: is not a known key here; did you mean 'step'?",
+        "line 9, protocol.steps[2].acquire.samples: 'none' is not a whole number",
     ):
         assert part in said, said
     assert said.startswith("p.yaml: 8 problems")
@@ -169,7 +169,7 @@ protocol:
     [
         (("isobaric:", "isobaric:\n  isotonic:"), "protocol: lacks the key `class`"),
         (("  isobaric:", "  {}"), "protocol: lacks the key `class`; give one of isobaric, steps, isometric, isotonic"),
-        (("rig: {simulated: {seed: 1}}", "rig: {}"), "rig: is empty; give `simulated: {seed: 1}`, or `nidaqmx`"),
+        (("rig: {simulated: {seed: 1}}", "rig: {}"), "rig: lacks the key `class`; give one of .*simulated, nidaqmx"),
         ((", law: lei-mas-10-180n", ""), "rig: has no law for its simulated muscle; give"),
     ],
 )

@@ -16,7 +16,7 @@ from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError,
 from mckibben.rig.record import header_of, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.study.rig import running
-from mckibben.study.rig.document import RigSettings, RigTest
+from mckibben.study.rig.document import RigTest
 from mckibben.study.rig.running import check, gather, run_test
 from mckibben.units import bar
 
@@ -232,7 +232,7 @@ def test_a_dataset_of_another_calibration_than_was_recorded_is_told(tmp_path, mo
     np.testing.assert_allclose(again.force, made.force - 3.0, atol=1e-4)
 
 
-def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path):
+def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
     with pytest.raises(SignalledError):
         run_test(checked(), tmp_path, report=stopping(5))
     past = running._past(tmp_path)
@@ -244,7 +244,8 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path):
     assert not killed.certain
     simulated = checked()
     assert running._origin(simulated, tmp_path, killed, None) == 0
-    card = dataclasses.replace(simulated, test=simulated.test.model_copy(update={"rig": RigSettings.model_construct()}))
+    card = checked()
+    monkeypatch.setattr(card.setup.backend, "homed", False)
     assert running._origin(card, tmp_path, past, None) == past.position
     assert running._origin(card, tmp_path, killed, 0.05) == -0.05 * 180 * 400
     with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):

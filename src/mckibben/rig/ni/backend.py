@@ -5,26 +5,30 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError
-from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.backend import AnalogChannel, Backend, Block, ChannelStatus, MovingBackend, Watchdog
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.ni.driver import Driver, Terminals
+
+if TYPE_CHECKING:
+    from mckibben.rig.bench import Drive
 
 _BUFFER = 10.0  # s of samples in the buffer of the driver
 _OFF = 1e-3  # V from the signal at rest
 _SAME = 1e-9
 
 
-class NiBackend:
-    """Sensors and valves on a card; a `Backend`.
+class NiBackend(Backend):
+    """Sensors and valves on a card.
 
     All inputs are sampled by one clock of the card. A card holds its last output when its host dies: an external
     watchdog relay on the line `heartbeat` then cuts the current of a spring-return vent valve; `patience` has to be its
@@ -40,10 +44,18 @@ class NiBackend:
         Timeout of the watchdog relay [s].
     server
         Address of an NI gRPC Device Server, "host:port", on whose machine the card is; empty: this one.
+    calibrations
+        Calibrations by channel; none for volts alone.
     """
 
     def __init__(
-        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self,
+        wiring: Terminals | None = None,
+        *,
+        rate: float = 1000.0,
+        patience: float = 1.0,
+        server: str = "",
+        calibrations: Mapping[str, Calibration] | None = None,
     ) -> None:
         check_positive("rig", "Hz", rate=rate)
         check_positive("rig", "s", patience=patience)
@@ -51,6 +63,7 @@ class NiBackend:
         self.rate = float(rate)
         self.patience = float(patience)
         self.server = server
+        self._calibrations = calibrations or {}
         self._driver: Driver | None = None
         self._tasks: list[Any] = []
         self._inputs: Any = None
@@ -73,6 +86,11 @@ class NiBackend:
         return tuple(
             AnalogChannel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items()
         )
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Calibrations by channel."""
+        return self._calibrations
 
     @property
     def description(self) -> Mapping[str, str]:
@@ -156,6 +174,16 @@ class NiBackend:
             self._quietly(self._driver.close)
         self._tasks, self._driver, self._lines = [], None, {}
         self._inputs = self._reader = self._writer = self._switch = None
+
+    def host_watchdog(self) -> AbstractContextManager[None]:
+        """A second process that vents the card if this one dies within the block."""
+        from mckibben.rig.ni.watchdog import host_watchdog
+
+        return host_watchdog(self)
+
+    def status(self) -> Iterator[ChannelStatus]:
+        """Status of driver, devices and terminals, see `channel_status`."""
+        yield from channel_status(self.wiring, self.calibrations, server=self.server)
 
     def _open_tasks(self, driver: Driver) -> None:
         self._open_outputs(driver)
@@ -266,8 +294,8 @@ class NiBackend:
 _ROUNDING = 1e-6  # pulses
 
 
-class NiRig(NiBackend):
-    """A card with a motor; a `MovingBackend`.
+class NiRig(NiBackend, MovingBackend):
+    """A card with a motor.
 
     A counter sends the pulses of a move as one finite train, so that their number is exact. Their number at a time
     follows from the rate and the start of the train, to within the latency of the host: less than a pulse at 80 Hz and
@@ -277,9 +305,17 @@ class NiRig(NiBackend):
     """
 
     def __init__(
-        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self,
+        wiring: Terminals | None = None,
+        *,
+        rate: float = 1000.0,
+        patience: float = 1.0,
+        server: str = "",
+        calibrations: Mapping[str, Calibration] | None = None,
+        drive: Drive | None = None,
     ) -> None:
-        super().__init__(wiring, rate=rate, patience=patience, server=server)
+        super().__init__(wiring, rate=rate, patience=patience, server=server, calibrations=calibrations)
+        self._drive = drive
         if not self.wiring.counter:
             raise RangeError("a stretching device needs a counter for its pulses", remedy="give the counter")
         self._train: Any = None
@@ -287,6 +323,11 @@ class NiRig(NiBackend):
         self._rate = 1.0
         self._pulses = 0
         self._position = 0
+
+    @property
+    def drive(self) -> Drive:
+        """The motor, its reducer and its lead screw."""
+        return self._drive or super().drive
 
     def open(self) -> None:
         """Open the card as `NiBackend`; the pulses of the motor count from here."""
@@ -367,15 +408,6 @@ class NiRig(NiBackend):
 
 
 _READING = 0.1  # s
-
-
-class ChannelStatus(NamedTuple):
-    """Status of a channel, device or driver: its reading as text, or its problem and the remedy."""
-
-    name: str
-    where: str
-    reading: str
-    problem: str = ""
 
 
 def channel_status(

@@ -13,7 +13,6 @@ from dataclasses import asdict
 from typing import IO
 
 from mckibben.errors import RigError
-from mckibben.rig.backend import Backend
 from mckibben.rig.ni.backend import NiBackend
 from mckibben.rig.ni.driver import Driver, Terminals
 
@@ -28,11 +27,8 @@ _LONGEST, _MEMORY = 60, 4 << 30  # s and bytes after which it is ended: nobody e
 
 
 @contextlib.contextmanager
-def host_watchdog(backend: Backend) -> Iterator[None]:
-    """Vent the card of a backend if this process dies within the block, by a crash or SIGKILL; none if simulated."""
-    if not isinstance(backend, NiBackend):
-        yield
-        return
+def host_watchdog(backend: NiBackend) -> Iterator[None]:
+    """Vent the card of a backend if this process dies within the block, by a crash or SIGKILL."""
     command = [sys.executable, "-m", "mckibben.rig.ni.watchdog"]
     settings = {"wiring": asdict(backend.wiring), "server": backend.server}
     # in a session of its own: Ctrl-C and a closed terminal are for the test alone

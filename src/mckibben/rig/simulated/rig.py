@@ -13,7 +13,7 @@ import numpy as np
 from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
-from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.backend import AnalogChannel, Block, MovingBackend, Watchdog
 from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
@@ -23,8 +23,8 @@ from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE,
 from mckibben.units import Hz, s
 
 
-class SimulatedRig:
-    """The paper's stretching device with a muscle, as a `MovingBackend` of two inputs and one output.
+class SimulatedRig(MovingBackend):
+    """The paper's stretching device with a muscle, of two inputs and one output.
 
     Simulated time advances only in `read`, by the duration of the samples; `RealTimeRig` paces it in real time. The
     same seed and the same calls give the same samples.
@@ -71,6 +71,8 @@ class SimulatedRig:
     >>> rig.truth.pressure < 0.2 * bar
     True
     """
+
+    physical, homed = False, True
 
     def __init__(
         self,
@@ -294,8 +296,10 @@ class SimulatedRig:
 _SOON = 1e-6  # s, shortest sleep
 
 
-class RealTimeRig:
+class RealTimeRig(MovingBackend):
     """A `SimulatedRig` in real time, by a clock [s] and a sleep; those of the system unless given."""
+
+    physical, homed = False, True
 
     def __init__(
         self,
@@ -308,6 +312,16 @@ class RealTimeRig:
         self.rate, self.patience = rig.rate, rig.patience
         self._wall, self._sleep = wall, sleep
         self._began = wall()
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """As of the rig."""
+        return self.rig.calibrations
+
+    @property
+    def drive(self) -> Drive:
+        """As of the rig."""
+        return self.rig.drive
 
     @property
     def inputs(self) -> Sequence[AnalogChannel]:

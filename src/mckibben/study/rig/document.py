@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PlainSerializer, SerializationInfo, ValidationInfo, field_validator
+from pydantic import Field
 
-from mckibben.component.base import Component
+import mckibben.rig.steps  # noqa: F401 - protocols that a file can name
+from mckibben.component.base import Checked, Component, Inherited
 from mckibben.component.schema import Part, section_of
 from mckibben.config.document import Document, to_text
-from mckibben.config.fields import Flag, OneOf, Title, read_path, write_path
-from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
-from mckibben.errors import ScenarioError, quoted
+from mckibben.config.fields import Title
+from mckibben.config.model import ConfigModel, explicit_fields, parse_model, read_text
+from mckibben.errors import RangeError, ScenarioError, quoted
 from mckibben.muscle import (
     Creep,
     ForceCorrection,
@@ -27,48 +27,15 @@ from mckibben.muscle import (
     NoFriction,
     Specimen,
 )
-from mckibben.rig.backend import MovingBackend
+from mckibben.rig.backend import MovingBackend, MuscleRig
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, read_calibrations
 from mckibben.rig.protocol import Protocol
 from mckibben.storage.files import atomic_write
-from mckibben.units import (
-    BoundedInt,
-    Contraction,
-    Factor,
-    PositiveTime,
-    SampleRate,
-    Strength,
-    Travel,
-)
-
-if TYPE_CHECKING:
-    from mckibben.rig.ni import Terminals
-
+from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
 
 _ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
-
-
-def _read_address(value: object) -> str:
-    if not isinstance(value, str) or not _ADDRESS.fullmatch(value):
-        fail_validation(
-            f"{quoted(value)} is no address", "write it as the driver calls it, such as Dev1, ai0 or port0/line1"
-        )
-    return value
-
-
-Address = Annotated[str, BeforeValidator(_read_address)]
-
-
-def _read(value: object, info: ValidationInfo) -> object:
-    return read_path(value, info, ".json")
-
-
-def _write(value: object, info: SerializationInfo) -> str:
-    return write_path(value, info)  # type: ignore[arg-type]
-
-
-JsonPath = Annotated[object, BeforeValidator(_read), PlainSerializer(_write, when_used="json")]
+_APART = 1_000_003  # between the seeds of sessions
 
 
 class MountedMuscle(Component):
@@ -93,70 +60,103 @@ class MountedMuscle(Component):
         return Muscle(self.specimen, law, **fields)
 
 
-class SimulatedRigSettings(ConfigModel):
+@dataclass(frozen=True, kw_only=True)
+class SimulatedRigSettings(Checked, MuscleRig):
     """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts."""
 
+    short_name = "simulated"
+    physical = False
+
+    muscle: Annotated[MountedMuscle, Inherited(lambda scope: scope["muscle"])]
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
-    law: Annotated[ForceLaw, Part(ForceLaw)] | None = None
-    friction: Annotated[Friction, Part(Friction)] | None = None
-    creep: Annotated[Creep, Part(Creep)] | None = None
-    parts: Annotated[str, OneOf(("real", "ideal"))] | None = None
-    paced: Flag | None = None
+    law: ForceLaw | None = None
+    friction: Friction | None = None
+    creep: Creep | None = None
+    parts: Literal["real", "ideal"] = "real"
+    paced: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.law is None and self.muscle.law is None:
+            remedy = "give `simulated: {law: lei-mas-10-180n}`, or the muscle a law"
+            raise RangeError("has no law for its simulated muscle", remedy=remedy)
+
+    def backend(self, session: int = 0) -> MovingBackend:
+        """Return the simulated rig, each session with noise of its own."""
+        from mckibben.rig.simulated import (
+            FORCE_SENSOR,
+            PRESSURE_SENSOR,
+            Converter,
+            RealTimeRig,
+            Regulator,
+            SimulatedRig,
+            Stretcher,
+        )
+
+        given = {name: one for name in ("law", "friction", "creep") if (one := getattr(self, name)) is not None}
+        muscle = self.muscle.muscle(**given, **({"strength": None} if self.law else {}))
+        parts: dict[str, Any] = {}
+        if self.parts == "ideal":
+            parts = {
+                "regulator": Regulator(hysteresis=0.0, repeatability=0.0, leak=0.0),
+                "stretcher": Stretcher(backlash=0.0),
+                "converter": Converter(bits=32),
+                "force_sensor": replace(FORCE_SENSOR, noise=0.0),
+                "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
+            }
+        rig = SimulatedRig(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
+        return RealTimeRig(rig) if self.paced else rig
 
 
-class DriveSettings(ConfigModel):
-    """The motor, its reducer and its lead screw, see `Drive`; the paper's unless given."""
+@dataclass(frozen=True, kw_only=True)
+class CardSettings(Checked, MuscleRig):
+    """A card of National Instruments, see `Terminals` and `NiRig`: its terminals, and the file of its calibrations."""
 
-    steps: Annotated[int, BoundedInt(1, 1_000_000)] | None = None
-    reduction: Factor | None = None
-    lead: Travel | None = None
-    fastest: SampleRate | None = None
+    short_name = "nidaqmx"
 
+    device: str = "Dev1"
+    force: str = "ai0"
+    pressure: str = "ai1"
+    valve: str = "ao0"
+    counter: str = "ctr0"
+    heartbeat: str = "port0/line0"
+    hold: str = "port0/line1"
+    direction: str = "port0/line2"
+    server: str = ""
+    calibration: Path
+    rate: SampleRate = 1000.0
+    patience: PositiveTime = 1.0
+    drive: Drive = Drive()
 
-class CardSettings(ConfigModel):
-    """A card of National Instruments, see `Wiring` and `NiRig`: its terminals, and the file of its calibrations."""
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, str) and value != field.default and not _ADDRESS.fullmatch(value):
+                remedy = "write it as the driver calls it, such as Dev1, ai0 or port0/line1"
+                raise RangeError(f"{quoted(value)} is no address", field=field.name, value=value, remedy=remedy)
 
-    device: Address = "Dev1"
-    force: Address = "ai0"
-    pressure: Address = "ai1"
-    valve: Address = "ao0"
-    counter: Address = "ctr0"
-    heartbeat: Address = "port0/line0"
-    hold: Address = "port0/line1"
-    direction: Address = "port0/line2"
-    server: Address | None = None
-    calibration: JsonPath
-    rate: SampleRate | None = None
-    patience: PositiveTime | None = None
-    drive: DriveSettings | None = None
+    def backend(self, session: int = 0) -> MovingBackend:
+        """Return the card."""
+        from mckibben.rig.ni import NiRig, Terminals
 
-
-class RigSettings(ConfigModel):
-    """One of `simulated` and `nidaqmx`."""
-
-    renamed: ClassVar = {"virtual": "simulated"}
-
-    simulated: SimulatedRigSettings | None = None
-    nidaqmx: CardSettings | None = Field(None, validate_default=True)
-
-    @field_validator("simulated", mode="before")
-    @classmethod
-    def _word_alone(cls, value: Any) -> Any:
-        return {} if value == "" else value
-
-    @field_validator("nidaqmx", mode="after")
-    @classmethod
-    def _one(cls, value: Any, info: ValidationInfo) -> Any:
-        given = [
-            key
-            for key, one in (("simulated", info.data.get("simulated", "wrong")), ("nidaqmx", value))
-            if one is not None
-        ]
-        if len(given) != 1:
-            fail_validation(
-                "is both at once" if given else "is empty", "give `simulated: {seed: 1}`, or `nidaqmx`", parent=True
-            )
-        return value
+        at = {field.name: f"{self.device}/{getattr(self, field.name)}" for field in fields(self)}
+        terminals = Terminals(
+            inputs={name: at[name] for name in ("force", "pressure")},
+            outputs={"valve": at["valve"]},
+            counter=at["counter"],
+            heartbeat=at["heartbeat"],
+            hold=at["hold"],
+            direction=at["direction"],
+        )
+        return NiRig(
+            terminals,
+            rate=self.rate,
+            patience=self.patience,
+            server=self.server,
+            calibrations=rig_calibrations(self.calibration),
+            drive=self.drive,
+        )
 
 
 class RecordingSettings(section_of(Bench, partial=True)):
@@ -168,20 +168,15 @@ class RigTest(ConfigModel):
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
     muscle: Annotated[MountedMuscle, Part(MountedMuscle)]
-    rig: RigSettings
+    rig: Annotated[MuscleRig, Part(MuscleRig)]
     limits: Annotated[RigLimits, Part(RigLimits)]
     recording: RecordingSettings = RecordingSettings()
     protocol: Annotated[Protocol, Part(Protocol)]
 
-    @field_validator("rig", mode="after")
-    @classmethod
-    def _law_known(cls, value: RigSettings, info: ValidationInfo) -> RigSettings:
-        muscle = info.data.get("muscle")
-        if value.simulated is not None and value.simulated.law is None and muscle is not None and muscle.law is None:
-            fail_validation(
-                "has no law for its simulated muscle", "give `simulated: {law: lei-mas-10-180n}`, or the muscle a law"
-            )
-        return value
+    def is_same(self, other: RigTest) -> bool:
+        """Whether two tests are the same, if on the same kind of hardware at other terminals."""
+        wired = self.rig.physical and type(self.rig) is type(other.rig)
+        return (self.model_copy(update={"rig": other.rig}) if wired else self) == other
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RigTest:
@@ -212,9 +207,6 @@ def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
     return parse_model(RigTest, text, source=os.fspath(path), folder=Path(path).parent)
 
 
-_APART = 1_000_003  # between the seeds of sessions
-
-
 @dataclass(frozen=True)
 class Setup:
     """A rig that is not opened yet, and its bench."""
@@ -225,17 +217,12 @@ class Setup:
 
 def build_setup(test: RigTest, session: int = 0) -> Setup:
     """The rig of a test; `session` counts its resumptions."""
-    of = build_muscle(test)
-    if test.rig.simulated is not None:
-        backend, calibrations, drive = _simulated(test.rig.simulated, test, session)
-    else:
-        assert test.rig.nidaqmx is not None  # the model of the rig sees to it
-        backend, calibrations, drive = _card(test.rig.nidaqmx)
+    of, backend = build_muscle(test), test.rig.backend(session)
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
-        drive=drive,
-        calibrations=calibrations,
+        drive=backend.drive,
+        calibrations=backend.calibrations,
         limits=test.limits,
         rate=backend.rate,
         **explicit_fields(test.recording),
@@ -248,61 +235,6 @@ def build_muscle(test: RigTest) -> Muscle | Specimen:
     if test.muscle.law is None:
         return test.muscle.specimen
     return test.muscle.muscle(friction=NoFriction(), creep=NoCreep())
-
-
-def _simulated(
-    spec: SimulatedRigSettings, test: RigTest, session: int
-) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
-    from dataclasses import replace
-
-    from mckibben.rig.simulated import (
-        FORCE_SENSOR,
-        PRESSURE_SENSOR,
-        Converter,
-        RealTimeRig,
-        Regulator,
-        SimulatedRig,
-        Stretcher,
-    )
-
-    changes = explicit_fields(spec, "seed", "parts", "paced")
-    muscle = test.muscle.muscle(**changes, **({"strength": None} if spec.law else {}))
-    parts: dict[str, Any] = {}
-    if spec.parts == "ideal":
-        parts = {
-            "regulator": Regulator(hysteresis=0.0, repeatability=0.0, leak=0.0),
-            "stretcher": Stretcher(backlash=0.0),
-            "converter": Converter(bits=32),
-            "force_sensor": replace(FORCE_SENSOR, noise=0.0),
-            "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
-        }
-    twin = SimulatedRig(muscle, seed=spec.seed + _APART * session, mounted_at=test.muscle.mounted_at, **parts)
-    return RealTimeRig(twin) if spec.paced else twin, twin.calibrations, twin.drive
-
-
-def _card(spec: CardSettings) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
-    from mckibben.rig.ni import NiRig
-
-    calibrations = rig_calibrations(cast(Path, spec.calibration))
-    given = {name: getattr(spec, name) for name in ("rate", "patience", "server") if getattr(spec, name) is not None}
-    return NiRig(build_wiring(spec), **given), calibrations, Drive(**explicit_fields(spec.drive) if spec.drive else {})
-
-
-def build_wiring(spec: CardSettings) -> Terminals:
-    """Terminals of the card."""
-    from mckibben.rig.ni import Terminals
-
-    def at(name: str) -> str:
-        return f"{spec.device}/{getattr(spec, name)}"
-
-    return Terminals(
-        inputs={name: at(name) for name in ("force", "pressure")},
-        outputs={"valve": at("valve")},
-        counter=at("counter"),
-        heartbeat=at("heartbeat"),
-        hold=at("hold"),
-        direction=at("direction"),
-    )
 
 
 def rig_calibrations(path: Path) -> dict[str, Calibration]:

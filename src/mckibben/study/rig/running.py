@@ -1,4 +1,4 @@
-"""JointSession of a test on a rig, from the checks before it to the dataset."""
+"""Session of a test on a rig, from the checks before it to the dataset."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.dry_run import DryRun, dry_run
-from mckibben.rig.ni.watchdog import host_watchdog
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
@@ -33,14 +32,12 @@ from mckibben.study.rig.document import (
     RigTest,
     Setup,
     build_setup,
-    build_wiring,
     read_test,
-    rig_calibrations,
 )
 from mckibben.units import bar, mm, percent
 
 if TYPE_CHECKING:
-    from mckibben.rig.ni import ChannelStatus
+    from mckibben.rig.backend import ChannelStatus
 
 
 def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
@@ -51,12 +48,7 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
         yield from map(_status_line, channel_status())
         return
     test, document = read_test(protocol)
-    card = test.rig.nidaqmx
-    if card is not None:
-        calibrations = rig_calibrations(Path(str(card.calibration)))
-        yield from map(_status_line, channel_status(build_wiring(card), calibrations, server=card.server or ""))
-    else:
-        yield from _simulated_status(build_setup(test))
+    yield from map(_status_line, test.rig.backend().status())
     try:
         checked = check(test, document, source=str(protocol))
     except McKibbenError as error:
@@ -69,25 +61,6 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
 def _status_line(found: ChannelStatus) -> tuple[str, bool]:
     where = f" at {found.where}" if found.where else ""
     return f"{found.name}{where}: {found.problem or found.reading}", not found.problem
-
-
-def _simulated_status(setup: Setup) -> Iterator[tuple[str, bool]]:
-    backend, calibrations = setup.backend, setup.bench.calibrations
-    yield f"rig: simulated, {backend.rate:g} Hz, watchdog timeout {backend.patience:g} s", True
-    backend.open()
-    try:
-        volts = backend.read(max(1, round(0.1 * backend.rate))).volts
-    finally:
-        backend.close()
-    for channel, read in zip(backend.inputs, volts.T, strict=True):
-        calibration = calibrations[channel.name]
-        lost = bool(calibration.lost(read, channel).any())
-        said = (
-            "lost: check its plug and its supply" if lost else f"{calibration.si(read).mean():.4g} {calibration.unit}"
-        )
-        yield f"{channel.name} at {channel.where}: {read.mean():.4f} V, {said}", not lost
-    for channel in backend.outputs:
-        yield f"{channel.name} at {channel.where}: {channel.low:g}..{channel.high:g} V", True
 
 
 @dataclass(frozen=True)
@@ -121,7 +94,7 @@ class CheckedTest:
     @property
     def rig(self) -> str:
         """Kind of the rig."""
-        return "simulated" if self.test.rig.simulated is not None else "nidaqmx"
+        return self.setup.backend.description["kind"]
 
 
 def check(
@@ -261,16 +234,10 @@ def _kept_test(folder: Path) -> RigTest:
         recorded.to_yaml(path)
         warnings.warn(f"{path} was damaged or missing: it is restored from the record", McKibbenWarning, stacklevel=3)
         return recorded
-    if _is_same(written, recorded):
+    if written.is_same(recorded):
         return written
     warnings.warn(f"{path} is not what was recorded: the test of the record is used", McKibbenWarning, stacklevel=3)
     return recorded
-
-
-def _is_same(test: RigTest, other: RigTest) -> bool:
-    """Whether two tests are the same, if on cards at other terminals."""
-    on_cards = test.rig.nidaqmx is not None and other.rig.nidaqmx is not None
-    return (test.model_copy(update={"rig": other.rig}) if on_cards else test) == other
 
 
 def _warn_of_calibration(checked: CheckedTest, folder: Path) -> None:
@@ -307,7 +274,7 @@ def _run_session(
     with begin(folder, _header(checked, folder), columns) as recorder:
         runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
         stop_on_signals = handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name))
-        with host_watchdog(backend), stop_on_signals:
+        with backend.host_watchdog(), stop_on_signals:
             runner.run(checked.steps)
 
 
@@ -315,7 +282,7 @@ def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at
     bench = checked.setup.bench
     if standing_at is not None:
         return bench.pulses_at(standing_at)
-    if checked.test.rig.simulated is not None:
+    if checked.setup.backend.homed:
         return 0
     if not past.certain:
         message = f"the position of the motor is not known (the record ends at {past.position} pulses)"
@@ -346,7 +313,7 @@ def _past(folder: Path) -> _PastSessions:
 def _check_same(checked: CheckedTest, folder: Path) -> None:
     """Check that the test in the folder is this one, with the same steps; warn of another calibration."""
     kept = _kept_test(folder)
-    if not _is_same(checked.test, kept):
+    if not checked.test.is_same(kept):
         remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
         raise ScenarioError(str(folder), [Problem("holds another test", remedy=remedy)])
     if segments(folder) and header_of(folder)[0]["steps"] != describe_steps(checked.steps):

@@ -20,6 +20,7 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 import mckibben
+from mckibben.component.extensions import load_missing, loaded_extensions
 from mckibben.control.base import Reference
 from mckibben.errors import McKibbenError, ParameterError, SimulationError
 from mckibben.joint.attainable import is_affine
@@ -273,6 +274,7 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
                 client.wait_for_workers(1, timeout=_WAIT)
             except TimeoutError as error:
                 raise _unanswered(f"{address} has no workers", error) from None
+            _load_extensions(client)
             yield client
         return
     quiet = {"distributed.scheduler.allowed-failures": _DEATHS, "distributed.logging.distributed": "critical"}
@@ -291,11 +293,26 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
             raise SimulationError(message, remedy="run it again with --resume, or without dask") from error
         with cluster, Client(cluster, set_as_default=False) as client:
             client.register_plugin(_ignore_interrupts())
+            _load_extensions(client)
             yield client
 
 
 def _unanswered(what: str, error: BaseException) -> McKibbenError:
     return SimulationError(f"no answer: {what} ({error})", remedy="is the scheduler running, and does it have workers?")
+
+
+def _load_extensions(client: Any) -> None:
+    """Load the extensions of this process in all workers, now and when they start later."""
+    from distributed import WorkerPlugin
+
+    extensions = loaded_extensions()
+
+    class LoadExtensions(WorkerPlugin):
+        def setup(self, worker: Any) -> None:
+            load_missing(extensions)
+
+    if extensions:
+        client.register_plugin(LoadExtensions())
 
 
 def _ignore_interrupts() -> Any:

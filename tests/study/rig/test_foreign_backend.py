@@ -1,0 +1,131 @@
+"""A rig backend of one's own: a dataclass that a protocol names."""
+
+import warnings
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated
+
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import FileError, McKibbenWarning, ScenarioError
+from mckibben.muscle import Muscle
+from mckibben.rig.backend import MovingBackend
+from mckibben.rig.simulated import SimulatedRig
+from mckibben.study.rig.document import RigTest
+from mckibben.study.rig.running import _origin, _PastSessions, check, run_test
+from mckibben.units import BoundedInt
+
+MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+TEXT = """name: a short test
+muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+rig: {class: BorrowedRig, port: 3}
+limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm, deviation: 20 N}
+protocol:
+  isobaric: {pressures: [3 bar, 4 bar], contraction_min: 2 %, contraction_max: 4 %, repeats: 1, speed: 4 mm/s,
+    dwell: 200 ms, acquisition: 100 ms, samples: 100}
+"""
+
+
+@dataclass
+class BorrowedRig(MovingBackend):
+    """Hardware of one's own: the volts come from elsewhere, all optional members are the defaults."""
+
+    port: Annotated[int, BoundedInt(0, 9)] = 0
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.other = SimulatedRig(MUSCLE, seed=1)
+        self.rate, self.patience = self.other.rate, self.other.patience
+
+    inputs = property(lambda self: self.other.inputs)
+    outputs = property(lambda self: self.other.outputs)
+    calibrations = property(lambda self: self.other.calibrations)
+    moving = property(lambda self: self.other.moving)
+    description = property(lambda self: {"kind": "borrowed", "port": str(self.port)})
+
+    def open(self):
+        self.other.open()
+
+    def clock(self):
+        return self.other.clock()
+
+    def read(self, count, *, timeout=1.0):
+        return self.other.read(count, timeout=timeout)
+
+    def set_valves(self, volts):
+        self.other.set_valves(volts)
+
+    def heartbeat(self):
+        self.other.heartbeat()
+
+    def vent(self):
+        self.other.vent()
+
+    def close(self):
+        self.other.close()
+
+    def move(self, pulses, rate):
+        self.other.move(pulses, rate)
+
+    def stop(self):
+        self.other.stop()
+
+
+def test_a_backend_of_ones_own_runs_a_test_and_warns_that_no_process_watches(tmp_path):
+    checked = check(RigTest.parse(TEXT))
+    assert checked.setup.backend.port == 3
+    with pytest.warns(McKibbenWarning, match="borrowed"):
+        data = run_test(checked, tmp_path)
+    assert sorted({round(float(one) / 1e5) for one in data.pressures}) == [3, 4]
+    assert checked.rig == "borrowed"
+    assert RigTest.read(tmp_path / "protocol.yaml") == checked.test
+    assert [not one.problem for one in checked.setup.backend.status()] == [True] * 4
+
+
+def test_its_motor_stands_where_it_was_left(tmp_path):
+    own, simulated = (
+        check(RigTest.parse(TEXT)),
+        check(RigTest.parse(TEXT.replace("class: BorrowedRig, port: 3", "simulated: {}"))),
+    )
+    past = _PastSessions(position=70, certain=False)
+    with pytest.raises(FileError):
+        _origin(own, tmp_path, past, None)
+    assert _origin(simulated, tmp_path, past, None) == 0
+    with warnings.catch_warnings(action="error"), simulated.setup.backend.host_watchdog():
+        pass
+
+
+def test_its_own_watchdog_on_the_host_is_used(tmp_path, monkeypatch):
+    entered = []
+
+    @contextmanager
+    def watched(backend):
+        yield entered.append(backend)
+
+    monkeypatch.setattr(BorrowedRig, "host_watchdog", watched)
+    checked = check(RigTest.parse(TEXT))
+    with warnings.catch_warnings(action="error"):
+        run_test(checked, tmp_path)
+    assert entered == [checked.setup.backend]
+
+
+def test_a_rig_that_cannot_vent_is_none():
+    @dataclass
+    class Unventable(BorrowedRig):
+        vent = MovingBackend.vent
+
+    with pytest.raises(ScenarioError, match="no class 'Unventable'"):
+        RigTest.parse(TEXT.replace("BorrowedRig", "Unventable"))
+
+
+def test_another_port_is_the_same_test_and_another_kind_of_rig_is_not():
+    test = RigTest.parse(TEXT)
+    assert test.is_same(RigTest.parse(TEXT.replace("port: 3", "port: 4")))
+    assert not test.is_same(RigTest.parse(TEXT.replace("class: BorrowedRig, port: 3", "simulated: {}")))
+
+
+def test_an_unknown_backend_is_refused_once():
+    with pytest.raises(ScenarioError) as error:
+        RigTest.parse(TEXT.replace("BorrowedRig", "BorowedRig"))
+    assert [(problem.line, problem.value) for problem in error.value.problems] == [(3, "BorowedRig")]
