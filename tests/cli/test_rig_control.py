@@ -85,6 +85,7 @@ def test_what_is_wrong_is_said_before_anything_moves(cli, short, tmp_path, argum
     assert not list(tmp_path.glob("run/record*"))
 
 
+@pytest.mark.slow
 def test_ctrl_c_vents_keeps_the_record_and_has_the_code_of_shells(cli, short, tmp_path, monkeypatch):
     """The signal comes with the fourth block of samples; unpaced, so that no deadline depends on the load."""
     write, blocks = RowBuffer.flush, []

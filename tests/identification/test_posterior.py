@@ -89,6 +89,7 @@ def exponential(x, a1, a2, b1, b2, c1, c2, decay):
     return a1 + a2 * p + (b1 + b2 * p) * eps + (c1 + c2 * p) * np.exp(-decay * eps)
 
 
+@pytest.mark.slow
 def test_student_noise_lets_an_outlier_be():
     data = plane(offsets=0.0, noise=2.0)
     force = data.force.copy()

@@ -57,6 +57,7 @@ def test_the_loss_is_the_area_of_the_hysteresis_loop(held, start):
     assert found == pytest.approx(2 * area / (math.pi * angle**2), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_with_closed_valves_the_air_adds_to_it(held, start):
     found = dynamic_stiffness(closed_valves(held, polytropic_index=1.4), start, AMPLITUDES, (SLOW, FAST))
     expected = np.asarray(secant(held.joint, start.pressures, AMPLITUDES, 1.4))

@@ -150,6 +150,7 @@ def test_there_are_two_engines(engine):
     assert (caught.value.field, caught.value.value) == ("engine", engine)
 
 
+@pytest.mark.slow
 def test_another_process_finds_the_compiled_program(tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(SCENARIOS["as in the paper"])

@@ -251,6 +251,7 @@ def by_differences(function, size: int):
     return (8 * (high1 - low1) - (high2 - low2)) / 12e-4
 
 
+@pytest.mark.slow
 def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback):
     """With the run beside for the coupling, and periods that are computed again on the way back."""
     reference = CASES["one step"]

@@ -67,6 +67,7 @@ class TestRuns:
                 assert value == pytest.approx(alone[name], rel=1e-7, abs=1e-12, nan_ok=True), (run, name)
             assert scenario.control().position.kp == simulated.tuned["PID 3"][KP]
 
+    @pytest.mark.slow
     def test_runs_of_plants_of_several_kinds_come_back_in_their_order(self):
         """With valves that let air in, in a group of their own; and a true model is that of either plant."""
         start, end = TEXT.index("other_joints:"), TEXT.index("load: knee")
@@ -240,6 +241,7 @@ class TestTuning:
             assert again.tuned == contest.tuned
             assert again.training_cost == contest.training_cost
 
+    @pytest.mark.slow
     def test_nothing_is_overwritten_or_taken_for_another(self, tmp_path):
         compare(changed(*ALONE), folder=tmp_path)
         with pytest.raises(FileError, match="search history already exists"):

@@ -262,6 +262,7 @@ def spreads(draw, address):
     return Uniform(low, high, points)
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(st.data())
 def test_what_is_varied_prints_as_text_that_means_the_same(data):
@@ -270,6 +271,7 @@ def test_what_is_varied_prints_as_text_that_means_the_same(data):
     assert parse_sweep(said.text, scenario) == said
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_spreads_rise_stay_inside_and_know_where_a_value_lies(data, quantiles):

@@ -254,6 +254,7 @@ VARIED = {
 found = functools.cache(lambda name: find_parameter(BACKPROP, name))
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.data())
 def test_no_row_comes_through_that_a_file_could_not_say(data):

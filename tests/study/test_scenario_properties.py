@@ -4,6 +4,7 @@ import math
 import random
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
@@ -162,6 +163,7 @@ trees = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(quick, max_examples=150)
 @given(st.integers(0, 2**32), trees)
 def test_a_tree_in_the_wrong_place_is_an_error(seed, tree):

@@ -71,6 +71,7 @@ def test_the_margin_of_the_lag_is_that_of_the_eigenvalues(scenario):
     assert stability_margin(scenario, ["valve.time_constant"], largest=1.2) == np.inf
 
 
+@pytest.mark.slow
 def test_the_margin_over_conditions_is_the_least(scenario):
     masses = np.array([0.4, 0.5, 0.7])
     lag = ["valve.time_constant"]
@@ -100,6 +101,7 @@ def slow():
     return with_values(said, gains_of(1.0))
 
 
+@pytest.mark.slow
 def test_the_gain_margin_in_conditions_does_not_depend_on_the_error_of_a_large_reference(slow):
     conditions = {"load.mass2": np.array([0.3, 0.7]), "reference.angle.amplitude": np.array([0.1, 0.2])}
     found = in_conditions(slow, GAINS, conditions, largest=10.0)

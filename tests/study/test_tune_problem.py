@@ -101,6 +101,7 @@ def check_differences(task, rows, rtol=1e-5):
     np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("percentile", "together"), [(None, np.mean), (50.0, np.median), (100.0, np.max)])
 def test_conditions_count_as_scenarios_do(percentile, together):
     masses = np.array([0.3, 0.6, 0.9])
