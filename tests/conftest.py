@@ -17,6 +17,7 @@ import xarray as xr
 
 from mckibben import catalog
 from mckibben.codegen.native import NativeFunction
+from mckibben.component import extensions
 from mckibben.control import Controller
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import numeric
@@ -72,6 +73,12 @@ def pytest_unconfigure() -> None:
 def without_old_objects_in_collections():
     """What collects garbage, as a run on a rig does, does not go through the programs of earlier files."""
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def own_extensions(monkeypatch):
+    """Workers load the extensions of a test, not those of earlier ones."""
+    monkeypatch.setattr(extensions, "_loaded", {})
 
 
 @pytest.fixture(scope="module")

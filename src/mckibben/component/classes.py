@@ -75,6 +75,12 @@ def full_name(kind: type) -> str:
     return f"{package if package == 'mckibben' else module_origin(kind.__module__)}:{kind.__name__}"
 
 
+def name_in_files(base: type, kind: type) -> str:
+    """Return the name by which files find a class of a base: in full where another has its name."""
+    own = class_name(kind)
+    return own if len(_named(base, own)) < 2 else full_name(kind)
+
+
 def find_class(base: type, name: str) -> type | None:
     """Return the class of a base that a file names; None if there is none, `RangeError` if there are several."""
     found = _named(base, name)
@@ -140,6 +146,7 @@ class Keyed:
 
 def short_key(written: Any, section: Any) -> tuple[str, ...]:
     """Return the key of a section below the name of its class, as in ``isobaric: {repeats: 2}``; none of another."""
-    if isinstance(written, dict) and isinstance(section, dict) and isinstance(written.get(section.get("class")), dict):
-        return (section["class"],)
-    return ()
+    name = section.get("class") if isinstance(section, dict) else None
+    return (
+        (name,) if isinstance(name, str) and isinstance(written, dict) and isinstance(written.get(name), dict) else ()
+    )

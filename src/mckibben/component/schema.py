@@ -28,11 +28,11 @@ from pydantic_core import PydanticSerializationError, ValidationError, core_sche
 from mckibben.component.base import Checked, Component, Inherited, Units, field_hints, field_quantities
 from mckibben.component.classes import (
     catalog_of,
-    class_name,
     classes_of,
     default_class,
     find_class,
     is_abstract,
+    name_in_files,
     short_key,
 )
 from mckibben.component.extensions import load_installed
@@ -428,7 +428,7 @@ def write(component: Any, part: Part | None = None, *, folder: Path = Path()) ->
             given[alias] = given.pop(first)
             given = {name: one for name, one in given.items() if name not in others}
     model = section_of(kind, part.units)
-    named = None if kind is default_class(part.base) else class_name(kind)
+    named = None if kind is default_class(part.base) else name_in_files(part.base, kind)
     try:
         section = model.model_construct(class_=named, **given).model_dump(
             mode="json", by_alias=True, exclude_none=True, context={"folder": folder}

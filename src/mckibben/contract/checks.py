@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.component.base import Component, Units, field_hints, field_quantities
-from mckibben.component.classes import class_name
+from mckibben.component.classes import name_in_files
 from mckibben.component.extensions import load_extension
 from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
 from mckibben.config.document import to_text
@@ -194,7 +194,7 @@ def _made(kind: type, fields: Mapping[str, str]) -> Any:
         missing = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
         raise _BrokenError(f"it lacks {missing}", "implement the abstract methods and fields of the base")
     try:
-        given = {"class": class_name(kind), **fields}
+        given = {"class": name_in_files(_base_of(kind), kind), **fields}
         return _read(kind, "it:\n" + "".join(f"  {name}: {value}\n" for name, value in given.items()))
     except McKibbenError as error:
         problems = getattr(error, "problems", ())
