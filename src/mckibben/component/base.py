@@ -26,7 +26,7 @@ _LONGEST = 120  # characters of a value
 
 @dataclass(frozen=True, init=False)
 class Units:
-    """What the symbols of `SYMBOLS` stand for in a component: metadata of the field that holds it.
+    """Quantities for the symbolic units in `SYMBOLS`: metadata of the field that holds a component.
 
     >>> from mckibben.units import Angle
     >>> Units(signal=Angle).get("signal").shown
@@ -51,7 +51,7 @@ _NO_UNITS = Units()
 
 
 class Described:
-    """What a class states about its form in files.
+    """Base of classes that define their form in files.
 
     An object that was read knows its origin and the fields that it inherited: in slots, so that they are no part of it
     as a tree, and gone as soon as it is changed.
@@ -72,7 +72,7 @@ class Described:
     aliases: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Keys in files that give several fields one value."""
     renamed: ClassVar[Mapping[str, str]] = {}
-    """What stands in place of a former key of files, for its error."""
+    """Replacements of former keys of files, by key, for error messages."""
 
     @classmethod
     def from_file(cls, value: Any) -> Any:

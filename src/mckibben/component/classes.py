@@ -1,4 +1,4 @@
-"""Which classes and catalog entries a file can name in place of a base class."""
+"""Classes and catalog entries that files can name for a base class."""
 
 from __future__ import annotations
 

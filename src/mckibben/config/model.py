@@ -20,7 +20,7 @@ class ConfigModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     renamed: ClassVar[Mapping[str, str]] = {}
-    """What stands in place of a former key; for errors."""
+    """Replacements of former keys, by key, for error messages."""
 
     @classmethod
     def former(cls, key: str) -> str:

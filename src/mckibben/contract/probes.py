@@ -48,7 +48,7 @@ class Identity(NamedTuple):
 
 
 class Probes(NamedTuple):
-    """What is evaluated for a base; whether files hold its components, and programs in C contain them."""
+    """Functions and identities of a base; whether its components occur in files and in emitted C."""
 
     functions: tuple[Probe, ...]
     identities: tuple[Identity, ...] = ()
