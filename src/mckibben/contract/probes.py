@@ -13,13 +13,13 @@ import numpy as np
 from jax import lax
 
 from mckibben import catalog
+from mckibben.actuator.base import AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
 from mckibben.leg.control import LegController, LegMeasurement, LegReference
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.numerics.calculus import derivative
 from mckibben.plant import Actuator, AirValve, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
-from mckibben.plant.actuator import AirVolume
 from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]

@@ -15,13 +15,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import AirState, AirVolume
 from mckibben.component.base import Component
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import AirState, AirVolume
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.units import CommandDelay
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from mckibben.actuator.base import Actuator, AirState, AirVolume, Scalar
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
@@ -28,7 +29,6 @@ from mckibben.muscle.air import (
     pressure_rate,
 )
 from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import Actuator, AirState, AirVolume, Scalar
 from mckibben.units import (
     Conductance,
     Percent,

@@ -8,10 +8,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import Scalar
+from mckibben.actuator.valve import Valve
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import Scalar
-from mckibben.plant.valve import Valve
 from mckibben.units import Bandwidth, PositivePressure, Quantity
 
 DampingRatio = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]

@@ -10,9 +10,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import Actuator, AirState, AirVolume, Scalar, held_states
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.plant.actuator import Actuator, AirState, AirVolume, Scalar, held_states
 from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 
