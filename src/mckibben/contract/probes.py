@@ -26,6 +26,7 @@ Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest value of each argument in SI, in order."""
 
 _PERIOD = 1 * ms
+_JERK = 2000.0  # rad/s^3: attainable by the actuators
 _PRESSURE, _LENGTH = (0.5 * bar, 5 * bar), (170 * mm, 190 * mm)
 
 
@@ -412,7 +413,7 @@ def _loop(_: Loop) -> Probes:
 
 def _fed_back(feedback: Feedback, error: Any, rate: Any, shortfall: Any) -> Any:
     state = feedback.track(feedback.init(error), shortfall, _PERIOD)
-    return feedback.step(state, error, rate, _PERIOD)[1], feedback.lag
+    return feedback.step(state, error, rate, _JERK, _PERIOD)[1], feedback.lag
 
 
 def _feedback(_: Feedback) -> Probes:

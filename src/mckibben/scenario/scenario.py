@@ -83,6 +83,11 @@ class Start(ConfigModel):
     stiffness: Stiffness | None = None
 
 
+def model_scope(plant: Any) -> dict[str, Any]:
+    """Parts of a scenario or suite that a controller's model has where its file does not give others."""
+    return {name: getattr(plant, name) for name in ("joint", "load", "valve", "command_delay")}
+
+
 class Scenario(RunSettings):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
@@ -171,7 +176,7 @@ class Scenario(RunSettings):
 
     def control(self) -> Controller:
         """Return the controller; what its file does not state of its model is taken from this scenario's plant."""
-        return inherit(self.controller, {name: getattr(self, name) for name in ("joint", "load", "valve")})
+        return inherit(self.controller, model_scope(self))
 
     def with_fixed_model(self) -> Scenario:
         """Return the scenario with a model of the controller that does not follow changes of the plant."""

@@ -67,7 +67,9 @@ def split_problem(
         problem = SimulationProblem(**with_leaves(problem._asdict(), over))
     _check_numbers(problem)
     check_frequencies(problem.reference, control_period)
-    problem = problem._replace(plant=problem.plant.with_period(control_period))
+    problem = problem._replace(
+        plant=problem.plant.with_period(control_period), controller=problem.controller.with_period(control_period)
+    )
     count, varying = lanes_of(problem)
     return (None, numeric(problem), None) if count is None else (*eqx.partition(numeric(problem), varying), count)
 

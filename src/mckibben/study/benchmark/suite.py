@@ -29,6 +29,7 @@ from mckibben.scenario.scenario import (
     SensorsPart,
     Start,
     ValvePart,
+    model_scope,
 )
 from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
@@ -311,7 +312,7 @@ class Suite(RunSettings):
         """Scenario of a run before its conditions; the controller has the nominal model or the plant's own."""
         control = self.controllers[controller]
         if controller not in self.true_model:
-            control = independent(inherit(control, {"joint": self.joint, "load": self.load, "valve": self.valve}))
+            control = independent(inherit(control, model_scope(self)))
         signals, plant = self.references[reference].reference, self.plants[joint]
         assert plant.joint is not None and plant.valve is not None
         return Scenario(
