@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple, Self
 
 import equinox as eqx
@@ -24,12 +25,10 @@ Scalar = Float[Array, ""]
 _MOST_STEPS = 8  # of the prediction
 
 
-def _plant_delay(scope: Any) -> Any:
-    """Delay of the plant's commands; `KeyError` if it has none."""
-    found = scope["command_delay"]
-    if found is None:
-        raise KeyError("command_delay")
-    return found
+def _plant_delay(scope: Mapping[str, Any]) -> Any:
+    """Delay of the plant's commands [s]."""
+    found = scope.get("command_delay")
+    return 0.0 if found is None else found
 
 
 class DelayState(NamedTuple):
@@ -57,7 +56,7 @@ class DelayCompensation(ModelBasedControl):
     controller
         Any controller.
     command_delay
-        d [s]: time from a command to the valves.
+        d [s]: time from a command to the valves; in a file, by default, that of the plant.
     model, load, valve
         Models of the joint, its load and its valves.
     observer, pressure_observer

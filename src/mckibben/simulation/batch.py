@@ -353,7 +353,7 @@ def _native_chunk(
     return {name: np.moveaxis(values, -1, 0) for name, values in columns.items()} | {"_span": span}
 
 
-_DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated")
+_DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated", "oscillation_amplitude")
 
 
 def _table(columns: dict[str, NDArray], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked) -> xr.Dataset:
@@ -363,6 +363,7 @@ def _table(columns: dict[str, NDArray], over: Mapping[str, ArrayLike], times: ND
         span=columns["_span"],
         left_domain=(columns["_time_outside_domain"] > 0) | (columns["_time_overloaded"] > 0),
         saturated=columns["_time_saturated"] > 0,
+        oscillates=columns["_oscillation_amplitude"] > 0,
         started=columns["_started"],
     )
     flags = {
