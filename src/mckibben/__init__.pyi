@@ -4,6 +4,7 @@ from .control import (
     BackpropPID as BackpropPID,
     Constant as Constant,
     DecouplingControl as DecouplingControl,
+    DelayCompensation as DelayCompensation,
     ExtendedStateObserver as ExtendedStateObserver,
     FrictionCompensation as FrictionCompensation,
     InverseModelControl as InverseModelControl,

@@ -189,7 +189,7 @@ class PlantCase(ConfigModel):
         return value
 
 
-class Setup(ConfigModel):
+class ValveSetup(ConfigModel):
     """Valves of a lab: the comparison is made for each setup, with controllers that have its valves as their model.
 
     Its conditions are in addition to those of the suite.
@@ -281,7 +281,7 @@ class Suite(RunSettings):
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None
     max_angular_velocity: AngularVelocity | None = None
-    setups: dict[str, Setup] = Field(default_factory=dict)
+    setups: dict[str, ValveSetup] = Field(default_factory=dict)
     controllers: dict[str, ControllerPart] = Field(min_length=1)
     true_model: tuple[str, ...] = ()
     tuning: TuningSettings = TuningSettings()
