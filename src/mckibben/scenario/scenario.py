@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from html import escape
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, field_validator, model_serializer
+from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.component.checks import whole_periods
+from mckibben.component.extensions import package_version, version_differences
 from mckibben.component.schema import Part, independent, inherit, write
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.control import Controller, Reference
-from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import (
     Actuator,
@@ -48,7 +51,19 @@ ReferencePart = Annotated[Reference, Part(Reference)]
 
 
 class RunSettings(ConfigModel):
-    """Base of documents with a plant and the timing of its runs."""
+    """Base of documents with a plant and the timing of its runs.
+
+    The key `packages` has the installed packages of classes that are not ours, with the versions that wrote the text.
+    """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _packages_fit(cls, value: Any) -> Any:
+        if not isinstance(value, dict) or not isinstance(value.get("packages"), list | tuple):
+            return value
+        for text in version_differences(value["packages"]):
+            warnings.warn(text, McKibbenWarning, stacklevel=2)
+        return {key: one for key, one in value.items() if key != "packages"}
 
     @field_validator("control_period", mode="after", check_fields=False)
     @classmethod
@@ -73,7 +88,19 @@ class RunSettings(ConfigModel):
 
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
         """Return text that `parse` reads back to the last bit; paths are relative to a folder."""
-        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
+        written = self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)})
+        packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
+        return to_text(written | ({"packages": packages} if packages else {}))
+
+
+def _classes_in(part: Any) -> Iterator[type]:
+    """Classes of the parts of a document."""
+    if isinstance(part, tuple | list | dict):
+        for one in part.values() if isinstance(part, dict) else part:
+            yield from _classes_in(one)
+    elif isinstance(part, ConfigModel) or (is_dataclass(part) and not isinstance(part, type)):
+        yield type(part)
+        yield from _classes_in(vars(part))
 
 
 class Start(ConfigModel):
