@@ -15,6 +15,7 @@ from mckibben.leg import (
     BiarticularMuscle,
     JointwiseControl,
     Leg,
+    LegMeasurement,
     LegPlant,
     LegStart,
     PressureSchedule,
@@ -22,7 +23,6 @@ from mckibben.leg import (
     simulate_leg,
     simulate_legs,
 )
-from mckibben.leg.control import LegMeasurement
 from mckibben.units import deg
 
 STEP = {"duration": 0.1, "control_period": 0.25e-3}
@@ -90,7 +90,7 @@ def test_energy_is_kept_without_damping_and_valves(plant: LegPlant) -> None:
 
 def test_schedule_is_the_mean_over_the_period() -> None:
     schedule = PressureSchedule(((1e5, 4e5, 2e5),), ((1.25e-3, 3e-3),))
-    at = lambda t: float(schedule.step((), LegMeasurement(jnp.asarray(t), (), (), jnp.zeros(())), 1e-3)[1][0])  # noqa: E731
+    at = lambda t: float(schedule.step((), t, LegMeasurement((), (), jnp.zeros(())), 1e-3)[1][0])  # noqa: E731
     assert [at(t * 1e-3) for t in range(5)] == pytest.approx([1e5, 3.25e5, 4e5, 2e5, 2e5])
 
 

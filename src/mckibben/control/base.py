@@ -56,11 +56,29 @@ ValveLagModel = Annotated[ValveLag, Inherited(_model_lag)]
 """First-order time constant [s] of the valves in a controller's model; in a file, by default, that of the plant's."""
 
 
-class Controller(Component):
-    """Interface from measurements to pressure commands.
+class DiscreteTimeSystem(Component):
+    """Discrete-time system with explicit state, of measurements; what calls it owns time.
 
-    A controller may hold a model of the joint, never the plant. The simulation owns time: it calls `init` once and
-    `step` once a control period.
+    `init` is called once, and `step` once per control period.
+    """
+
+    @abc.abstractmethod
+    def init(self, measurement: Any) -> Any:
+        """Return the state before the first step."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, setpoint: Any, measurement: Any, period: ArrayLike, /) -> tuple[Any, tuple[Any, ...]]:
+        """Return the next state, and the outputs for the coming control period [s]."""
+
+    def telemetry(self, state: Any) -> dict[str, Array]:
+        """Return the signals to record each period, by name."""
+        return {}
+
+
+class Controller(DiscreteTimeSystem):
+    """Interface from a setpoint and measurements of a joint to pressure commands.
+
+    A controller may hold a model of the joint, never the plant.
     """
 
     default_class = "position_stiffness"

@@ -1,77 +1,18 @@
-"""Observations of a leg, and metrics that are accumulated along a run."""
+"""Metrics of a leg that are accumulated along a run."""
 
 from __future__ import annotations
 
-import functools
-import operator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.leg.dynamics import motion
-from mckibben.leg.plant import LegPlant, LegState
-from mckibben.muscle.air import ATMOSPHERE, ENERGY
+from mckibben.leg.plant import LegPlant, LegSample
 
 Scalar = Float[Array, ""]
 
 IMPACT = 10e-3
 """Time [s] after the first touch in which the force is that of the foot's own impact, `peak_force_late` leaves out."""
-
-
-class LegSample(NamedTuple):
-    """Sample of a run at the start of a control period; tuples are over joints or muscles."""
-
-    x: Scalar
-    z: Scalar
-    speed: Scalar
-    pitch: Scalar
-    angle: tuple[Scalar, ...]
-    velocity: tuple[Scalar, ...]
-    pressure: tuple[Scalar, ...]
-    tension: tuple[Scalar, ...]
-    contraction: tuple[Scalar, ...]
-    stop_torque: tuple[Scalar, ...]
-    ground_forward: Scalar
-    ground_up: Scalar
-    mass_height: Scalar
-    mass_speed: Scalar
-    kinetic: Scalar
-    muscle_power: Scalar
-    air_mass: tuple[Scalar, ...]
-    outside: Array  # whether a contraction is outside its muscle's domain
-
-
-def observe(plant: LegPlant, state: LegState) -> LegSample:
-    """Return a sample of a state."""
-    forces, volumes = plant.forces(state), plant.air_volumes(state)
-    moving = motion(plant.leg, state.posture, state.velocity, plant.gravity)
-    tensions = zip(forces.tensions, forces.path_rates, strict=True)
-    air = zip(state.pressures, volumes, strict=True)
-    inside = [
-        muscle.domain.contains_contraction(one)
-        for muscle, one in zip(plant.leg.muscles, forces.contractions, strict=True)
-    ]
-    return LegSample(
-        x=state.posture.x,
-        z=state.posture.z,
-        speed=state.velocity.z,
-        pitch=state.posture.pitch,
-        angle=state.posture.angles,
-        velocity=state.velocity.angles,
-        pressure=state.pressures,
-        tension=forces.tensions,
-        contraction=forces.contractions,
-        stop_torque=forces.stops,
-        ground_forward=forces.ground[0],
-        ground_up=forces.ground[1],
-        mass_height=moving.height,
-        mass_speed=moving.upward_speed,
-        kinetic=moving.kinetic,
-        muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
-        air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
-        outside=~functools.reduce(operator.and_, inside),
-    )
 
 
 class LegMetrics(NamedTuple):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import math
+import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,14 +17,16 @@ from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement, RigidTendon
-from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, frames, motion
+from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, foot_mobility, frames, motion
 from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
-from mckibben.muscle import Muscle, MuscleState
+from mckibben.muscle import Muscle, MuscleState, SpringLaw
+from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant.actuator import Actuator, AirState, AirVolume
-from mckibben.plant.base import IOState, Motion, Plant
+from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
 from mckibben.plant.sensors import Disturbance
 from mckibben.units import Gravity, Quantity, Share, Speed, bar, deg, mm
 
@@ -29,6 +34,8 @@ ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
 ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
+
+_LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
 
 def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, damping: ArrayLike) -> Array:
@@ -77,6 +84,49 @@ class LegState(NamedTuple):
     air: AirState | tuple[()] = ()
     friction: tuple[FrictionState, ...] = ()
     sent: tuple[tuple[Scalar, ...], ...] = ()
+
+
+class LegStart(NamedTuple):
+    """Start of a run: angles [rad], pressures [Pa], clearance of the foot [m], and upward speed [m/s].
+
+    Numbers, or arrays over runs; see `LegPlant.init_state`.
+    """
+
+    angles: tuple[ArrayLike, ...]
+    pressures: tuple[ArrayLike, ...]
+    clearance: ArrayLike = 0.0
+    upward_speed: ArrayLike = 0.0
+
+
+class LegMeasurement(NamedTuple):
+    """Measured angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
+
+    angles: tuple[Scalar, ...]
+    pressures: tuple[Scalar, ...]
+    ground_force: Scalar
+
+
+class LegSample(NamedTuple):
+    """Sample of a run at the start of a control period; tuples are over joints or muscles."""
+
+    x: Scalar
+    z: Scalar
+    speed: Scalar
+    pitch: Scalar
+    angle: tuple[Scalar, ...]
+    velocity: tuple[Scalar, ...]
+    pressure: tuple[Scalar, ...]
+    tension: tuple[Scalar, ...]
+    contraction: tuple[Scalar, ...]
+    stop_torque: tuple[Scalar, ...]
+    ground_forward: Scalar
+    ground_up: Scalar
+    mass_height: Scalar
+    mass_speed: Scalar
+    kinetic: Scalar
+    muscle_power: Scalar
+    air_mass: tuple[Scalar, ...]
+    outside: Array  # whether a contraction is outside its muscle's domain
 
 
 class LegForces(NamedTuple):
@@ -129,8 +179,72 @@ class LegPlant(Plant):
         pressures: Any = state.pressures
         return Measurement(angles, pressures)
 
+    def sample(self, state: LegState, period: ArrayLike) -> tuple[LegState, LegMeasurement]:
+        """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
+        state, (angles, pressures) = super().sample(state, period)
+        return state, LegMeasurement(cast(Any, angles), pressures, self.ground_force(state)[1])
+
     def disturbing_torque(self, time: ArrayLike) -> tuple[Array, ...]:
         return tuple(floating(one.torque(time)) for one in self.disturbances)
+
+    def observe(self, state: LegState) -> LegSample:
+        forces, volumes = self.forces(state), self.air_volumes(state)
+        moving = motion(self.leg, state.posture, state.velocity, self.gravity)
+        tensions = zip(forces.tensions, forces.path_rates, strict=True)
+        air = zip(state.pressures, volumes, strict=True)
+        inside = [
+            muscle.domain.contains_contraction(one)
+            for muscle, one in zip(self.leg.muscles, forces.contractions, strict=True)
+        ]
+        return LegSample(
+            x=state.posture.x,
+            z=state.posture.z,
+            speed=state.velocity.z,
+            pitch=state.posture.pitch,
+            angle=state.posture.angles,
+            velocity=state.velocity.angles,
+            pressure=state.pressures,
+            tension=forces.tensions,
+            contraction=forces.contractions,
+            stop_torque=forces.stops,
+            ground_forward=forces.ground[0],
+            ground_up=forces.ground[1],
+            mass_height=moving.height,
+            mass_speed=moving.upward_speed,
+            kinetic=moving.kinetic,
+            muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
+            air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
+            outside=~functools.reduce(operator.and_, inside),
+        )
+
+    def begin(self, start: LegStart) -> LegState:
+        """Return the state of a start; raises as `init_state`."""
+        return self.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
+
+    def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
+        """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
+        leg, ground = self.leg, self.ground
+        mobility = np.asarray(_mobility(leg, angles))
+        bodies = [
+            (joint, link.inertia + link.mass * link.centre**2)
+            for joint, link in zip(leg.joints, leg.links, strict=True)
+            if joint.locked is None
+        ]
+        stiffnesses = {
+            "the ground": ground.stiffness * np.linalg.eigvalsh(mobility)[-1],
+            "the stops": max((joint.stop_stiffness / inertia for joint, inertia in bodies), default=0.0),
+            "the friction of the joints": max(
+                (joint.friction.steepest / inertia for joint, inertia in bodies if joint.friction), default=0.0
+            ),
+        }
+        rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
+        weight = float(leg.total_mass) * self.gravity
+        rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * mobility[0, 0]
+        if self.valve.holds_air:
+            muscles = (muscle for muscle in leg.muscles if not isinstance(muscle.law, SpringLaw))
+            volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
+            rates["the air"] = self.valve.fastest_rate_in(min(volumes))
+        return rates
 
     def init_state(
         self,
@@ -279,6 +393,12 @@ class LegPlant(Plant):
         """Return the mechanical energy of the bodies [J]."""
         found = motion(self.leg, state.posture, state.velocity, self.gravity)
         return found.kinetic + found.potential
+
+
+@compiled
+def _mobility(leg: Leg, angles: tuple[ArrayLike, ...]) -> Array:
+    zero = jnp.zeros(())
+    return foot_mobility(leg, Posture(zero, zero, zero, leg.held(angles)))
 
 
 def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
