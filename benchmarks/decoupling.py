@@ -41,7 +41,7 @@ def looking_ahead():
     print("| | inverse | predictive | and 120 ms ahead |\n|---|---|---|---|")
     for step, lag in ((20, 100), (40, 100), (40, 20)):
         plant = JointPlant(KNEE, LOAD, FirstOrderValve(lag * ms))
-        believed = {"valve_time_constant": lag * ms}
+        believed = {"valve": FirstOrderValve(lag * ms)}
         parts = KNEE, LOAD, ExtendedStateObserver(250.0)
         controllers = (
             DecouplingControl(KNEE, LOAD, PolePlacement(80.0), ExtendedStateObserver(250.0), **believed),

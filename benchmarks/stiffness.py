@@ -112,7 +112,7 @@ def errors(seed, runs, name, excited, torque_error):
         load,
         PolePlacement(80.0),
         ExtendedStateObserver(250.0),
-        valve_time_constant=20 * ms,
+        valve=FirstOrderValve(20 * ms),
         adaptation=adaptation,
     )
     batch = simulate_many(

@@ -77,7 +77,7 @@ def test_keys_ranges_and_defaults_follow_from_the_class():
 
 
 KNEE = mk.catalog.joint("knee-table-2")
-MODEL = {"model": KNEE, "load": mk.catalog.load("knee-table-2"), "valve_time_constant": 0.03}
+MODEL = {"model": KNEE, "load": mk.catalog.load("knee-table-2"), "valve": mk.FirstOrderValve(0.03)}
 LOOPS = PositionStiffnessControl(mk.PID(2e5, 60e5, 4e4), mk.PID(8e3, 5e5, 0.0), model=KNEE)
 COMPONENTS = {
     "laws": (ForceLaw, mk.ExponentialLaw(-245.8, 1.09e-3, 321.6, -3.442e-3, 255.6, -1.318e-4, decay=30.0)),
@@ -126,12 +126,12 @@ def test_a_users_controller_gets_the_model_of_the_plant_as_ours_does():
     text = changed(VALVE, "valve: {time_constant: 80 ms}")
     scenario = Scenario.parse(text[:start] + own + text[text.index("reference:") :])
     control = scenario.control()
-    assert type(control) is OwnDecoupling and control.valve_time_constant == 0.08
+    assert type(control) is OwnDecoupling and control.valve.time_constant == 0.08
     assert control.load == scenario.load and control.model == scenario.joint and control.model is not scenario.joint
-    assert inherited_fields(scenario.controller) == {"model", "load", "valve_time_constant"}
+    assert inherited_fields(scenario.controller) == {"model", "load", "valve"}
     slower = with_values(scenario, {"valve.time_constant": 0.1})
-    assert slower.control().valve_time_constant == 0.1
-    assert with_values(scenario, {"valve.time_constant": 0.1}, known=()).control().valve_time_constant == 0.08
+    assert slower.control().valve.time_constant == 0.1
+    assert with_values(scenario, {"valve.time_constant": 0.1}, known=()).control().valve.time_constant == 0.08
     assert end > start
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from mckibben.actuator.base import Attainable
 from mckibben.control.ddp import HorizonProblem, Quadratic, constant, solve
 
 STAGES = 6
+HIGHEST = 6.0  # command
 
 
 def joint_problem(
@@ -16,7 +18,7 @@ def joint_problem(
     bend=1.0,
     stage=0.4,
     hold_weights=(0.52, 0.35),
-    valve_fraction=0.22,
+    valve_fraction=0.22,  # of first-order valves
     lowest=0.3,
     highest=5.0,
     reference=(0.0, 0.0, 0.0, 0.0),
@@ -26,7 +28,6 @@ def joint_problem(
     return HorizonProblem(
         stage=stage,
         hold_weights=hold_weights,
-        valve_fraction=valve_fraction,
         damping=2.25,
         bandwidth_ratio_sq=1.5,
         acceleration=(
@@ -44,8 +45,7 @@ def joint_problem(
         reference_frequency_sq=0.1,
         pressure_lower=(Quadratic(lowest, 0.01 * bend), Quadratic(lowest + 0.1, -0.01 * bend)),
         pressure_upper=(Quadratic(highest, -0.01 * bend), Quadratic(highest + 0.2, 0.01 * bend)),
-        command_lower=(0.0, 0.0),
-        command_upper=(6.0, 6.0),
+        attainable=(Attainable(1 - valve_fraction, 0.0, HIGHEST * valve_fraction),) * 2,
     )
 
 
@@ -91,10 +91,7 @@ def cost_and_margins(problem, start, pressures, plan):
         r1, v1, a1 = reference_at(problem, (k + 1) * h)
         angle = r1 + x[0] + h * x[1] + h**2 / 2 * x[2]
         for i in range(2):
-            slowest, fastest = (
-                before[i] + problem.valve_fraction * (u[i] - before[i])
-                for u in (problem.command_lower, problem.command_upper)
-            )
+            slowest, fastest = problem.attainable[i](before[i])
             upper = max(min(value(problem.pressure_upper[i], angle), fastest), slowest)
             margins += [
                 chosen[i] - min(max(value(problem.pressure_lower[i], angle), slowest), upper),

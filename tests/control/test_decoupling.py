@@ -286,8 +286,8 @@ def test_expected_friction_is_part_of_the_torque(knee, load):
 
 def test_sliding_mode_is_bounded_outside_its_layer_and_linear_inside():
     law = SlidingMode(40.0, 80.0)
-    assert float(law.step((), 0.001, 0.02, PERIOD)[1]) == pytest.approx(40 * 0.02 + 40 * (0.02 + 0.04))
-    assert float(law.step((), 1.0, 0.0, PERIOD)[1]) == 80.0
+    assert float(law.step((), 0.001, 0.02, 1e6, PERIOD)[1]) == pytest.approx(40 * 0.02 + 40 * (0.02 + 0.04))
+    assert float(law.step((), 1.0, 0.0, 1e6, PERIOD)[1]) == 80.0
     with pytest.raises(RangeError, match="reach is 0 rad/s"):
         SlidingMode(reach=0.0)
 
@@ -297,7 +297,7 @@ def test_sliding_mode_is_bounded_outside_its_layer_and_linear_inside():
     [(PolePlacement(30.0), 9), (PolePlacement(30.0, damping=2.0), 4), (SlidingMode(30.0, 80.0), 12)],
 )
 def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
-    step = law.step(law.init(0.0), 1e-6, 0.0, PERIOD), law.step(law.init(0.0), 0.0, 1e-6, PERIOD)
+    step = law.step(law.init(0.0), 1e-6, 0.0, 1e6, PERIOD), law.step(law.init(0.0), 0.0, 1e-6, 1e6, PERIOD)
     by_error, by_rate = (float(acceleration) / 1e-6 for _, acceleration in step)
     for slower, stable in ((0.99 * ratio, True), (1.01 * ratio, False)):
         assert (np.roots([slower * law.lag, 1.0, by_rate, by_error]).real.max() < 0) == stable
@@ -308,8 +308,8 @@ def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
 def test_poles_lie_where_they_are_placed(integral, damping):
     """Poles of the dynamics of the error: a pair of the damping (d - 1)/2, and real ones, all at the bandwidth."""
     law = PolePlacement(30.0, integral=integral, damping=damping)
-    by_error, by_rate = float(law.step(0.0, 1.0, 0.0, 1e-9)[1]), float(law.step(0.0, 0.0, 1.0, 1e-9)[1])
-    by_integral = float(law.step(0.0, 1.0, 0.0, 1.0)[0])
+    by_error, by_rate = float(law.step(0.0, 1.0, 0.0, 1e9, 1e-9)[1]), float(law.step(0.0, 0.0, 1.0, 1e9, 1e-9)[1])
+    by_integral = float(law.step(0.0, 1.0, 0.0, 1e9, 1.0)[0])
     polynomial = [law.lag, 1.0, by_rate, by_error, *([by_integral] if integral else [])]
     real = [-30.0] * (len(polynomial) - 3)
     expected = np.polymul(np.poly(real), [1.0, (damping - 1) * 30.0, 30.0**2])

@@ -114,7 +114,7 @@ def test_it_brakes_in_time_where_valves_are_slow(run, plant, knee, load):
     """A step of 20 deg with valves of 100 ms, known. Who looks 12 ms ahead cannot see a limit coming."""
     beyond = {}
     for far in (0.012, 0.06, 0.12):
-        control = predictive(knee, load, 80.0, 250.0, valve_time_constant=0.1, horizon=far)
+        control = predictive(knee, load, 80.0, 250.0, valve=FirstOrderValve(0.1), horizon=far)
         record, _ = run(JointPlant(knee, load, FirstOrderValve(0.1)), control, Step(-10 * deg, 10 * deg, 0.1))
         angle = np.asarray(record.state.angle) / deg
         beyond[far] = angle.max() - 10.0

@@ -63,7 +63,7 @@ def met(plant, state):
 
 def controllers(joint, load):
     loops = PositionStiffnessControl(*PI, model=joint, minimum_tension=5.0, stiffness_amplitude=SIZE)
-    model = {"valve_time_constant": 20 * ms, "stiffness_amplitude": SIZE}
+    model = {"valve": FirstOrderValve(20 * ms), "stiffness_amplitude": SIZE}
     return {
         "PID": loops,
         "inverse model": InverseModelControl(loops, load),

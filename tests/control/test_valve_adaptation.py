@@ -150,7 +150,7 @@ def test_a_controller_with_it_is_nearly_as_good_as_one_that_knows_its_valves(kin
         control = controllers[kind](knee, **valves)
         return mk.simulate(plant, control, REFERENCE, duration=1.0)
 
-    wrong, estimated, known = run(), run(valve_adaptation=ValveAdaptation()), run(valve_time_constant=50 * ms)
+    wrong, estimated, known = run(), run(valve_adaptation=ValveAdaptation()), run(valve=mk.FirstOrderValve(50 * ms))
     told = estimated["valve_time_constant_estimate"]
     assert told[0] == pytest.approx(MODEL) and told[-1] == pytest.approx(50 * ms, rel=0.1)
     assert "valve_time_constant_estimate" not in wrong
@@ -186,9 +186,9 @@ def test_numbers_outside_of_their_ranges_are_refused(name, value):
 
 
 def test_valves_without_lag_and_what_is_no_adaptation_are_refused(controllers, knee):
-    with pytest.raises(RangeError, match="no lag") as caught:
-        controllers["decoupling"](knee, valve_time_constant=0.0, valve_adaptation=ValveAdaptation())
-    assert caught.value.field == "valve_time_constant"
+    with pytest.raises(RangeError, match="first-order") as caught:
+        controllers["decoupling"](knee, valve=mk.IdealValve(), valve_adaptation=ValveAdaptation())
+    assert caught.value.field == "valve_adaptation"
     for wrong in ({}, ValveAdaptation, 1.0):
         with pytest.raises(RangeError) as caught:
             controllers["decoupling"](knee, valve_adaptation=wrong)

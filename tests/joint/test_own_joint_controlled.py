@@ -27,7 +27,7 @@ def plant_of(name, valve):
 
 
 def controller_of(kind, plant):
-    model = {"model": plant.joint, "load": plant.load, "valve_time_constant": 0.02}
+    model = {"model": plant.joint, "load": plant.load, "valve": mk.FirstOrderValve(0.02)}
     position = PID(2 * bar, 60 * bar, 0.4 * bar)
     loops = PositionStiffnessControl(position, PID(0.1 * bar, 5 * bar, 0.0), model=plant.joint)
     pressures = PressureObserver(200.0)

@@ -114,12 +114,12 @@ def test_a_torque_has_one_stiffness(side):
 def test_every_controller_holds_the_angle(name, largest, side):
     run = read(side=side)
     plant = run.plant()
-    model = {"model": plant.joint, "load": plant.load, "valve_time_constant": 0.02}
+    model = {"model": plant.joint, "load": plant.load, "valve": FirstOrderValve(0.02)}
     observers = {"observer": ExtendedStateObserver(120.0), "pressure_observer": PressureObserver(200.0)}
     controller = {
         "pid": lambda: run.control(),
         "decoupling": lambda: DecouplingControl(
-            **(model | {"valve_time_constant": 0.04}),
+            **(model | {"valve": FirstOrderValve(0.04)}),
             **observers,
             feedback=PolePlacement(40.0),
             valve_adaptation=ValveAdaptation(),
@@ -153,7 +153,7 @@ def test_a_linear_axis_is_a_pulley_of_1_m():
     assert float(joint.stiffness(0.0, pressures)) == pytest.approx(RATE - float(muscle))
 
     plant = JointPlant(joint, GeneralLoad(inertia=2.0, greatest_gravity_torque=0.0, damping=5.0), FirstOrderValve(0.02))
-    model = {"model": joint, "load": plant.load, "valve_time_constant": 0.02}
+    model = {"model": joint, "load": plant.load, "valve": FirstOrderValve(0.02)}
     controller = DecouplingControl(
         **model,
         observer=ExtendedStateObserver(120.0),

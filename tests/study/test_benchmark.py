@@ -83,9 +83,11 @@ class TestRuns:
                 assert batch.metrics[name][run] == pytest.approx(alone[name], rel=1e-7), (run, name)
         for group in runs.groups:
             control = _controller(runs, group, "decoupling", {}, 1)
-            lags = np.broadcast_to(control.valve_time_constant, group.count)
-            expected = [runs.scenario("decoupling", int(row)).control().valve_time_constant for row in group.rows]
-            assert lags == pytest.approx(np.array(expected, float))
+            models = [runs.scenario("decoupling", int(row)).control().valve for row in group.rows]
+            assert {type(model) for model in models} == {type(control.valve)}
+            leaves = np.broadcast_arrays(*jax.tree.leaves(control.valve), np.zeros(group.count))[:-1]
+            expected = np.array([jax.tree.leaves(model) for model in models], float)
+            np.testing.assert_allclose(np.array(leaves, float).T, expected)
 
     def test_the_noise_is_that_of_the_run(self, simulated):
         run = simulated.runs.reference_name.index("sine and step")

@@ -99,7 +99,7 @@ def model_of(address):
     """The names of what a controller's model has of a number of the plant."""
     part, *rest = address.name.split(".")
     if part == "valve":
-        return {"valve_time_constant"} if rest == ["time_constant"] else set()
+        return {f"valve.{rest[0]}"} | ({"valve_time_constant"} if rest == ["time_constant"] else set())
     return {".".join(("load" if part == "load" else "model", *rest))} if part in ("load", "joint") else set()
 
 
@@ -135,7 +135,7 @@ def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
     }
     control = batched(scenario, table, known=["load.mass2"]).control()
     assert control.load.mass2.tolist() == table["load.mass2"]
-    assert control.valve_time_constant == 0.02
+    assert control.valve.time_constant == 0.02
     assert control.feedback.bandwidth.tolist() == [30.0, 40.0]  # a number of the controller's own
     with pytest.raises(ParameterError, match=r"joint\.geometry\.connector_length is known but not varied"):
         known_names(scenario, ["joint.geometry.connector_length"], table)

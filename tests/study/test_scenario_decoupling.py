@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import (
     DecouplingControl,
     ExtendedStateObserver,
@@ -28,7 +29,7 @@ FULL = """\
   feedback: {class: sliding, slope: 30 1/s, reach: 50 rad/s^2}
   observer: {class: velocity, bandwidth: 300 rad/s}
   pressure_observer: {bandwidth: 150 rad/s}
-  valve_time_constant: 15 ms
+  valve: {time_constant: 15 ms}
   minimum_tension: 8 N
   load: {from: knee-table-2, mass2: 0.6 kg}
 """
@@ -54,18 +55,18 @@ def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
     assert isinstance(control, DecouplingControl)
     assert control.feedback == PolePlacement(50.0)
     assert control.observer == ExtendedStateObserver() and control.pressure_observer == PressureObserver()
-    assert control.valve_time_constant == pytest.approx(20 * ms)
+    assert control.valve.time_constant == pytest.approx(20 * ms)
     assert control.load == short.plant().load
     assert control.minimum_tension == 5.0 and not control.friction_compensation
     ideal = Scenario.parse(short.dumps().replace(short.dumps().split("valve:")[1].split("controller:")[0], " ideal\n"))
-    assert ideal.control().valve_time_constant == 0.0
+    assert isinstance(ideal.control().valve, IdealValve)
 
 
 def test_it_builds_what_it_says():
     control = scenario(FULL).control()
     assert control.feedback == SlidingMode(30.0, 50.0)
     assert control.observer == VelocityObserver(300.0) and control.pressure_observer == PressureObserver(150.0)
-    assert (control.valve_time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
+    assert (control.valve.time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
     assert scenario(FULL).plant().load.mass2 == 0.5
 
 
@@ -87,7 +88,7 @@ def test_all_its_numbers_can_be_varied_and_have_a_value():
         assert all(a.nominal is not None for a in mine), mine
     assert find_parameter(scenario(), "controller.minimum_tension").nominal == 5.0
     assert find_parameter(scenario(), "controller.feedback.damping").nominal == 3.0
-    assert find_parameter(scenario(), "controller.valve_time_constant").nominal == 0.02
+    assert find_parameter(scenario(FULL), "controller.valve.time_constant").nominal == 0.015
     assert find_parameter(scenario(FULL), "controller.load.mass2").nominal == 0.6
     many = batched(scenario(FULL), {"controller.load.mass2": [0.4, 0.5], "load.mass2": [0.5, 0.5]})
     np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])

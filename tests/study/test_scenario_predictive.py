@@ -26,7 +26,7 @@ FULL = """\
   iterations: 2
   observer: {class: velocity, bandwidth: 300 rad/s}
   pressure_observer: {bandwidth: 150 rad/s}
-  valve_time_constant: 15 ms
+  valve: {time_constant: 15 ms}
   minimum_tension: 8 N
   load: {from: knee-table-2, mass2: 0.6 kg}
   adaptation: {strength_spread: 0.05, torque_error: 0.04 N*m, bandwidth: 25 rad/s, drift_time: 20 s}
@@ -54,7 +54,7 @@ def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
     assert isinstance(control, PredictiveControl)
     assert control.observer == ExtendedStateObserver() and control.pressure_observer == PressureObserver()
     assert control.load == short.plant().load
-    assert control.valve_time_constant == pytest.approx(20 * ms)
+    assert control.valve.time_constant == pytest.approx(20 * ms)
     plain = PredictiveControl(control.model, control.load, bandwidth=70.0)
     for name in ("stiffness_bandwidth", "damping", "angle_scale", "stiffness_scale", "horizon", "stages", "iterations"):
         assert getattr(control, name) == getattr(plain, name)
@@ -66,7 +66,7 @@ def test_it_builds_what_it_says():
     assert (control.angle_scale, control.stiffness_scale) == (pytest.approx(0.2 * deg), 0.4)
     assert (control.horizon, control.stages, control.iterations) == (pytest.approx(80 * ms), 16, 2)
     assert control.observer == VelocityObserver(300.0) and control.pressure_observer == PressureObserver(150.0)
-    assert (control.valve_time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
+    assert (control.valve.time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
     assert control.adaptation == LawAdaptation(0.05, torque_error=0.04, bandwidth=25.0, drift_time=20.0)
     assert scenario().control().adaptation is None
 
@@ -86,7 +86,7 @@ def test_its_numbers_can_be_varied_and_have_a_value():
         ]
         assert len(mine) >= count
         unset = [a.name for a in mine if a.nominal is None]
-        assert set(unset) <= {"controller.adaptation.drift_time"}
+        assert set(unset) <= {f"controller.{each}" for each in ("adaptation.drift_time", "valve.rate", "valve.supply")}
     many = batched(scenario(), {"controller.damping": [2.0, 3.0]}).control()
     assert many.damping.tolist() == [2.0, 3.0]
     assert find_parameter(scenario(FULL), "controller.adaptation.mass_spread").nominal == 0.0

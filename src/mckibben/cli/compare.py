@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from mckibben.cli.options import Json, echo, keeping, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import atomic_write, check_free, make_folder, make_subfolder, to_json, write_json
+from mckibben.storage.files import check_free, make_folder, make_subfolder, to_json, write_json
 
 if TYPE_CHECKING:
     from mckibben.study.benchmark import BenchmarkResult, Suite
@@ -23,6 +23,7 @@ _COLUMNS = (
     ("coupling, deg", "coupling_deg", "median"),
     ("air, L", "air_L", "median"),
 )
+_SPREAD = ("median", "percentile_95")
 _KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
 
 
@@ -52,7 +53,31 @@ def compare(
         echo(_alone(out, repeat), nl=False)
         return
     from mckibben.study.benchmark import compare as run
+    from mckibben.study.benchmark.statistics import pooled
+    from mckibben.study.benchmark.suite import filename
 
+    suites = {name: read.of_setup(name) for name in read.setups} or {"": read}
+    folders = {name: out / filename(name) if name else out for name in suites}
+    for folder in folders.values():
+        _prepare(folder, resume)
+    results = {}
+    with long_job(quiet=json, kept=f"the evaluated points are in {out}; continue with --resume") as bar:
+        for number, (name, own) in enumerate(suites.items()):
+
+            def report(task: str, part: float, name: str = name, number: int = number) -> None:
+                if bar:
+                    bar(f"{name}: {task}" if name else task, (number + part) / len(suites))
+
+            results[name] = run(own, folder=folders[name] / "tuning", resume=resume, progress=report)
+    shown = {name: _show(result, folders[name], json) for name, result in results.items()}
+    if read.setups:
+        _show_pooled({"setups": shown, "pooled": pooled(results)}, out, json)
+    elif json:
+        echo(to_json(shown[""]))
+
+
+def _prepare(out: Path, resume: bool) -> None:
+    """Make the folders of a comparison; without `resume` they have no results."""
     searches = out / "tuning"
     if not resume:
         if searches.is_dir() and any(searches.glob("*.journal")):
@@ -62,9 +87,6 @@ def compare(
     make_folder(out)
     for name in ("tuning", "figures"):
         make_subfolder(out, name)
-    with long_job(quiet=json, kept=f"the evaluated points are in {searches}; continue with --resume") as bar:
-        result = run(read, folder=searches, resume=resume, progress=bar)
-    _show(result, out, json)
 
 
 def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
@@ -100,7 +122,8 @@ def _alone(out: Path, repeat: str) -> str:
     return scenario.dumps()
 
 
-def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
+def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
+    """Write a comparison to its folder, print its tables, and return its statistics."""
     from mckibben import report
     from mckibben.study.benchmark.benchmark import write_table
     from mckibben.study.benchmark.statistics import statistics
@@ -109,18 +132,41 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
     with keeping(out, "make room, and continue with --resume"):
         write_json(out / "results.json", numbers)  # before anything is drawn
         write_table(result, out / "runs.nc")
-        with atomic_write(out / "suite.yaml", overwrite=True) as part:
-            part.write_text(result.suite.dumps(folder=out), encoding="utf-8")
+        result.suite.to_yaml(out / "suite.yaml")
         kept = _tuned_scenarios(result, out)
         page = report.write_benchmark(result, numbers, out)
-    if json:
-        echo(to_json(numbers))
-    else:
+    if not json:
         _tables(numbers)
     echo(
         f"wrote results.json, runs.nc, suite.yaml, tuning/, {kept} tuned scenarios and figures; the report is {page}",
         err=json,
     )
+    return numbers
+
+
+def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
+    """Write and print the errors over the runs of all setups."""
+    write_json(out / "results.json", numbers)
+    if json:
+        echo(to_json(numbers))
+        return
+    for key, title in (("as_tuned", "as tuned"), ("at_air_of_first", "at no more air than the first controller")):
+        if key not in numbers["pooled"]:
+            continue
+        table(
+            f"all setups, {title}",
+            ("controller", "angle rmse, deg", "95 %", "against the first", "95 % interval", "air, L", "diverged"),
+            [
+                (
+                    name,
+                    *(metric("angle_rmse_deg", each["metrics"]["angle_rmse_deg"][what]) for what in _SPREAD),
+                    *_ratios(each["ratio_to_first"])[:2],
+                    metric("air_L", each["metrics"]["air_L"]["median"]),
+                    str(each["diverged"]),
+                )
+                for name, each in numbers["pooled"][key].items()
+            ],
+        )
 
 
 def _tables(numbers: dict[str, Any]) -> None:

@@ -191,7 +191,8 @@ class Part:
             return value
         context = dict(info.context or {})
         changed, name = context.pop("changed", None), info.field_name or ""
-        scope: Scope = ChainMap({"key": name}, dict(info.data or {}), *context.get("scope", ()))
+        given = {key: one for key, one in (info.data or {}).items() if one is not None}
+        scope: Scope = ChainMap({"key": name}, given, *context.get("scope", ()))
         around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
         written, value = value, self.base.from_file(value)
         below = short_key(written, value)
@@ -224,10 +225,10 @@ class Part:
         model = section_of(kind, self.units, partial=around is not None)
         context |= {"scope": scope.maps if isinstance(scope, ChainMap) else (scope,), "changed": around}
         try:
-            given = model.model_validate(section, context=context)
+            read = model.model_validate(section, context=context)
         except ValidationError as error:
             raise located_below(error, below, alone=bool(below) and not isinstance(written[below[0]], dict)) from None
-        fields = {name: getattr(given, name) for name in given.model_fields_set - {"class_"}}
+        fields = {name: getattr(read, name) for name in read.model_fields_set - {"class_"}}
         for alias, names in getattr(kind, "aliases", {}).items():
             if alias not in fields:
                 continue

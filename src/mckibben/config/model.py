@@ -194,7 +194,9 @@ class _Diagnosis:
         unknown = (found["loc"] for found in details if found["type"] == "extra_forbidden")
         misspelt = {(*place[:-1], key) for place in unknown if (key := self.other_key(place)[0])}
         problems = []
-        for found in details:
+        causes = [found.get("ctx", {}).get("error") for found in details]
+        all_follow = all(getattr(cause, "follows", False) for cause in causes)  # from nothing that is told here
+        for found, cause in zip(details, causes, strict=True):
             place = tuple(found["loc"])
             if any(place[: len(rejected)] == rejected for rejected in document.rejected):
                 continue
@@ -202,8 +204,7 @@ class _Diagnosis:
                 continue
             if found["type"] == "too_short" and any(one["loc"][:-1] == place for one in details):
                 continue  # what it lacks are its wrong items
-            cause = found.get("ctx", {}).get("error")
-            if getattr(cause, "follows", False) and len(details) > 1:
+            if getattr(cause, "follows", False) and not all_follow:
                 continue
             parent = getattr(cause, "parent", False)
             if parent and any(key[:-1] == place[:-1] for key in misspelt):

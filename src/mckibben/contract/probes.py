@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 
 from mckibben import catalog
+from mckibben.actuator.base import AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
@@ -21,13 +22,13 @@ from mckibben.leg.plant import LegMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.numerics.calculus import derivative
 from mckibben.plant import Actuator, AirValve, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
-from mckibben.plant.actuator import AirVolume
 from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest value of each argument in SI, in order."""
 
 _PERIOD = 1 * ms
+_JERK = 2000.0  # rad/s^3: attainable by the actuators
 _PRESSURE, _LENGTH = (0.5 * bar, 5 * bar), (170 * mm, 190 * mm)
 
 
@@ -417,7 +418,7 @@ def _loop(_: Loop) -> Probes:
 
 def _fed_back(feedback: Feedback, error: Any, rate: Any, shortfall: Any) -> Any:
     state = feedback.track(feedback.init(error), shortfall, _PERIOD)
-    return feedback.step(state, error, rate, _PERIOD)[1], feedback.lag
+    return feedback.step(state, error, rate, _JERK, _PERIOD)[1], feedback.lag
 
 
 def _feedback(_: Feedback) -> Probes:

@@ -13,6 +13,7 @@ from mckibben.control.base import (
     ValveLagModel,
 )
 from mckibben.control.decoupling import DecouplingControl
+from mckibben.control.delay import DelayCompensation
 from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode
 from mckibben.control.friction_compensation import FrictionCompensation
 from mckibben.control.inverse_model import InverseModelControl
@@ -41,6 +42,7 @@ __all__ = [
     "Constant",
     "Controller",
     "DecouplingControl",
+    "DelayCompensation",
     "ExtendedStateObserver",
     "Feedback",
     "FrictionCompensation",

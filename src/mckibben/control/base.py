@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
+import operator
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator import Actuator
 from mckibben.component.base import Component, Inherited, Units
 from mckibben.control.reference import Signal, as_signal
 from mckibben.joint import AntagonisticJoint, Load, Measurement
@@ -44,6 +47,16 @@ LoadModel = Annotated[Load, Inherited(lambda scope: scope["load"])]
 """A controller's model of the load; in a file, by default, that of the plant."""
 
 
+def _valve_model(scope: Mapping[str, Any]) -> Any:
+    """Valve of the plant; `KeyError` if its response is unknown, and a file must give a model of it."""
+    _model_lag(scope)
+    return scope["valve"]
+
+
+ValveModel = Annotated[Actuator, Inherited(_valve_model)]
+"""A controller's model of the valves; in a file, by default, the valve of the plant."""
+
+
 def _model_lag(scope: Mapping[str, Any]) -> Any:
     """Lag of the plant's valves; `KeyError` if they know none, and a file must give it."""
     lag = scope["valve"].model_lag(scope["joint"])
@@ -61,6 +74,19 @@ class DiscreteTimeSystem(Component):
 
     `init` is called once, and `step` once per control period.
     """
+
+    def with_period(self, period: float) -> Self:
+        """Return the system for a control period [s], where the size of its state depends on it."""
+
+        def prepared(part: Any) -> Any:
+            if type(part) is tuple:
+                found = tuple(map(prepared, part))
+                return part if all(map(operator.is_, found, part)) else found
+            return part.with_period(period) if isinstance(part, DiscreteTimeSystem) else part
+
+        parts = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        inner = {name: after for name, part in parts.items() if (after := prepared(part)) is not part}
+        return dataclasses.replace(self, **inner) if inner else self
 
     @abc.abstractmethod
     def init(self, measurement: Any) -> Any:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import Attainable
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import value_and_derivative
 
@@ -122,7 +123,6 @@ class HorizonProblem(NamedTuple):
 
     stage: ArrayLike  # h, its duration
     hold_weights: tuple[ArrayLike, ArrayLike]  # of a change of acceleration in velocity and angle: ramp (1/2, 1/3)
-    valve_fraction: ArrayLike  # part of the way to a command that a pressure covers in a stage
     damping: ArrayLike  # d, 2 to 3
     bandwidth_ratio_sq: ArrayLike  # rho = (omega_c / omega_K)^2
     acceleration: tuple[Quadratic, Quadratic, Quadratic]  # coefficients (offset, p1, p2)
@@ -132,8 +132,7 @@ class HorizonProblem(NamedTuple):
     reference_frequency_sq: ArrayLike  # of its acceleration; 0 for constant jerk
     pressure_lower: tuple[Quadratic, Quadratic]  # at the end of a stage
     pressure_upper: tuple[Quadratic, Quadratic]
-    command_lower: tuple[ArrayLike, ArrayLike]
-    command_upper: tuple[ArrayLike, ArrayLike]
+    attainable: tuple[Attainable, Attainable]  # after a stage
 
     def next_reference(self, reference: State) -> State:
         """Reference one stage later."""
@@ -161,10 +160,7 @@ class HorizonProblem(NamedTuple):
         """Lower and upper limits of the pressures after a stage; the speed of the valves takes precedence."""
 
         def one(i: int) -> Pair:
-            slowest, fastest = (
-                previous[i] + self.valve_fraction * (command[i] - previous[i])
-                for command in (self.command_lower, self.command_upper)
-            )
+            slowest, fastest = self.attainable[i](previous[i])
             upper = _larger(_smaller(self.pressure_upper[i](angle), fastest), slowest)
             return _smaller(_larger(self.pressure_lower[i](angle), slowest), upper), upper
 

@@ -7,9 +7,8 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import Attainable
 from mckibben.control.allocation import (
-    Allocation,
-    clip_commands,
     keep_taut,
     linearise,
     pressure_range,
@@ -17,15 +16,17 @@ from mckibben.control.allocation import (
 )
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
-from mckibben.control.model_based import Estimates, ModelBasedControl
-from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, lag_fraction
-from mckibben.joint import AntagonisticJoint
-from mckibben.joint.attainable import pressure_limits_of
+from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
+from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.joint import AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
 
 Scalar = Float[Array, ""]
+
+
+_SHARE, _LEAST = 0.5, 0.05  # of the rate of the torque, for the feedback
 
 
 class DecouplingState(NamedTuple):
@@ -47,17 +48,19 @@ class DecouplingControl(ModelBasedControl):
         \tau_c = I\,(\ddot\theta_r(t + T) + a(e, \dot e) - \hat d) + c\,\hat\omega - \tau_g(\theta_T) - \tau_f,
         \quad (\tau_c, K_r) \to p_c \;\text{at}\; \theta_T = \theta + T\hat\omega
 
-    The commands to the valves, of time constant :math:`\tau_v`, make the pressures follow with the lag T of the
-    feedback, shorter or longer than their own, for which it places its poles:
+    The commands make the pressures follow with the lag T of the feedback, shorter or longer than that of the valves,
+    for which it places its poles (`Actuator.command_toward` of the model of the valves). For valves of first order with
+    the time constant :math:`\tau_v`
 
     .. math:: p_{command} = p + \frac{1 - e^{-h/T}}{1 - e^{-h/\tau_v}} (p_c - p)
 
-    p is the estimate of a `PressureObserver`, so that what a valve did not do is commanded again.
+    and for valves with air the opening follows from the mass flow for the rate of the pressure, at the volume of the
+    muscle and its rate. p is the estimate of a `PressureObserver`, so that what a valve did not do is commanded again.
 
     The torque has priority: where torque and stiffness are not attainable together, the stiffness is the nearest on the
-    line of constant torque. Limits: the pressures (now, and within the speed of the valves), the specimens' rated force
-    and a minimum tension. A step of the stiffness moves both pressures along a straight line of constant torque,
-    however slow the valves.
+    line of constant torque. Limits: the pressures (now, and those that the valves reach within T), the specimens' rated
+    force and a minimum tension. A step of the stiffness moves both pressures along a straight line of constant torque,
+    however slow the valves. The feedback knows the rate of the torque that they leave to it, and brakes in time.
 
     Parameters
     ----------
@@ -70,8 +73,8 @@ class DecouplingControl(ModelBasedControl):
         rejection).
     pressure_observer
         Filter of the measured pressures.
-    valve_time_constant
-        tau_v [s] of the model; 0 for valves without lag.
+    valve
+        Model of the valves; `FirstOrderValve` of 20 ms unless given.
     minimum_tension
         Lower limit of each muscle's tension [N].
     friction_compensation
@@ -80,7 +83,7 @@ class DecouplingControl(ModelBasedControl):
     adaptation
         On-line correction of the strength of the model's muscles; none unless given.
     valve_adaptation
-        On-line estimate of tau_v; none unless given.
+        On-line estimate of the time constant of a `FirstOrderValve`; none unless given.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
         (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.
@@ -97,6 +100,7 @@ class DecouplingControl(ModelBasedControl):
         "sliding": "feedback",
         "velocity_observer": "observer",
         "disturbance_observer": "observer",
+        "valve_time_constant": "valve: {time_constant: ...}",
     }
 
     feedback: Feedback
@@ -114,21 +118,20 @@ class DecouplingControl(ModelBasedControl):
         self, state: DecouplingState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[DecouplingState, Pair]:
         lag = self.feedback.lag
-        estimates, model = self.update(state.estimates, setpoint, measurement, period)
-        motion, pressures, reference = estimates.motion, estimates.pressures, estimates.reference
+        estimates, model, valves = self.update(state.estimates, setpoint, measurement, period)
+        motion, reference = estimates.motion, estimates.reference
+        angle = motion.angle + lag * motion.velocity
+        affine, lower, upper, torque_rate = self._attainable(model, angle, valves, period)
 
         error, rate = setpoint.angle - measurement.angle, reference.velocity - motion.velocity
-        feedback, correction = self.feedback.step(state.feedback, error, rate, period)
+        jerk = self._jerk(torque_rate, estimates)
+        feedback, correction = self.feedback.step(state.feedback, error, rate, jerk, period)
         acceleration = reference.acceleration_after(lag, period) + correction - motion.disturbance
-        angle = motion.angle + lag * motion.velocity
         torque = self.load.required_torque(angle, motion.velocity, acceleration) - estimates.friction
 
-        speed = (1 - exp(-jnp.asarray(period) / lag)) / lag_fraction(self.valve_lag(estimates.valves), period)
-        allocation = self._allocate(
-            model, angle, pressures, torque, setpoint.stiffness - estimates.added_stiffness, speed
-        )
-        (p1, p2), (target1, target2) = pressures, allocation.pressures
-        commands, _ = clip_commands(self.model, (p1 + speed * (target1 - p1), p2 + speed * (target2 - p2)))  # rounding
+        stiffness = setpoint.stiffness - estimates.added_stiffness
+        allocation = prioritise_torque(affine, torque, stiffness, lower, upper, model.springs)
+        commands = valves.commands_toward(allocation.pressures, lag, period)
 
         feedback = self.feedback.track(feedback, (torque - allocation.torque) / self.load.total_inertia, period)
         estimates = estimates._replace(commands=commands, saturated=allocation.saturated)
@@ -138,18 +141,33 @@ class DecouplingControl(ModelBasedControl):
         return self.estimates_telemetry(state.estimates)
 
     @computed_once
-    def _allocate(
-        self, model: AntagonisticJoint, angle: Scalar, pressures: Pair, torque: Scalar, stiffness: Scalar, speed: Scalar
-    ) -> Allocation:
-        """Pressures [Pa] for a torque and a stiffness at an angle [rad], attainable with commands within limits."""
+    def _attainable(
+        self, model: AntagonisticJoint, angle: Scalar, valves: Valves, period: ArrayLike
+    ) -> tuple[TorqueStiffnessMap, Pair, Pair, Scalar]:
+        """Torque and stiffness over the pressures at an angle [rad], their limits, and the rate of the torque [N*m/s].
+
+        The limits are those of the pressures that the valves approach with the lag of the feedback; the rate is the
+        mean of both directions.
+        """
         lowest, highest = pressure_range(model, angle, self.minimum_tension)
-        low, high = pressure_limits_of(model)
+        covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)  # part of the way in a period
 
-        def window(i: int) -> tuple[Scalar, Scalar]:
-            """Lower and upper limit of a pressure, within the speed of its valve."""
-            upper = jnp.minimum(highest[i], pressures[i] + (high[i] - pressures[i]) / speed)
-            return jnp.minimum(jnp.maximum(lowest[i], pressures[i] + (low[i] - pressures[i]) / speed), upper), upper
+        def window(i: int, attainable: Attainable) -> tuple[Scalar, Scalar, Scalar]:
+            pressure = valves.pressures[i]
+            slowest, fastest = ((limit - pressure) / covered for limit in attainable(pressure))
+            upper = jnp.minimum(jnp.minimum(highest[i], valves.commands[1][i]), pressure + fastest)
+            return jnp.minimum(jnp.maximum(lowest[i], pressure + slowest), upper), upper, fastest - slowest
 
-        (lower1, upper1), (lower2, upper2) = window(0), window(1)
-        affine = linearise(model, angle, keep_taut(pressures, lowest))
-        return prioritise_torque(affine, torque, stiffness, (lower1, lower2), (upper1, upper2), model.springs)
+        reach1, reach2 = valves.attainable(period)
+        (lower1, upper1, swing1), (lower2, upper2, swing2) = window(0, reach1), window(1, reach2)
+        affine = linearise(model, angle, keep_taut(valves.pressures, lowest))
+        _, t1, t2 = affine.torque
+        rate = (jnp.abs(t1) * swing1 + jnp.abs(t2) * swing2) / (2 * self.feedback.lag)
+        return affine, (lower1, lower2), (upper1, upper2), rate
+
+    def _jerk(self, torque_rate: Scalar, estimates: Estimates) -> Scalar:
+        """Rate of the acceleration [rad/s^3] that the valves leave to the feedback, beside that of the reference."""
+        reference, load = estimates.reference, self.load
+        stiffness = estimates.stiffness + load.gravity_stiffness(reference.angle)
+        needed = jnp.abs(load.total_inertia * reference.jerk + stiffness * reference.velocity)
+        return jnp.maximum(_SHARE * (torque_rate - needed), _LEAST * torque_rate) / load.total_inertia

@@ -32,12 +32,39 @@ class Feedback(Component):
         """Return the state before the first step, at an error [rad]."""
 
     @abc.abstractmethod
-    def step(self, state: Any, error: ArrayLike, rate: ArrayLike, period: ArrayLike) -> tuple[Any, Scalar]:
-        """Return the next state and the acceleration [rad/s^2] for an error [rad] of the angle and its rate [rad/s]."""
+    def step(
+        self, state: Any, error: ArrayLike, rate: ArrayLike, jerk: ArrayLike, period: ArrayLike
+    ) -> tuple[Any, Scalar]:
+        """Return the next state and the acceleration [rad/s^2] for an error [rad] of the angle and its rate [rad/s].
+
+        `jerk` [rad/s^3] is the rate at which the actuators can change the acceleration.
+        """
 
     @abc.abstractmethod
     def track(self, state: Any, shortfall: ArrayLike, period: ArrayLike) -> Any:
         """Return the state after a command whose acceleration fell short [rad/s^2] (anti-windup)."""
+
+
+def braked(error: ArrayLike, rate: ArrayLike, kp: ArrayLike, kd: ArrayLike, jerk: ArrayLike) -> Scalar:
+    r"""Acceleration kd rate + kp error [rad/s^2], less for errors from which a limited jerk could not brake in time.
+
+    From a velocity v a triple integrator with the jerk j comes to rest within :math:`v^{3/2} / \sqrt j`, and from an
+    acceleration a within :math:`a^2 / (2 j)` of velocity. Linear where the line is below these limits, with the same
+    slope where they meet.
+
+    References
+    ----------
+    M. L. Workman, Adaptive Proximate Time-Optimal Servomechanisms, PhD thesis, Stanford 1987; of third order: L. Y. Pao
+    and G. F. Franklin, Proximate time-optimal control of third-order servomechanisms, IEEE Trans. Automatic Control 38,
+    1993.
+    """
+    jerk, slope = jnp.asarray(jerk), kp / kd
+    distance, linear = jnp.abs(error), 4 / 9 * jerk / slope**3
+    beyond = jnp.cbrt(jerk * jnp.maximum(distance - linear / 3, linear / 3) ** 2)
+    speed = rate + jnp.where(distance <= linear, slope * error, jnp.sign(error) * beyond)
+    fast, proportional = jnp.abs(speed), jerk / kd**2
+    most = jnp.sqrt(2 * jerk * jnp.maximum(fast - proportional / 2, proportional / 2))
+    return jnp.where(fast <= proportional, kd * speed, jnp.sign(speed) * most)
 
 
 class PolePlacement(Feedback):
@@ -71,12 +98,16 @@ class PolePlacement(Feedback):
     def init(self, error: ArrayLike) -> Scalar:
         return jnp.zeros_like(floating(error))
 
-    def step(self, state: Scalar, error: ArrayLike, rate: ArrayLike, period: ArrayLike) -> tuple[Scalar, Scalar]:
+    def step(
+        self, state: Scalar, error: ArrayLike, rate: ArrayLike, jerk: ArrayLike, period: ArrayLike
+    ) -> tuple[Scalar, Scalar]:
         pole, damping = jnp.asarray(self.bandwidth), jnp.asarray(self.damping)
         if not self.integral:
-            return state, pole * rate + pole**2 / damping * error
+            return state, braked(error, rate, pole**2 / damping, pole, jerk)
+        kp, kd = pole**2, 2 * damping / (damping + 1) * pole
         state = state + period * pole**3 / (damping + 1) * error
-        return state, 2 * damping / (damping + 1) * pole * rate + pole**2 * error + state
+        linear, limited = kp * error + kd * rate + state, braked(error + state / kp, rate, kp, kd, jerk)
+        return self.track(state, linear - limited, period), limited
 
     def track(self, state: Scalar, shortfall: ArrayLike, period: ArrayLike) -> Scalar:
         return state - period * self.bandwidth * shortfall if self.integral else state
@@ -123,7 +154,9 @@ class SlidingMode(Feedback):
     def init(self, error: ArrayLike) -> tuple[()]:
         return ()
 
-    def step(self, state: tuple[()], error: ArrayLike, rate: ArrayLike, period: ArrayLike) -> tuple[tuple[()], Scalar]:
+    def step(
+        self, state: tuple[()], error: ArrayLike, rate: ArrayLike, jerk: ArrayLike, period: ArrayLike
+    ) -> tuple[tuple[()], Scalar]:
         surface = rate + self.slope * jnp.asarray(error)
         return state, self.slope * jnp.asarray(rate) + self.reach * jnp.clip(surface / self.layer, -1.0, 1.0)
 

@@ -3,26 +3,57 @@
 from __future__ import annotations
 
 import abc
-from numbers import Real
-from typing import NamedTuple
+import dataclasses
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
+from mckibben.actuator.base import Attainable, air_volumes
 from mckibben.control.adaptation import AdaptationState, LawAdaptation, with_strengths
-from mckibben.control.base import Controller, JointModel, LoadModel, Measurement, Setpoint, ValveLagModel
-from mckibben.control.observer import MotionEstimate, Observer, PressureObserver, lag_fraction
+from mckibben.control.allocation import command_limits
+from mckibben.control.base import Controller, JointModel, LoadModel, Measurement, Setpoint, ValveModel
+from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.control.valve_adaptation import ValveAdaptation, ValveAdaptationState
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.elementary import floating
 from mckibben.units import AngleScale, Force
 
 Scalar = Float[Array, ""]
+
+
+class Valves(NamedTuple):
+    """Model of the valves at their estimated pressures [Pa] and states, and the range of their commands [Pa]."""
+
+    model: Actuator
+    pressures: Pair
+    states: tuple[Any, Any]
+    air: tuple[AirVolume | None, AirVolume | None]
+    commands: tuple[Pair, Pair]
+
+    def predict(self, commands: Pair, duration: ArrayLike) -> tuple[Pair, tuple[Any, Any]]:
+        """Return the pressures [Pa] and states a time [s] later, under constant commands [Pa]."""
+        each = zip(self.pressures, self.states, commands, self.air, strict=True)
+        (pressure1, state1), (pressure2, state2) = (self.model.predict(*one, duration) for one in each)
+        return (pressure1, pressure2), (state1, state2)
+
+    def attainable(self, duration: ArrayLike) -> tuple[Attainable, Attainable]:
+        """Return the pressures that can be reached within a time [s]."""
+        each = zip(self.pressures, self.states, zip(*self.commands, strict=True), self.air, strict=True)
+        reach1, reach2 = (self.model.attainable(*one, duration) for one in each)
+        return reach1, reach2
+
+    def commands_toward(self, targets: Pair, lag: ArrayLike, period: ArrayLike) -> Pair:
+        """Return the commands [Pa] of a control period [s] that lead the pressures to targets [Pa] with a lag [s]."""
+        each = zip(self.pressures, self.states, targets, self.air, strict=True)
+        wanted = (self.model.command_toward(*one, lag, period) for one in each)
+        command1, command2 = map(jnp.clip, wanted, *self.commands)
+        return command1, command2
 
 
 class Estimates(NamedTuple):
@@ -39,6 +70,7 @@ class Estimates(NamedTuple):
     added_stiffness: Scalar  # less the isobaric one [N*m/rad]
     friction: Scalar  # compensated torque [N*m]
     commands: Pair  # since the sample [Pa]
+    actuators: tuple[Any, Any]  # states of the model of the valves
     saturated: Array
 
 
@@ -47,7 +79,7 @@ class ModelBasedControl(Controller):
 
     model: JointModel
     load: LoadModel
-    valve_time_constant: ValveLagModel = eqx.field(kw_only=True, default=0.02)
+    valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
@@ -59,14 +91,12 @@ class ModelBasedControl(Controller):
         name = type(self).__name__
         if self.adaptation is not None:
             self.adaptation.check_load(self.load)
-        unlagged = isinstance(self.valve_time_constant, Real) and self.valve_time_constant == 0
-        if self.valve_adaptation is not None and unlagged:
+        if self.valve_adaptation is not None and not self.valve.is_first_order:
             raise RangeError(
-                f"{name}: valve_time_constant is 0: there is no lag for valve_adaptation to estimate",
-                field="valve_time_constant",
-                value=self.valve_time_constant,
-                unit="s",
-                remedy="give that of the model above 0, or leave valve_adaptation out",
+                f"{name}: valve_adaptation estimates the lag of a first-order valve, and the model is a "
+                f"{type(self.valve).__name__}",
+                field="valve_adaptation",
+                remedy="give the controller a `valve` with a time_constant, or leave valve_adaptation out",
             )
         if self.friction_compensation and not self.model.has_friction:
             raise RangeError(
@@ -91,26 +121,26 @@ class ModelBasedControl(Controller):
             reference=ReferenceDerivatives.init(angle),
             muscles=self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
-            valves=()
-            if self.valve_adaptation is None
-            else self.valve_adaptation.init(self.valve_time_constant, pressures),
+            valves=() if self.valve_adaptation is None else self.valve_adaptation.init(self.valve.lag, pressures),
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
             friction=zero,
             commands=pressures,
+            actuators=(self.valve.init_model(pressures[0]), self.valve.init_model(pressures[1])),
             saturated=jnp.asarray(False),
         )
 
     def update(
         self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
-    ) -> tuple[Estimates, AntagonisticJoint]:
-        """Estimates after a further sample, with the last commands, and the adapted model."""
+    ) -> tuple[Estimates, AntagonisticJoint, Valves]:
+        """Estimates after a further sample, with the last commands, and the adapted models of joint and valves."""
         angle = measurement.angle
         observer, pressure_observer = self.observers
-        valves = self._adapt_valves(last, measurement.pressures, period)
-        fraction = lag_fraction(self.valve_lag(valves), period)
-        pressures = pressure_observer.step(last.pressures, last.commands, measurement.pressures, fraction, period)
+        adapted = self._adapt_valves(last, measurement.pressures, period)
+        valves = self._valves(adapted, angle, last.motion.velocity, last.pressures, last.actuators)
+        predicted, actuators = valves.predict(last.commands, period)
+        pressures = pressure_observer.step(predicted, measurement.pressures, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
         torque, isobaric = model.evaluate(angle, pressures)
         stiffness, added = self._stiffness(model, angle, pressures, isobaric)
@@ -122,13 +152,15 @@ class ModelBasedControl(Controller):
             reference=last.reference.update(setpoint.angle, period),
             muscles=muscles,
             adaptation=adaptation,
-            valves=valves,
+            valves=adapted,
+            actuators=actuators,
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
             friction=friction_torque,
         )
-        return estimates, model
+        now = self._valves(adapted, angle, estimates.motion.velocity, pressures, actuators)
+        return estimates, model, now
 
     def estimates_telemetry(self, estimates: Estimates) -> dict[str, Scalar]:
         """Signals to record, by name."""
@@ -146,9 +178,22 @@ class ModelBasedControl(Controller):
             signals |= {"valve_time_constant_estimate": estimates.valves.time_constant}
         return signals
 
-    def valve_lag(self, valves: ValveAdaptationState | tuple[()]) -> Scalar:
-        """Time constant of the valves [s], estimated or of the model."""
-        return valves.time_constant if isinstance(valves, ValveAdaptationState) else floating(self.valve_time_constant)
+    def _valves(
+        self,
+        adapted: ValveAdaptationState | tuple[()],
+        angle: ArrayLike,
+        velocity: ArrayLike,
+        pressures: Pair,
+        states: tuple[Any, Any],
+    ) -> Valves:
+        """Model of the valves, with the estimated time constant, at a motion of the joint."""
+        valve: Any = self.valve
+        if isinstance(adapted, ValveAdaptationState):
+            valve = dataclasses.replace(valve, time_constant=adapted.time_constant)
+        air: Any = (None, None)
+        if valve.holds_air:
+            air = air_volumes(self.model, angle, velocity, pressures, dead_volume=valve.dead_volume)
+        return Valves(valve, pressures, states, air, command_limits(self.model, valve))
 
     def _stiffness(self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair, isobaric: Scalar) -> Pair:
         """Controlled stiffness by a model, and what it exceeds the isobaric one by [N*m/rad]."""
@@ -170,7 +215,7 @@ class ModelBasedControl(Controller):
         """Estimate of the valves' time constant after measured pressures [Pa]."""
         if self.valve_adaptation is None or not isinstance(last.valves, ValveAdaptationState):
             return last.valves
-        return self.valve_adaptation.step(last.valves, self.valve_time_constant, last.commands, measured, period)
+        return self.valve_adaptation.step(last.valves, self.valve.lag, last.commands, measured, period)
 
     def _friction(self, muscles: MuscleStates, angle: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
         """Internal states of the model's muscles at a reference angle [rad], and their torque of friction [N*m]."""

@@ -17,12 +17,6 @@ from mckibben.units import Bandwidth, PoleDamping, Quantity
 Scalar = Float[Array, ""]
 
 
-def lag_fraction(time_constant: ArrayLike, duration: ArrayLike) -> Scalar:
-    """Part of a step that a first-order lag, 0 for none, covers within a time [s]."""
-    lag = jnp.asarray(time_constant)
-    return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
-
-
 def lagged(last: Pair, inputs: Pair, fraction: ArrayLike) -> Pair:
     """Outputs of two first-order lags after a further sample, from the last ones; `fraction` as by `lag_fraction`."""
     return last[0] + fraction * (inputs[0] - last[0]), last[1] + fraction * (inputs[1] - last[1])
@@ -147,25 +141,17 @@ SensorBandwidth = Annotated[float, Quantity("rad/s", "rad/s", 0, math.inf, open_
 
 
 class PressureObserver(Component):
-    r"""Observer of the pressures, by a first-order model of the valves.
+    r"""Correction of the pressures that a model of the valves predicts, by the measured ones.
 
-    .. math:: \hat p^- = \hat p + (1 - e^{-h/\tau_v}) (p_{command} - \hat p), \quad
-              \hat p = \hat p^- + (1 - e^{-\omega_p h}) (p - \hat p^-)
+    .. math:: \hat p = \hat p^- + (1 - e^{-\omega_p h}) (p - \hat p^-)
 
-    White noise is attenuated by :math:`\sqrt{\omega_p h / 2}`; the error of a wrong lag decays with the bandwidth
+    White noise is attenuated by :math:`\sqrt{\omega_p h / 2}`; the error of a wrong model decays with the bandwidth
     omega_p [rad/s], infinite for no filter.
     """
 
     bandwidth: SensorBandwidth = 200.0
 
-    def step(
-        self, pressures: Pair, commands: Pair, measured: Pair, valve_fraction: ArrayLike, period: ArrayLike
-    ) -> Pair:
-        """Return the estimated pressures [Pa]; `valve_fraction` is the part of a step that a valve covers."""
+    def step(self, predicted: Pair, measured: Pair, period: ArrayLike) -> Pair:
+        """Return the estimated pressures [Pa] from the predicted and the measured ones."""
         gain = 1 - exp(-jnp.asarray(self.bandwidth) * period)
-
-        def one(pressure: Scalar, command: Scalar, sample: Scalar) -> Scalar:
-            predicted = pressure + valve_fraction * (command - pressure)
-            return predicted + gain * (sample - predicted)
-
-        return one(pressures[0], commands[0], measured[0]), one(pressures[1], commands[1], measured[1])
+        return predicted[0] + gain * (measured[0] - predicted[0]), predicted[1] + gain * (measured[1] - predicted[1])

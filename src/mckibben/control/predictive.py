@@ -11,17 +11,18 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.allocation import clip_commands, keep_taut, linearise, pressure_range
+from mckibben.actuator.base import Attainable, lag_fraction
+from mckibben.control.allocation import keep_taut, linearise, pressure_range
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.ddp import HorizonProblem, Policy, Quadratic, constant, shift, solve
-from mckibben.control.model_based import Estimates, ModelBasedControl
-from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, lag_fraction
+from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
+from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
-from mckibben.joint.attainable import is_affine, pressure_limits_of
+from mckibben.joint.attainable import is_affine
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.compiled import computed_once
-from mckibben.numerics.elementary import exp
+from mckibben.numerics.elementary import exp, floating
 from mckibben.units import AngleScale, Bandwidth, BoundedInt, Count, PoleDamping, PositiveTime, StiffnessScale, bar, deg
 
 Iterations = Annotated[int, BoundedInt(1, 100)]
@@ -31,6 +32,8 @@ Scalar = Float[Array, ""]
 _FREQUENCY_MEMORY = 0.1  # s: time constant of the estimate of the reference's frequency
 _STILL = 1e-6  # rad^2/s^2: a slower reference has no frequency
 _SERIES = 0.3  # stage over valve time constant: below it the hold weights are a series
+_RAMP = 1e3  # stages: a lag with which pressures change linearly within a stage
+_AT_ONCE = 1e-3  # stages: a lag with which a pressure is at its target at the end of the stage
 _ANGLE_STEP = 0.02  # rad: of the finite differences of the local model
 
 
@@ -72,7 +75,7 @@ class PredictiveControl(ModelBasedControl):
 
     Parameters
     ----------
-    model, load, pressure_observer, valve_time_constant, minimum_tension, friction_compensation, adaptation
+    model, load, pressure_observer, valve, minimum_tension, friction_compensation, adaptation
         As for `DecouplingControl`, and so are `valve_adaptation` and `stiffness_amplitude`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
@@ -98,7 +101,11 @@ class PredictiveControl(ModelBasedControl):
     """
 
     short_name = "predictive"
-    renamed: ClassVar = dict.fromkeys(("velocity_observer", "disturbance_observer"), "observer")
+    renamed: ClassVar = {
+        "velocity_observer": "observer",
+        "disturbance_observer": "observer",
+        "valve_time_constant": "valve: {time_constant: ...}",
+    }
 
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
@@ -125,7 +132,7 @@ class PredictiveControl(ModelBasedControl):
         self, state: PredictiveState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PredictiveState, Pair]:
         angle = measurement.angle
-        estimates, model = self.update(state.estimates, setpoint, measurement, period)
+        estimates, model, valves = self.update(state.estimates, setpoint, measurement, period)
         reference = estimates.reference
         new = 1 - exp(-jnp.asarray(period) / _FREQUENCY_MEMORY)
         jerk_velocity, velocity_sq = state.averages
@@ -136,7 +143,7 @@ class PredictiveControl(ModelBasedControl):
         local = local_model(model, angle, estimates.pressures, minimum_tension=self.minimum_tension)
         stage = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
         problem = self._problem(
-            local, estimates, angle, frequency_sq, setpoint.stiffness - estimates.added_stiffness, stage, period
+            local, estimates, valves, angle, frequency_sq, setpoint.stiffness - estimates.added_stiffness, stage, period
         )
 
         pressures = estimates.pressures[0] / bar, estimates.pressures[1] / bar
@@ -144,11 +151,8 @@ class PredictiveControl(ModelBasedControl):
         errors = self._errors(problem, estimates, angle, setpoint)
         policy, first = solve(problem, errors, pressures, policy, self.iterations)
 
-        wanted1, wanted2 = (
-            bar * (now + (end - now) / problem.valve_fraction)
-            for now, end in zip(pressures, first.pressures, strict=True)
-        )
-        commands, _ = clip_commands(self.model, (wanted1, wanted2))  # rounding may exceed a limit
+        target1, target2 = first.pressures
+        commands = valves.commands_toward((bar * target1, bar * target2), _AT_ONCE * stage, stage)
         limited = [each for each, spring in zip(first.limited, self.model.springs, strict=True) if not spring]
         estimates = estimates._replace(commands=commands, saturated=limited[0] | limited[-1])
         return PredictiveState(estimates, (jerk_velocity, velocity_sq), policy), commands
@@ -174,6 +178,7 @@ class PredictiveControl(ModelBasedControl):
         self,
         local: LocalModel,
         estimates: Estimates,
+        valves: Valves,
         angle: Scalar,
         frequency_sq: Scalar,
         stiffness: ArrayLike,
@@ -224,15 +229,16 @@ class PredictiveControl(ModelBasedControl):
                 values[1] / bar, unit * slopes[1] / bar
             )
 
-        (low1, low2), (high1, high2) = pressure_limits_of(self.model)
-        fraction, hold_weights = _hold(self.valve_lag(estimates.valves), stage)
+        reach1, reach2 = (
+            Attainable(each.keep, each.lower / bar, each.upper / bar) for each in valves.attainable(stage)
+        )
+        ramp = _RAMP * stage if valves.model.lag is None else valves.model.lag
         # Backward differences lag by one period, their velocity by half of one.
         now = reference.acceleration_after(0.0, period)
         velocity = reference.velocity + period / 2 * now
         return HorizonProblem(
             stage=pole * stage,
-            hold_weights=hold_weights,
-            valve_fraction=fraction,
+            hold_weights=_hold(floating(ramp), stage),
             damping=jnp.asarray(self.damping),
             bandwidth_ratio_sq=(pole / self.stiffness_bandwidth) ** 2,
             acceleration=(acceleration, by_pressure1, by_pressure2),
@@ -247,20 +253,19 @@ class PredictiveControl(ModelBasedControl):
             reference_frequency_sq=jnp.clip(frequency_sq, 0.0, (jnp.pi / (self.stages * stage)) ** 2) / pole**2,
             pressure_lower=limits(local.lowest, local.lowest_slope),
             pressure_upper=limits(local.highest, local.highest_slope),
-            command_lower=(low1 / bar, low2 / bar),
-            command_upper=(high1 / bar, high2 / bar),
+            attainable=(reach1, reach2),
         )
 
 
-def _hold(lag: Scalar, stage: Scalar) -> tuple[Scalar, Pair]:
-    """Valve fraction and hold weights of a stage [s], for a time constant [s] of the valves: see `HorizonProblem`."""
+def _hold(lag: Scalar, stage: Scalar) -> Pair:
+    """Hold weights of a stage [s], for a time constant [s] of the valves: see `HorizonProblem`."""
     fraction = lag_fraction(lag, stage)
     ratio = stage / jnp.where(lag > 0, lag, stage / 10)
     series = ratio / 12 - ratio**3 / 720
     slow = ratio < _SERIES
     first = jnp.where(slow, 0.5 + series, 1 / fraction - 1 / ratio)
     second = jnp.where(slow, 1 / 3 + series + ratio**2 / 360, (1 - 2 / ratio) / fraction + 2 / ratio**2)
-    return fraction, (jnp.where(lag > 0, first, 1.0), jnp.where(lag > 0, second, 1.0))
+    return jnp.where(lag > 0, first, 1.0), jnp.where(lag > 0, second, 1.0)
 
 
 def _second_order(function: Callable[[Array], Array], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import lag_fraction
 from mckibben.component.checks import check_kind
 from mckibben.control.base import Controller, Measurement, Setpoint, ValveLagModel
-from mckibben.control.observer import lag_fraction, lagged
+from mckibben.control.observer import lagged
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import lag_fraction
 from mckibben.component.base import Component
-from mckibben.control.observer import lag_fraction, lagged
+from mckibben.control.observer import lagged
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import PositiveTime, PressureScale, Quantity

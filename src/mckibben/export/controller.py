@@ -67,7 +67,8 @@ class ControllerFunctions(NamedTuple):
 
 def controller_functions(scenario: Scenario) -> ControllerFunctions:
     """First and subsequent steps of a scenario's controller; all its real numbers are parameters."""
-    plant, controller = scenario.plant().with_period(scenario.control_period), scenario.control()
+    period = scenario.control_period
+    plant, controller = scenario.plant().with_period(period), scenario.control().with_period(period)
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
     initial = plant.complete_state(initial)
     numbers, fixed = eqx.partition(controller, is_real)

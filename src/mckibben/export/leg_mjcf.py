@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 import equinox as eqx
 import jax.numpy as jnp
 
+from mckibben.actuator.base import held_states
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
@@ -35,7 +36,6 @@ from mckibben.joint import RigidTendon, Tendon
 from mckibben.leg import LegJoint, LegPlant, LegScenario, LegState
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
-from mckibben.plant.actuator import held_states
 
 _LIGHT = 1e-9
 """Mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass."""

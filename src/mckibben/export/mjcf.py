@@ -13,6 +13,7 @@ import equinox as eqx
 import numpy as np
 
 import mckibben
+from mckibben.actuator.base import held_states
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
@@ -32,7 +33,6 @@ from mckibben.joint import (
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import Actuator, JointPlant, PlantState
-from mckibben.plant.actuator import held_states
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2

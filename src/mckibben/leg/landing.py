@@ -330,7 +330,7 @@ def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirVal
     domain = muscle.domain
     volume = float(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
     now = float(valve.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume))
-    lag = float(np.asarray(valve.lag))
+    lag = float(np.asarray(valve.command_lag))
     if not time_constant > lag:
         raise RangeError(
             f"a time constant of {time_constant / ms:g} ms is not above the lag of the valve",

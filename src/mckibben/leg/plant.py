@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import Actuator, AirState, AirVolume
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
 from mckibben.errors import RangeError
@@ -25,7 +26,6 @@ from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import Actuator, AirState, AirVolume
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
 from mckibben.plant.sensors import Disturbance
 from mckibben.units import Gravity, Quantity, Share, Speed, bar, deg, mm

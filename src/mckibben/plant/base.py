@@ -11,17 +11,16 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator.base import AirState, AirVolume, delay_periods
 from mckibben.component.base import Component
-from mckibben.errors import RangeError, SimulationError
+from mckibben.errors import SimulationError
 from mckibben.joint import Measurement
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import AirState, AirVolume
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.units import CommandDelay
 
@@ -32,7 +31,6 @@ _SLOWER = {
     "the motion": "less damping and stiffness, or more inertia",
     "the air": "a valve with less conductance, a wider band, a slower spool or regulator, or more dead volume",
 }
-_MOST_PERIODS = 100  # of a command delay
 _ROUNDING = 1e-9
 
 Scalar = Float[Array, ""]
@@ -199,18 +197,7 @@ class Plant(Component):
         """
         if self.command_delay is None:
             return self
-        longest = float(np.max(self.command_delay))
-        periods = math.ceil(longest / period - _ROUNDING)
-        if periods > _MOST_PERIODS:
-            raise RangeError(
-                f"a command delay of {longest:g} s is {periods} control periods of {period:g} s",
-                field="command_delay",
-                value=longest,
-                upper=_MOST_PERIODS * period,
-                unit="s",
-                remedy=f"give at most {_MOST_PERIODS} periods",
-            )
-        return dataclasses.replace(self, delay_periods=periods)
+        return dataclasses.replace(self, delay_periods=delay_periods(self.command_delay, period))
 
     def sample(self, state: Any, period: ArrayLike) -> tuple[Any, Any]:
         """Return the state at the start of a control period [s], with its disturbance, and the measurement."""

@@ -7,23 +7,20 @@ import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 from numpy.typing import NDArray
 
+from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
 from mckibben.joint.geometry import Pressures
-from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
-from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import Actuator, AirState, AirVolume
 from mckibben.plant.base import IOState, Motion, Plant
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
@@ -117,20 +114,9 @@ class JointPlant(Plant):
 
     def air_volumes(self, state: PlantState) -> tuple[AirVolume, AirVolume]:
         """Return the volumes of the air, dead volume included, at the velocity of a state."""
-        dead = self.valve.dead_volume
-
-        def volumes(angle: ArrayLike, pressures: Pressures) -> tuple[Array, Array]:
-            contraction1, contraction2 = self.joint.contractions(angle, pressures, state.muscles)
-            specimen1, specimen2 = self.joint.muscle1.specimen, self.joint.muscle2.specimen
-            return specimen1.volume(contraction1) + dead, specimen2.volume(contraction2) + dead
-
-        at, slopes = value_and_derivative(lambda angle: volumes(angle, state.pressures), state.angle)
-        by_pressure: Any = (None, None)
-        if not isinstance(self.joint.tendon, RigidTendon):
-            ones = jax.tree.map(jnp.ones_like, state.pressures)
-            by_pressure = jax.jvp(lambda held: volumes(state.angle, held), (state.pressures,), (ones,))[1]
-        volume1, volume2 = map(AirVolume, at, (slope * state.velocity for slope in slopes), by_pressure)
-        return volume1, volume2
+        return air_volumes(
+            self.joint, state.angle, state.velocity, state.pressures, state.muscles, self.valve.dead_volume
+        )
 
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""

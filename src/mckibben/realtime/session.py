@@ -161,7 +161,7 @@ def prepare(
         plant = scenario.plant()
         hanging = vented_angle(plant)
     with _building(source or scenario.name, "controller"):
-        program = ControlProgram(scenario.control())
+        program = ControlProgram(scenario.control().with_period(scenario.control_period))
     period = scenario.control_period
     with _building(source or scenario.name, "start"):
         start = scenario.initial(plant)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import is_dataclass
 from html import escape
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
@@ -56,6 +56,9 @@ class RunSettings(ConfigModel):
     The key `packages` has the installed packages of classes that are not ours, with the versions that wrote the text.
     """
 
+    kind: ClassVar[str] = "scenario"
+    examples: ClassVar[str] = "examples/"
+
     @model_validator(mode="before")
     @classmethod
     def _packages_fit(cls, value: Any) -> Any:
@@ -86,6 +89,22 @@ class RunSettings(ConfigModel):
             )
         return value
 
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
+        text = read_text(path, f"a {cls.kind}", cls.examples)
+        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
+        """Read YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
+        return parse_model(cls, text, source=source or cls.kind, folder=folder)[0]
+
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
+        """Write a file that `read` reads back to the last bit."""
+        with atomic_write(path, overwrite=True) as part:
+            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
         """Return text that `parse` reads back to the last bit; paths are relative to a folder."""
         written = self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)})
@@ -108,6 +127,11 @@ class Start(ConfigModel):
 
     angle: Angle = 0.0
     stiffness: Stiffness | None = None
+
+
+def model_scope(plant: Any) -> dict[str, Any]:
+    """Parts of a scenario or suite that a controller's model has where its file does not give others."""
+    return {name: getattr(plant, name) for name in ("joint", "load", "valve", "command_delay")}
 
 
 class Scenario(RunSettings):
@@ -173,23 +197,8 @@ class Scenario(RunSettings):
         usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
         return {key: one for key, one in written.items() if usual.get(key) != one}
 
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Read a scenario file; raises ScenarioError with every problem: line, field, value, range and remedy."""
-        return cls.parse(read_text(path), source=os.fspath(path), folder=Path(path).parent)
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
-        """Read a scenario from YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
-        return parse_model(cls, text, source=source, folder=folder)[0]
-
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
-
-    def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write the scenario to a file that `read` reads back to the last bit."""
-        with atomic_write(path, overwrite=True) as part:
-            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
     def plant(self) -> JointPlant:
         """Return the simulated plant."""
@@ -198,7 +207,7 @@ class Scenario(RunSettings):
 
     def control(self) -> Controller:
         """Return the controller; what its file does not state of its model is taken from this scenario's plant."""
-        return inherit(self.controller, {name: getattr(self, name) for name in ("joint", "load", "valve")})
+        return inherit(self.controller, model_scope(self))
 
     def with_fixed_model(self) -> Scenario:
         """Return the scenario with a model of the controller that does not follow changes of the plant."""

@@ -252,7 +252,8 @@ def _follows(scenario: Scenario, parameter: ScenarioParameter) -> bool:
     if parameter.part not in _PLANT:
         return False
     nominal, control = parameter.nominal or 0.0, scenario.control()
-    for value in (nominal + 1e-6 * (abs(nominal) or 1), nominal - 1e-6 * (abs(nominal) or 1)):
+    nearby = nominal + 1e-6 * (abs(nominal) or 1), nominal - 1e-6 * (abs(nominal) or 1)
+    for value in nearby if parameter.nominal is not None else (*nearby, parameter.lower):
         with contextlib.suppress(RangeError):
             return bool(_with(scenario, {parameter: value}).controller != control)
     return False

@@ -292,7 +292,7 @@ def _run(shared: Any, lane: Any) -> dict[str, Array]:
     return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
 
 
-_DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated")
+_DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated", "oscillation_amplitude")
 
 
 def _table(columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked) -> xr.Dataset:
@@ -302,6 +302,7 @@ def _table(columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDA
         span=columns["_span"],
         left_domain=(columns["_time_outside_domain"] > 0) | (columns["_time_overloaded"] > 0),
         saturated=columns["_time_saturated"] > 0,
+        oscillates=columns["_oscillation_amplitude"] > 0,
         started=columns["_started"],
     )
     flags = {

@@ -18,6 +18,7 @@ from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
 from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import SETTLING_PART, Change, MetricAccumulator, Metrics, last_change, trajectory
+from mckibben.simulation.oscillation import Swings, limit_cycle
 
 
 class Record(NamedTuple):
@@ -92,6 +93,7 @@ class _Carry(NamedTuple):
     total: MetricAccumulator
     stiffness_at_change: Array
     air: tuple[Array, Array]
+    swings: tuple[Swings, Swings]  # of the angle error and the reference
 
 
 def streaming_episode(
@@ -138,7 +140,9 @@ def streaming_episode(
         before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
         added = MetricAccumulator.of(now, index, periods, change, at_change, before, SETTLING_PART)
         without = step_without_change(carry, following, setpoint, index)
-        return _Carry(following, without, carry.total.merge(added), at_change, air), {
+        error, asked = carry.swings
+        swings = error.after(now.angle - now.desired_angle, index), asked.after(now.desired_angle, index)
+        return _Carry(following, without, carry.total.merge(added), at_change, air, swings), {
             name: getattr(now, name) for name in keep
         }
 
@@ -152,13 +156,14 @@ def streaming_episode(
     rows = jnp.arange(periods), setpoints
     loop = initial_loop(plant, controller, initial)
     zero = jnp.zeros_like(jnp.asarray(initial.angle))
-    carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero))
+    swings = Swings.empty(zero), Swings.empty(zero)
+    carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero), swings)
     if every == 1 or not keep:
         carry, kept = lax.scan(next_period, carry, rows)
     else:
         blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
         carry, kept = lax.scan(block, carry, blocks)
-    metrics = carry.total.metrics(change, periods, period)
+    metrics = carry.total.metrics(change, periods, period, limit_cycle(*carry.swings, periods, period))
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
     return Streamed(metrics, carry.total.angle_at_end(periods), carry.loop[0], kept)

@@ -13,6 +13,7 @@ from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import compute_once
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import JointPlant
+from mckibben.simulation.oscillation import LimitCycle, find_limit_cycle
 from mckibben.units import atm, deg, litre, percent
 
 if TYPE_CHECKING:
@@ -152,6 +153,9 @@ class Metrics(NamedTuple):
         Time with a command at a pressure limit, a muscle slack, outside its domain, above its rated force [s].
     excursion_max, force_max
         Largest distance of a contraction from its domain [-], and largest tension [N].
+    oscillation_amplitude, oscillation_period
+        Mean amplitude [rad] and period [s] of a limit cycle of the angle (`mckibben.simulation.oscillation`); 0 and NaN
+        if there is none.
     air
         Sum of the rises of the muscles' contents at room temperature, as a volume at atmospheric pressure [m^3]; what
         is let out is lost. NaN where the volumes are not known.
@@ -172,6 +176,8 @@ class Metrics(NamedTuple):
     excursion_max: Array
     force_max: Array
     air: Array
+    oscillation_amplitude: Array
+    oscillation_period: Array
 
 
 METRICS: dict[str, tuple[str, str, float]] = {
@@ -190,6 +196,8 @@ METRICS: dict[str, tuple[str, str, float]] = {
     "excursion_max_percent": ("excursion_max", "%", percent),
     "force_max_N": ("force_max", "N", 1.0),
     "air_L": ("air", "L", litre),
+    "oscillation_amplitude_deg": ("oscillation_amplitude", "deg", deg),
+    "oscillation_period_s": ("oscillation_period", "s", 1.0),
 }
 """Field of `Metrics`, unit and its factor to SI, by the name in results."""
 
@@ -209,7 +217,8 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     parts = MetricAccumulator.of(moved, jnp.arange(periods), periods, change, at_change, before, settling_part)
     sums = Sums(*(jnp.sum(part) for part in parts.sums))
     peaks = Peaks(*(_largest(part) for part in parts.peaks))
-    return MetricAccumulator(sums, peaks, jnp.max(parts.unsettled)).metrics(change, periods, period)
+    cycle = find_limit_cycle(moved.angle, moved.desired_angle, period)
+    return MetricAccumulator(sums, peaks, jnp.max(parts.unsettled)).metrics(change, periods, period, cycle)
 
 
 compiled_measure = compiled(measure)
@@ -332,7 +341,7 @@ class MetricAccumulator(NamedTuple):
         """Root mean square error of the angle [rad] over the end of a run of so many control periods."""
         return _root(self.sums.angle_at_end / (periods - first_of_end(periods)))
 
-    def metrics(self, change: Change, periods: int, period: ArrayLike) -> Metrics:
+    def metrics(self, change: Change, periods: int, period: ArrayLike, cycle: LimitCycle) -> Metrics:
         """The metrics of a whole run of so many control periods [s]."""
         sums, peaks = self.sums, self.peaks
         unsettled = jnp.maximum(self.unsettled, change.at - 1)
@@ -355,6 +364,8 @@ class MetricAccumulator(NamedTuple):
             excursion_max=peaks.excursion,
             force_max=peaks.force,
             air=sums.air,
+            oscillation_amplitude=cycle.amplitude,
+            oscillation_period=cycle.period,
         )
 
 

@@ -82,7 +82,8 @@ def split_problem(
         given = type(given)(**with_leaves(given._asdict(), over))
     _check_numbers(given._asdict())
     check_frequencies(getattr(given, "reference", None), control_period)
-    given = given._replace(plant=given.plant.with_period(control_period))
+    parts = {name: getattr(given, name).with_period(control_period) for name in ("plant", "controller")}
+    given = given._replace(**parts)
     count, varying = lanes_of(given)
     return (None, numeric(given), None) if count is None else (*eqx.partition(numeric(given), varying), count)
 

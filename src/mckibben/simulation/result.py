@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mckibben.errors import FileError, Problem, SimulationError
 from mckibben.notebook import html_table
 from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure, first_of_end
+from mckibben.simulation.oscillation import compiled_limit_cycle
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ class Outcome(enum.Enum):
         "diverged: over the last tenth of the run the angle was further from its reference (RMS) than the reference "
         "moves, and than 5 deg"
     )
+    LIMIT_CYCLE = "completed, in a limit cycle: the angle oscillates faster than its reference"
 
     @property
     def diverged(self) -> bool:
@@ -70,6 +72,7 @@ def outcomes(
     angle_max: ArrayLike,
     left_domain: ArrayLike,
     saturated: ArrayLike,
+    oscillates: ArrayLike = False,
     angle_at_end: ArrayLike = 0.0,
     span: ArrayLike = 0.0,
     started: ArrayLike = True,
@@ -81,6 +84,7 @@ def outcomes(
         (~np.isfinite(angle_max), Outcome.DIVERGED),
         (angle_max > SWUNG_OVER_AT, Outcome.SWUNG_OVER),
         (np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT), Outcome.LEFT_REFERENCE),
+        (np.asarray(oscillates, bool), Outcome.LIMIT_CYCLE),
         (np.asarray(left_domain, bool), Outcome.LEFT_DOMAIN),
         (np.asarray(saturated, bool), Outcome.SATURATED),
     ]
@@ -230,7 +234,7 @@ class Result:
     @functools.cached_property
     def outcome(self) -> Outcome:
         """Outcome of the run."""
-        return _outcome(self.columns)
+        return _outcome(self.columns, self.control_period)
 
     @functools.cached_property
     def metrics(self) -> dict[str, float]:
@@ -357,7 +361,7 @@ def attributes(name: str) -> dict[str, str]:
     return {"units": units, "long_name": meaning} if units else {"long_name": meaning}
 
 
-def _outcome(columns: Mapping[str, np.ndarray]) -> Outcome:
+def _outcome(columns: Mapping[str, np.ndarray], period: float) -> Outcome:
     ended = np.isfinite(columns["velocity"][-1])
     error = columns["angle"] - columns["desired_angle"]
     code = outcomes(
@@ -366,5 +370,6 @@ def _outcome(columns: Mapping[str, np.ndarray]) -> Outcome:
         span=np.ptp(columns["desired_angle"]),
         left_domain=columns["outside_domain"].any() or columns["overloaded"].any(),
         saturated=columns["saturated"].any(),
+        oscillates=ended and compiled_limit_cycle(columns["angle"], columns["desired_angle"], period).amplitude > 0,
     )
     return OUTCOMES[int(code)]

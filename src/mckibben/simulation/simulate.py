@@ -270,7 +270,7 @@ def run_episode(
     substeps: int,
 ) -> Result:
     """The result of an episode from a start that exists, without the attainable stiffness."""
-    plant = plant.with_period(control_period)
+    plant, controller = plant.with_period(control_period), controller.with_period(control_period)
     plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
     return _episode_result(plant, controller, setpoints, start, control_period, substeps)
 

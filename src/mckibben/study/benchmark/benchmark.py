@@ -109,11 +109,15 @@ class BenchmarkResult:
 
     def of(self, batch: Batch, name: str) -> Vector:
         """A metric [SI] in the results of a controller."""
-        return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
+        return np.where(failed(batch), np.nan, batch.metrics[name])[self.started]
 
     def diverged(self, controller: str) -> NDArray[np.bool_]:
         """Mask of the runs that started and diverged."""
         return self.batches[controller].failed[self.started]
+
+    def oscillates(self, controller: str) -> NDArray[np.bool_]:
+        """Mask of the runs that ended in a limit cycle."""
+        return _limit_cycles(self.batches[controller])[self.started]
 
     def cost(self, controller: str) -> Vector:
         """Cost of each run that started; 1e6 where the run diverged."""
@@ -189,6 +193,15 @@ def evaluate(
     return _simulated_all(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
 
 
+def _limit_cycles(batch: Batch) -> NDArray[np.bool_]:
+    return np.array([outcome is Outcome.LIMIT_CYCLE for outcome in batch.outcomes])
+
+
+def failed(batch: Batch) -> NDArray[np.bool_]:
+    """Mask of the runs that diverged, ended in a limit cycle or could not start."""
+    return batch.failed | _limit_cycles(batch)
+
+
 def _started(batch: Batch) -> NDArray[np.bool_]:
     """Mask of the runs that could start. Shape (runs,)."""
     return np.array([outcome is not Outcome.NO_START for outcome in batch.outcomes])
@@ -233,7 +246,7 @@ class ControllerTuning:
         asked = tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
         batch = _simulated_all(self.runs, self.controller, table, len(values), asked)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        diverged = ~np.isfinite(found) | batch.failed
+        diverged = ~np.isfinite(found) | failed(batch)
         found = np.where(diverged, FAILED_COST, np.minimum(found, FAILED_COST))
         started = _started(batch)
         if not started.any():

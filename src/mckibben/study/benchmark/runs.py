@@ -190,12 +190,16 @@ def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[st
     """Values of a reference's varied parameters, with sine amplitudes of the angle within the suite's acceleration."""
     varied = suite.reference_over(name)
     table = dict(sample(varied, samples=count, seed=seed)) if varied else {}
-    sine, most = suite.references[name].reference.angle, suite.max_angular_acceleration
-    if not isinstance(sine, Sine) or most is None:
+    sine = suite.references[name].reference.angle
+    limits = (suite.max_angular_velocity, 1), (suite.max_angular_acceleration, 2)
+    if not isinstance(sine, Sine) or limits == ((None, 1), (None, 2)):
         return table
     amplitude = table.get("reference.angle.amplitude", np.full(count, sine.amplitude))
     frequency = table.get("reference.angle.frequency", np.full(count, sine.frequency))
-    largest = most / np.maximum((2 * np.pi * frequency) ** 2, 1e-12)
+    largest = np.min(
+        [most / np.maximum((2 * np.pi * frequency) ** order, 1e-12) for most, order in limits if most is not None],
+        axis=0,
+    )
     return {**table, "reference.angle.amplitude": np.clip(amplitude, -largest, largest)}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +39,33 @@ def statistics(result: BenchmarkResult) -> dict[str, Any]:
         "order": sorted(names, key=lambda name: median_cost[name]),
         "controllers": {name: _controller_statistics(result, name, median_cost[name]) for name in names},
         "at_air_of_first": _at_air(result),
+    }
+
+
+def pooled(results: Mapping[str, BenchmarkResult]) -> dict[str, Any]:
+    """Errors over the runs of all setups together, for JSON: as tuned, and at the air of the first controller."""
+    every = [(result, result) for result in results.values()]
+    found = {"as_tuned": _pooled(every)}
+    if all(result.at_air for result in results.values()):
+        found["at_air_of_first"] = _pooled([(result.at_air, result) for result in results.values() if result.at_air])
+    return found
+
+
+def _pooled(results: Sequence[tuple[BenchmarkResult, BenchmarkResult]]) -> dict[str, Any]:
+    """Errors of each controller over the runs of several results, and their ratio to the first as tuned in others."""
+    first = next(iter(results[0][1].batches))
+
+    def all_runs(name: str, metric: str) -> NDArray[np.float64]:
+        return np.concatenate([result.metric(name, metric) for result, _ in results])
+
+    tuned = {metric: np.concatenate([result.metric(first, metric) for _, result in results]) for metric in MAIN}
+    return {
+        name: {
+            "diverged": sum(int(result.diverged(name).sum()) for result, _ in results),
+            "metrics": {SHOWN[metric]: _percentiles(all_runs(name, metric), _UNIT[metric]) for metric in TRADED},
+            "ratio_to_first": {SHOWN[metric]: _ratio(all_runs(name, metric), tuned[metric]) for metric in MAIN},
+        }
+        for name in results[0][0].batches
     }
 
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, explained, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, explained, fail_validation, parse_model
 from mckibben.control import Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
@@ -29,10 +28,11 @@ from mckibben.scenario.scenario import (
     SensorsPart,
     Start,
     ValvePart,
+    model_scope,
 )
 from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
-from mckibben.units import AngularAcceleration, BoundedInt, CommandDelay, Duration, PositiveTime
+from mckibben.units import AngularAcceleration, AngularVelocity, BoundedInt, CommandDelay, Duration, PositiveTime
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
 _LONGEST_NAME = 80
@@ -94,6 +94,20 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
             place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
             check(place, lambda name=name: _check_within(("controller",), suite.tuned_over(name)))
     return found
+
+
+def problems_of_setup(suite: Suite, name: str, document: Document) -> list[Problem]:
+    """Problems of the suite of a setup alone."""
+    own, place = suite.of_setup(name), ("setups", name)
+    try:
+        _check_name(name, "")
+        parse_sweeps(own.conditions, own.example())
+        for controller in own.controllers:
+            own.tuned_over(controller)
+    except (McKibbenError, ValidationError) as error:
+        known = error if isinstance(error, McKibbenError) else explained(error)
+        return [Problem.of(known, document.line(place), dotted(place))]
+    return []
 
 
 def _check_name(name: str, reserved: str) -> None:
@@ -174,6 +188,19 @@ class PlantCase(ConfigModel):
         return value
 
 
+class Setup(ConfigModel):
+    """Valves of a lab: the comparison is made for each setup, with controllers that have its valves as their model.
+
+    Its conditions are in addition to those of the suite.
+    """
+
+    valve: ValvePart
+    command_delay: CommandDelay | None = None
+    conditions: tuple[str, ...] = ()
+    max_angular_velocity: AngularVelocity | None = None
+    substeps: Annotated[int, BoundedInt(1, 1000)] | None = None
+
+
 class ReferenceCase(ConfigModel):
     """A reference, the parameters that vary between runs, and its share of the runs."""
 
@@ -227,8 +254,10 @@ class Suite(RunSettings):
         Plant parameters that vary, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
     references
         References by name. The coupling needs one whose stiffness steps.
-    max_angular_acceleration
-        Largest angular acceleration [rad/s^2] of a reference; sines are scaled down to it.
+    max_angular_acceleration, max_angular_velocity
+        Largest angular acceleration [rad/s^2] and velocity [rad/s] of a reference; sines are scaled down to them.
+    setups
+        Valves by name, each compared on its own: see `of_setup`.
     controllers
         Controllers by name; all are compared with the first.
     true_model
@@ -236,6 +265,8 @@ class Suite(RunSettings):
     tuning, evaluation
         Training runs and budget, and evaluation runs.
     """
+
+    kind = "suite"
 
     name: Title
     joint: JointPart
@@ -250,6 +281,8 @@ class Suite(RunSettings):
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None
+    max_angular_velocity: AngularVelocity | None = None
+    setups: dict[str, Setup] = Field(default_factory=dict)
     controllers: dict[str, ControllerPart] = Field(min_length=1)
     true_model: tuple[str, ...] = ()
     tuning: TuningSettings = TuningSettings()
@@ -269,18 +302,25 @@ class Suite(RunSettings):
         return value
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Suite:
-        """Read a suite file; raises ScenarioError with every problem of it."""
-        return cls.parse(read_text(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Suite:
+    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Self:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
         suite, document = parse_model(cls, text, source=source, folder=folder)
-        problems = problems_of_suite(suite, document, NOMINAL_JOINT)
+        first = next(iter(suite.setups), None)
+        whole = suite if first is None else suite.of_setup(first)
+        problems = problems_of_suite(whole, document, NOMINAL_JOINT)
+        for name in suite.setups if not problems else ():
+            problems += problems_of_setup(suite, name, document)
         if problems:
             raise ScenarioError(source, problems)
         return suite
+
+    def of_setup(self, name: str) -> Suite:
+        """Return the suite of one of the setups alone; its valves are those of all models too."""
+        setup = self.setups[name]
+        given = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
+        given |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
+        conditions = (*self.conditions, *setup.conditions)
+        return self.model_copy(update=given | {"name": f"{self.name}: {name}", "conditions": conditions})
 
     @property
     def has_noise(self) -> bool:
@@ -311,7 +351,7 @@ class Suite(RunSettings):
         """Scenario of a run before its conditions; the controller has the nominal model or the plant's own."""
         control = self.controllers[controller]
         if controller not in self.true_model:
-            control = independent(inherit(control, {"joint": self.joint, "load": self.load, "valve": self.valve}))
+            control = independent(inherit(control, model_scope(self)))
         signals, plant = self.references[reference].reference, self.plants[joint]
         assert plant.joint is not None and plant.valve is not None
         return Scenario(

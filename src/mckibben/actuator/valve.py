@@ -10,9 +10,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.joint import AntagonisticJoint
+from mckibben.actuator.base import Actuator, AirState, AirVolume, Attainable, Scalar, held_states
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.plant.actuator import Actuator, AirState, AirVolume, Scalar, held_states
 from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 
@@ -71,7 +70,8 @@ class IdealValve(Valve):
     def is_linear(self) -> bool:
         return True
 
-    def model_lag(self, joint: AntagonisticJoint) -> Any:
+    @property
+    def lag(self) -> Any:
         return 0.0
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
@@ -107,7 +107,8 @@ class FirstOrderValve(Valve):
     def is_linear(self) -> bool:
         return self.rate is None
 
-    def model_lag(self, joint: AntagonisticJoint) -> Any:
+    @property
+    def lag(self) -> Any:
         return self.time_constant
 
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
@@ -117,6 +118,27 @@ class FirstOrderValve(Valve):
             limited = jnp.minimum(jnp.maximum(jnp.abs(error) / self.rate - self.time_constant, 0.0), elapsed)  # [s]
             error, elapsed = error - jnp.sign(error) * self.rate * limited, elapsed - limited
         return command + error * jnp.exp(-elapsed / self.time_constant)
+
+    def predict(
+        self, pressure: Scalar, state: Any, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
+    ) -> tuple[Scalar, Any]:
+        if self.rate is None:
+            return super().predict(pressure, state, command, air, duration)
+        return self.pressure_after(pressure, command, duration), state
+
+    def attainable(
+        self,
+        pressure: Scalar,
+        state: Any,
+        commands: tuple[ArrayLike, ArrayLike],
+        air: AirVolume | None,
+        duration: ArrayLike,
+    ) -> Attainable:
+        if self.rate is None:
+            return super().attainable(pressure, state, commands, air, duration)
+        one = jnp.ones_like(pressure)
+        low, high = (self.pressure_after(pressure, command, duration) - pressure for command in commands)
+        return Attainable(one, low, high)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         rate = jnp.asarray(rate)

@@ -8,10 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.joint import AntagonisticJoint
+from mckibben.actuator.base import Scalar
+from mckibben.actuator.valve import Valve
 from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import Scalar
-from mckibben.plant.valve import Valve
 from mckibben.units import Bandwidth, PositivePressure, Quantity
 
 DampingRatio = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]
@@ -63,14 +62,11 @@ class SecondOrderValve(Valve):
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         """Return the command [Pa] at which a pressure [Pa] keeps changing at a rate [Pa/s]."""
-        return jnp.asarray(pressure) + self._lag * jnp.asarray(rate)
+        return jnp.asarray(pressure) + self.lag * jnp.asarray(rate)
 
     @property
-    def _lag(self) -> Any:
+    def lag(self) -> Any:
         return 2 * self.damping / self.bandwidth
-
-    def model_lag(self, joint: AntagonisticJoint) -> Any:
-        return self._lag
 
 
 def _decaying(damping: ArrayLike, phase: Array) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from mckibben.actuator.base import Actuator, AirState, AirVolume, Attainable, Scalar, lag_fraction
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
@@ -27,8 +28,7 @@ from mckibben.muscle.air import (
     mass_flow,
     pressure_rate,
 )
-from mckibben.numerics.elementary import floating
-from mckibben.plant.actuator import Actuator, AirState, AirVolume, Scalar
+from mckibben.numerics.elementary import exp, floating
 from mckibben.units import (
     Conductance,
     Percent,
@@ -41,6 +41,12 @@ from mckibben.units import (
     bar,
     ms,
 )
+
+_LEAST_RATE = 1e3  # Pa/s: of a model at the pressure of the supply, or without pressure
+_FASTER = 0.5  # lag of the command relative to that of the pressure that it serves
+
+_LEAST_RATE = 1e3  # Pa/s: of a model at the pressure of the supply, or without pressure
+_FASTER = 0.5  # lag of the command relative to that of the pressure that it serves
 
 PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
 DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
@@ -109,9 +115,9 @@ class AirValve(Actuator):
         """Return the time derivative of the state."""
 
     @property
-    @abc.abstractmethod
-    def lag(self) -> ArrayLike:
+    def command_lag(self) -> ArrayLike:
         """Time constant [s] of the command before the loop of the pressure; 0 for none."""
+        return 0.0
 
     def fastest_rate(self, stroke: float) -> float:
         """Return a bound on the rates [1/s] of valve and loop, where a pressure strokes by `stroke` [Pa/s]."""
@@ -190,9 +196,67 @@ class AirValve(Actuator):
         needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
         full = jnp.where(needed > 0, 1.0, -1.0)
         share = needed / self.flow(full, self.supply + ATMOSPHERE, pressure)
-        command = pressure + self.band * full * share + self.lag * rate
+        command = pressure + self.band * full * share + self.command_lag * rate
         possible = (share >= 0) & (share <= 1) & (jnp.asarray(pressure) <= self.supply)
         return jnp.where(possible, command, full * jnp.inf)
+
+    def init_model(self, pressure: Scalar) -> Scalar:
+        """Return the command [Pa] after its lag; spool and modulation are left out of the model."""
+        return floating(pressure)
+
+    def predict(
+        self, pressure: Scalar, state: Scalar, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
+    ) -> tuple[Scalar, Scalar]:
+        slowest, fastest, drift = self._rates(pressure, air)
+        following = state + lag_fraction(self.command_lag, duration) * (command - state)
+        error = (state + following) / 2 - pressure
+        rate = jnp.where(error > 0, fastest, -slowest)  # of the open valve
+        lag = self.band / rate
+        full = jnp.clip(jnp.abs(error) / rate - lag, 0.0, duration)  # time [s] with a fully open valve
+        rest = error - jnp.sign(error) * rate * full
+        share = 1 - exp((full - duration) / lag)
+        return pressure + (error - rest) + rest * share + drift * lag * (
+            1 - exp(-jnp.asarray(duration) / lag)
+        ), following
+
+    def attainable(
+        self,
+        pressure: Scalar,
+        state: Scalar,
+        commands: tuple[ArrayLike, ArrayLike],
+        air: AirVolume | None,
+        duration: ArrayLike,
+    ) -> Attainable:
+        slowest, fastest, drift = self._rates(pressure, air)
+        one = jnp.ones_like(pressure)
+        return Attainable(one, (slowest + drift) * duration, (fastest + drift) * duration)
+
+    def command_toward(
+        self,
+        pressure: Scalar,
+        state: Scalar,
+        target: ArrayLike,
+        air: AirVolume | None,
+        lag: ArrayLike,
+        period: ArrayLike,
+    ) -> Scalar:
+        slowest, fastest, drift = self._rates(pressure, air)
+        rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
+        flow = jnp.clip(rate - drift, slowest, fastest)  # as a rate of the pressure [Pa/s]
+        opening = flow / jnp.where(flow > 0, fastest, -slowest)
+        wanted = pressure + period / 2 * (flow + drift) + self.band * opening
+        lead = lag_fraction(_FASTER * jnp.asarray(lag), period) / lag_fraction(self.command_lag, period)
+        return state + lead * (wanted - state)
+
+    def _rates(self, pressure: Scalar, air: AirVolume | None) -> tuple[Scalar, Scalar, Scalar]:
+        """Rates [Pa/s] by the open valve, to the exhaust and from the full supply, and by the motion of the muscle."""
+        assert air is not None
+        index, absolute = self.polytropic_index, pressure + ATMOSPHERE
+        room = 1 / air.effective(index, absolute)
+        vent, fill = (self.flow(opening, self.supply + ATMOSPHERE, pressure) for opening in (-1.0, 1.0))
+        per_flow = index * ENERGY * room
+        slowest, fastest = jnp.minimum(per_flow * vent, -_LEAST_RATE), jnp.maximum(per_flow * fill, _LEAST_RATE)
+        return slowest, fastest, -index * absolute * air.rate * room
 
     def model_lag(self, joint: AntagonisticJoint) -> Any:
         """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""
@@ -212,7 +276,7 @@ class AirValve(Actuator):
         fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside, np)
         vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
         mass = self.band * (volume + self.dead_volume) / (self.polytropic_index * ENERGY)  # of a band
-        return self.lag + mass * (1 / fill + 1 / vent) / 2
+        return self.command_lag + mass * (1 / fill + 1 / vent) / 2
 
     def fastest_rate_in(self, volume: float) -> float:
         """Return a bound on the rates [1/s] of the air in a volume [m^3], of valve, loop and reservoir."""
@@ -266,10 +330,6 @@ class FlowValve(AirValve):
     compensation: Compensation = eqx.field(kw_only=True, default=0.9)
     direct: bool = eqx.field(kw_only=True, default=False, static=True)
 
-    @property
-    def lag(self) -> ArrayLike:
-        return 0.0
-
     def fastest_rate(self, stroke: float) -> float:
         lag = float(self.spool_lag)
         loop = 0.0 if self.direct else (stroke / (float(self.band) * lag)) ** 0.5
@@ -309,7 +369,7 @@ class PressureRegulator(AirValve):
     time_constant: ValveTime = eqx.field(kw_only=True)
 
     @property
-    def lag(self) -> ArrayLike:
+    def command_lag(self) -> ArrayLike:
         return self.time_constant
 
     def fastest_rate(self, stroke: float) -> float:
@@ -362,8 +422,8 @@ class SwitchingValves(AirValve):
             check_within("SwitchingValves", 0.0, self.period, "s", opening_delay=self.opening_delay)
 
     @property
-    def lag(self) -> ArrayLike:
-        return 0.0
+    def command_lag(self) -> ArrayLike:
+        return self.period / 2  # until the next period begins
 
     def init(self, pressure: Scalar) -> Switching:
         zero = jnp.zeros_like(floating(pressure))

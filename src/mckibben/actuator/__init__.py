@@ -1,0 +1,20 @@
+"""Actuators: the pressure in a muscle as a response to its command; of the plant, and of a controller's model."""
+
+from mckibben.actuator.air_valve import AirValve, FlowValve, PressureRegulator, SwitchingValves
+from mckibben.actuator.base import Actuator, AirState, AirVolume
+from mckibben.actuator.second_order_valve import SecondOrderValve
+from mckibben.actuator.valve import FirstOrderValve, IdealValve, Valve
+
+__all__ = [
+    "Actuator",
+    "AirState",
+    "AirValve",
+    "AirVolume",
+    "FirstOrderValve",
+    "FlowValve",
+    "IdealValve",
+    "PressureRegulator",
+    "SecondOrderValve",
+    "SwitchingValves",
+    "Valve",
+]

@@ -1,0 +1,142 @@
+"""Prediction over a known delay of the commands."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.actuator.base import delay_periods
+from mckibben.component.base import Inherited
+from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.model_based import Estimates, ModelBasedControl
+from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.geometry import Pair
+from mckibben.units import CommandDelay
+
+Scalar = Float[Array, ""]
+
+_MOST_STEPS = 8  # of the prediction
+
+
+def _plant_delay(scope: Mapping[str, Any]) -> Any:
+    """Delay of the plant's commands [s]."""
+    found = scope.get("command_delay")
+    return 0.0 if found is None else found
+
+
+class DelayState(NamedTuple):
+    """State of the inner controller, estimates at the last sample, and commands [Pa] on their way, the last first."""
+
+    inner: Any
+    estimates: Estimates
+    sent: tuple[Pair, ...]
+
+
+class DelayCompensation(ModelBasedControl):
+    r"""Wrapper that gives a controller the measurement to be expected when its commands arrive.
+
+    A command arrives at the valves after the delay d. An observer estimates motion, pressures and disturbance from the
+    measurement and the commands that have arrived; the model then predicts angle and pressures over d with the commands
+    on their way. The controller gets these in place of the measurement, and the setpoint of the angle extrapolated over
+    d by the derivatives of its samples:
+
+    .. math:: \theta_r(t + d) \approx \theta_r + d\,\dot\theta_r + \tfrac12 d^2\,\ddot\theta_r
+
+    It is therefore tuned as without a delay, which need not be a multiple of the control period.
+
+    Parameters
+    ----------
+    controller
+        Any controller.
+    command_delay
+        d [s]: time from a command to the valves; in a file, by default, that of the plant.
+    model, load, valve
+        Models of the joint, its load and its valves.
+    observer, pressure_observer
+        As for `DecouplingControl`. The disturbance is constant over the prediction.
+
+    References
+    ----------
+    O. J. M. Smith, A controller to overcome dead time, ISA Journal 6, 1959; with a state observer, so that disturbances
+    and unstable loads are predicted too: A. Z. Manitius and A. W. Olbrot, Finite spectrum assignment problem for
+    systems with delays, IEEE Trans. Automatic Control 24, 1979.
+    """
+
+    short_name = "delay_compensation"
+
+    controller: Controller = eqx.field(kw_only=True)
+    command_delay: Annotated[CommandDelay, Inherited(_plant_delay)] = eqx.field(kw_only=True)
+    observer: Observer = ExtendedStateObserver()
+    pressure_observer: PressureObserver = PressureObserver()
+    periods: int = eqx.field(kw_only=True, default=0, static=True)
+
+    @property
+    def observers(self) -> tuple[Observer, PressureObserver]:
+        return self.observer, self.pressure_observer
+
+    def with_period(self, period: float) -> Self:
+        prepared = super().with_period(period)
+        return dataclasses.replace(prepared, periods=delay_periods(self.command_delay, period))
+
+    def init(self, measurement: Measurement) -> DelayState:
+        sent = (measurement.pressures,) * (self.periods + 1)
+        return DelayState(self.controller.init(measurement), self.init_estimates(measurement), sent)
+
+    def step(
+        self, state: DelayState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+    ) -> tuple[DelayState, Pair]:
+        delay = self.command_delay / jnp.asarray(period)
+        arrived = _means(state.sent, delay, delay + 1)
+        estimates, model = self.update(state.estimates._replace(commands=arrived), setpoint, measurement, period)[:2]
+        expected = self._predicted(model, estimates, state.sent, period)
+        reference, ahead = estimates.reference, jnp.asarray(self.command_delay)
+        angle = reference.angle + ahead * (reference.velocity + ahead / 2 * reference.acceleration)
+        inner, commands = self.controller.step(state.inner, setpoint._replace(angle=angle), expected, period)
+        return DelayState(inner, estimates, (commands, *state.sent[:-1])), commands
+
+    def telemetry(self, state: DelayState) -> dict[str, Scalar]:
+        return self.controller.telemetry(state.inner)
+
+    def _predicted(
+        self, model: AntagonisticJoint, estimates: Estimates, sent: tuple[Pair, ...], period: ArrayLike
+    ) -> Measurement:
+        """Angle [rad] and pressures [Pa] when the next command arrives."""
+        steps = min(self.periods, _MOST_STEPS)
+        if not steps:
+            return Measurement(estimates.motion.angle, estimates.pressures)
+        delay, step = self.command_delay / jnp.asarray(period), jnp.asarray(self.command_delay) / steps
+        pairs = [_means(sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
+        commands = jnp.stack([one for one, _ in pairs]), jnp.stack([other for _, other in pairs])
+
+        def advance(state: tuple[Scalar, Scalar, Pair, Any], commands: Pair) -> tuple[Any, None]:
+            angle, velocity, pressures, actuators = state
+            valves = self._valves(estimates.valves, angle, velocity, pressures, actuators)
+            following, actuators = valves.predict(commands, step)
+            middle = tuple((one + other) / 2 for one, other in zip(pressures, following, strict=True))
+            torque = model.torque(angle + step / 2 * velocity, (middle[0], middle[1])) + estimates.friction
+            acceleration = self.load.acceleration(angle, velocity, torque) + estimates.motion.disturbance
+            moved = angle + step * (velocity + step / 2 * acceleration)
+            return (moved, velocity + step * acceleration, following, actuators), None
+
+        motion = estimates.motion
+        start = motion.angle, motion.velocity, estimates.pressures, estimates.actuators
+        (angle, _, pressures, _), _ = lax.scan(advance, start, commands)
+        return Measurement(angle, pressures)
+
+
+def _means(sent: tuple[Pair, ...], newest: ArrayLike, oldest: ArrayLike) -> Pair:
+    """Mean commands [Pa] between two ages, in control periods; the last sent has an age of up to 1."""
+    span = jnp.maximum(jnp.asarray(oldest) - newest, 1e-9)
+    shares = [
+        jnp.clip((jnp.minimum(oldest, age + 1.0) - jnp.maximum(newest, float(age))) / span, 0.0, 1.0)
+        for age in range(len(sent))
+    ]
+    weighed = [(share * one, share * other) for share, (one, other) in zip(shares, sent, strict=True)]
+    return sum((one for one, _ in weighed), jnp.zeros(())), sum((other for _, other in weighed), jnp.zeros(()))

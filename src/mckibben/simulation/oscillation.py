@@ -1,0 +1,116 @@
+"""Detection of limit cycles: sustained oscillations of the angle that the reference does not ask for."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.numerics.compiled import compiled
+from mckibben.units import deg
+
+Scalar = Float[Array, ""]
+
+_SWING = 0.2 * deg  # between two turning points; smaller ones are noise
+_SUSTAINED = 0.7  # least swing, relative to the one before
+_REGULAR = 2.0  # largest ratio of two consecutive half-periods
+_HALF_PERIODS = 8  # of a limit cycle, in a row
+_FASTER = 0.6  # largest period of a limit cycle, relative to the mean period of the reference
+
+
+class Chain(NamedTuple):
+    """Regular swings in a row: their number, and the sums of their sizes [rad] and durations [control periods]."""
+
+    number: Scalar
+    size: Scalar
+    duration: Scalar
+
+
+class Swings(NamedTuple):
+    """Turning points of a signal so far; times in control periods."""
+
+    direction: Scalar  # 1 upwards, -1 downwards
+    extreme: Scalar  # since the last turning point
+    extreme_at: Scalar
+    last: Scalar  # turning point
+    last_at: Scalar
+    size: Scalar  # of the last swing
+    duration: Scalar
+    total: Scalar  # number of turning points
+    chain: Chain
+    longest: Chain
+
+    @classmethod
+    def empty(cls, like: Array) -> Swings:
+        """Return the state before the first sample, with the float type of `like`."""
+        zero = jnp.zeros_like(like)
+        none = Chain(zero, zero, zero)
+        return cls(zero + 1, zero, zero, zero, zero, zero, zero, zero, none, none)
+
+    def after(self, value: ArrayLike, index: ArrayLike) -> Swings:
+        """Return the state after the sample of a control period."""
+        value, at = jnp.asarray(value), jnp.asarray(index, self.extreme.dtype)
+        first = at == 0
+        further = first | (self.direction * (value - self.extreme) >= 0)
+        turned = ~first & (self.direction * (self.extreme - value) >= _SWING)
+        size, duration = jnp.abs(self.extreme - self.last), self.extreme_at - self.last_at
+        even = jnp.maximum(duration, self.duration) <= _REGULAR * jnp.minimum(duration, self.duration)
+        goes_on = even & (size >= _SUSTAINED * self.size)
+        chain = Chain(
+            jnp.where(goes_on, self.chain.number, 0.0) + 1,
+            jnp.where(goes_on, self.chain.size, 0.0) + size,
+            jnp.where(goes_on, self.chain.duration, 0.0) + duration,
+        )
+        longer = turned & (chain.number > self.longest.number)
+        start = jnp.where(first, value, self.last)
+        return Swings(
+            direction=jnp.where(turned, -self.direction, self.direction),
+            extreme=jnp.where(further | turned, value, self.extreme),
+            extreme_at=jnp.where(further | turned, at, self.extreme_at),
+            last=jnp.where(turned, self.extreme, start),
+            last_at=jnp.where(turned, self.extreme_at, self.last_at),
+            size=jnp.where(turned, size, self.size),
+            duration=jnp.where(turned, duration, self.duration),
+            total=self.total + turned,
+            chain=Chain(*(jnp.where(turned, new, old) for new, old in zip(chain, self.chain, strict=True))),
+            longest=Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True))),
+        )
+
+
+class LimitCycle(NamedTuple):
+    """Amplitude [rad] and period [s] of a limit cycle; 0 and NaN if there is none."""
+
+    amplitude: Scalar
+    period: Scalar
+
+
+def limit_cycle(error: Swings, reference: Swings, periods: int, period: ArrayLike) -> LimitCycle:
+    """Return the limit cycle of a run of so many control periods [s], from the swings of angle error and reference.
+
+    At least four periods in a row, of swings that do not decay and of similar duration, faster than the reference. In
+    a streaming form of T. Hagglund, A control-loop performance monitor, Control Engineering Practice 3, 1995.
+    """
+    chain = error.longest
+    cycle = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
+    of_reference = 2 * periods / jnp.maximum(reference.total, 1e-9)
+    found = (chain.number >= _HALF_PERIODS) & (cycle < _FASTER * of_reference)
+    amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
+    return LimitCycle(jnp.where(found, amplitude, 0.0), jnp.where(found, cycle * period, jnp.nan))
+
+
+def find_limit_cycle(angle: ArrayLike, desired: ArrayLike, period: ArrayLike) -> LimitCycle:
+    """Return the limit cycle of a run, from angle and reference [rad] of each control period [s]; shape (periods,)."""
+    angle, desired = jnp.asarray(angle), jnp.asarray(desired)
+
+    def following(swings: tuple[Swings, Swings], at: tuple[Array, Array, Array]) -> tuple[tuple[Swings, Swings], None]:
+        index, angle, desired = at
+        return (swings[0].after(angle - desired, index), swings[1].after(desired, index)), None
+
+    empty = Swings.empty(angle[0])
+    swings = lax.scan(following, (empty, empty), (jnp.arange(angle.size), angle, desired))[0]
+    return limit_cycle(*swings, angle.size, period)
+
+
+compiled_limit_cycle = compiled(find_limit_cycle)
