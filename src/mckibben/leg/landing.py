@@ -21,6 +21,7 @@ from mckibben.leg.simulate import simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
+from mckibben.simulation.result import attributes
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_arrays, read_header, unpack_arrays
 from mckibben.units import bar, deg, mm, ms
 
@@ -393,7 +394,7 @@ def _table(
 
     dims = ("valve", "drop", "stiffness", "draw")
     columns = {
-        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), {"units": LEG_UNITS[name]})
+        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), attributes(name, LEG_UNITS))
         for name in LegMetrics._fields
     }
     coords = {

@@ -14,12 +14,13 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.errors import SimulationError
 from mckibben.leg.control import LegController
-from mckibben.leg.metrics import LEG_UNITS, SAMPLE_UNITS, LegMetrics, MetricSums
+from mckibben.leg.metrics import LEG_UNITS, LegMetrics, MetricSums
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.notebook import Progress
 from mckibben.simulation.engine import BatchFunction, compute_chunks, run_alone
 from mckibben.simulation.loop import Record, control_period, initial_loop
 from mckibben.simulation.problem import sampling_times, single_run, split_runs
+from mckibben.simulation.result import variables
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -154,12 +155,8 @@ def simulate_legs(
     )
     import xarray as xr
 
-    table: dict[str, Any] = {}
-    for name, values in joined._asdict().items():
-        dims = ("joint", "run") if isinstance(values, tuple) else ("run",)
-        table[name] = (dims, np.stack(values) if isinstance(values, tuple) else values, {"units": LEG_UNITS[name]})
     finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)
-    table["diverged"] = ("run", ~finite, {"long_name": "whether the run diverged"})
+    table = variables(joined._asdict() | {"diverged": ~finite}, "run", lambda _: "joint", LEG_UNITS)
     coords = {"joint": [joint.name for joint in plant.leg.joints]}
     return xr.Dataset(table, coords=coords, attrs={"engine": used})
 
@@ -174,16 +171,9 @@ def _run(given: Any, lane: Any) -> LegMetrics:
 def _table(plant: LegPlant, record: Record, times: Any) -> xr.Dataset:
     import xarray as xr
 
-    columns: dict[str, Any] = {}
-    joints = [joint.name for joint in plant.leg.joints]
-    given = record.state._asdict() | {"command": record.commands, "saturated": record.limited}
+    given = record.state._asdict() | {"command": record.commands, "saturated": record.limited} | record.telemetry
     of_joints = ("angle", "velocity", "stop_torque")
-    for name, values in given.items():
-        about = {"units": SAMPLE_UNITS[name]} if name in SAMPLE_UNITS else {}
-        if isinstance(values, tuple):
-            columns[name] = (("joint" if name in of_joints else "muscle", "time"), np.stack(values), about)
-        else:
-            columns[name] = ("time", values, about)
-    columns |= {name: ("time", values) for name, values in record.telemetry.items()}
+    columns = variables(given, "time", lambda name: "joint" if name in of_joints else "muscle", LEG_UNITS)
+    joints = [joint.name for joint in plant.leg.joints]
     coords = {"time": ("time", times, {"units": "s"}), "joint": joints, "muscle": list(plant.leg.muscle_names)}
     return xr.Dataset(columns, coords=coords)
