@@ -217,10 +217,6 @@ class LegPlant(Plant):
             outside=~functools.reduce(operator.and_, inside),
         )
 
-    def begin(self, start: LegStart) -> LegState:
-        """Return the state of a start; raises as `init_state`."""
-        return self.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
-
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
         leg, ground = self.leg, self.ground
@@ -269,30 +265,38 @@ class LegPlant(Plant):
             If there is not one angle for each joint and one pressure for each muscle, an angle is beyond its stop, or
             the foot is in the ground.
         """
+        return self.begin(LegStart(tuple(angles), tuple(pressures), clearance, upward_speed))
+
+    def check_start(self, start: LegStart) -> None:
+        """Raise `RangeError` where the plain numbers of a start are not possible, as by `init_state`."""
         leg = self.leg
-        _check_count("angles", len(angles), [joint.name for joint in leg.joints])
-        _check_count("pressures", len(pressures), leg.muscle_names)
-        for joint, angle in zip(leg.joints, angles, strict=True):
+        _check_count("angles", len(start.angles), [joint.name for joint in leg.joints])
+        _check_count("pressures", len(start.pressures), leg.muscle_names)
+        for joint, angle in zip(leg.joints, start.angles, strict=True):
             _check_angle(joint, angle)
         supply = getattr(self.valve, "supply", None)
-        for name, muscle, pressure in zip(leg.muscle_names, leg.muscles, pressures, strict=True):
+        for name, muscle, pressure in zip(leg.muscle_names, leg.muscles, start.pressures, strict=True):
             highest = muscle.specimen.domain.pressure_max
             _check_pressure(name, pressure, highest)
             _check_pressure(f"{name} (supply)", pressure, highest if supply is None else supply)
-        check_positive("LegPlant", "m", zero=True, clearance=clearance)
-        if leg.trunk.freedom == "fixed" and np.any(known_numbers("LegPlant", "upward_speed", upward_speed)):
+        check_positive("LegPlant", "m", zero=True, clearance=start.clearance)
+        if leg.trunk.freedom == "fixed" and np.any(known_numbers("LegPlant", "upward_speed", start.upward_speed)):
             raise RangeError(
                 "a fixed trunk has no speed",
                 field="upward_speed",
-                value=upward_speed,
+                value=start.upward_speed,
                 remedy="give the trunk the freedom vertical, planar or free",
             )
-        held = tuple(map(floating, leg.held(angles)))
-        zero, speed = jnp.zeros(()), floating(upward_speed)
+
+    def begin(self, start: LegStart) -> LegState:
+        self.check_start(start)
+        leg = self.leg
+        held = tuple(map(floating, leg.held(start.angles)))
+        zero, speed = jnp.zeros(()), floating(start.upward_speed)
         posture = Posture(zero, zero, zero, held)
         velocity = Velocity(zero, speed, zero, tuple(zero for _ in held))
-        posture = posture._replace(z=floating(clearance) - contact(leg, frames(leg, posture, velocity)).z)
-        inside = tuple(map(floating, pressures))
+        posture = posture._replace(z=floating(start.clearance) - contact(leg, frames(leg, posture, velocity)).z)
+        inside = tuple(map(floating, start.pressures))
         muscles = (MuscleState((), ()),) * len(inside)
         return self.complete_state(LegState(posture, velocity, inside, muscles))
 

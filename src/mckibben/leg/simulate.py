@@ -88,9 +88,8 @@ def simulate_leg(
     """
     times = sampling_times(duration, control_period, substeps)
     run = single_run(LegProblem(plant, controller, start), control_period, "simulate_legs")
-    plant, controller = plant.with_period(control_period), controller.with_period(control_period)
-    initial_loop(plant, controller, start)  # raises, where numbers are plain
-    run.plant.check_substeps(run.start.angles, None, control_period, substeps)
+    plant.check_start(start)
+    plant.check_substeps(start.angles, None, control_period, substeps)
     record, used = run_alone(engine, run.plant, run.controller, times, run.start, np.asarray(control_period), substeps)
     table = _table(plant, jax.tree.map(np.asarray, record), times).assign_attrs(engine=used)
     wrong = ~np.isfinite(table["z"].to_numpy())
