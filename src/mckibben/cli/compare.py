@@ -146,6 +146,8 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
 
 def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
     """Write and print the errors over the runs of all setups."""
+    from mckibben.study.benchmark.statistics import FAILED, failed_runs
+
     write_json(out / "results.json", numbers)
     if json:
         echo(to_json(numbers))
@@ -155,14 +157,14 @@ def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
             continue
         table(
             f"all setups, {title}",
-            ("controller", "angle rmse, deg", "95 %", "against the first", "95 % interval", "air, L", "diverged"),
+            ("controller", "angle rmse, deg", "95 %", "against the first", "95 % interval", "air, L", FAILED),
             [
                 (
                     name,
                     *(metric("angle_rmse_deg", each["metrics"]["angle_rmse_deg"][what]) for what in _SPREAD),
                     *_ratios(each["ratio_to_first"])[:2],
                     metric("air_L", each["metrics"]["air_L"]["median"]),
-                    str(each["diverged"]),
+                    failed_runs(each),
                 )
                 for name, each in numbers["pooled"][key].items()
             ],
@@ -170,6 +172,8 @@ def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
 
 
 def _tables(numbers: dict[str, Any]) -> None:
+    from mckibben.study.benchmark.statistics import FAILED, failed_runs
+
     found = numbers["controllers"]
 
     def cell(each: dict[str, Any], key: str, what: str) -> str:
@@ -178,9 +182,9 @@ def _tables(numbers: dict[str, Any]) -> None:
 
     table(
         f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} unseen runs",
-        ("controller", *(title for title, _, _ in _COLUMNS), "diverged"),
+        ("controller", *(title for title, _, _ in _COLUMNS), FAILED),
         [
-            (name, *(cell(found[name], key, what) for _, key, what in _COLUMNS), str(found[name]["diverged"]))
+            (name, *(cell(found[name], key, what) for _, key, what in _COLUMNS), failed_runs(found[name]))
             for name in numbers["order"]
         ],
     )
@@ -193,14 +197,14 @@ def _tables(numbers: dict[str, Any]) -> None:
     if at_air := numbers["at_air_of_first"]:
         table(
             f"at no more air than the tuned {first} ({metric('air_L', at_air['air_L'])} L in the training runs)",
-            ("controller", "angle rmse, deg", "95 %", f"x {first}", "95 % interval", "air, L", "diverged"),
+            ("controller", "angle rmse, deg", "95 %", f"x {first}", "95 % interval", "air, L", FAILED),
             [
                 (
                     name,
                     *(cell(each, "angle_rmse_deg", what) for what in ("median", "percentile_95")),
                     *_ratios(each["ratio_to_first"])[:2],
                     cell(each, "air_L", "median"),
-                    str(each["diverged"]),
+                    failed_runs(each),
                 )
                 for name, each in at_air["controllers"].items()
             ],

@@ -1,11 +1,11 @@
-"""`mckibben plan`, `mckibben stiffness` and `mckibben envelope`."""
+"""`mckibben plan`, `mckibben stiffness`, `mckibben margins` and `mckibben envelope`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
 from mckibben.cli.options import (
     Column,
@@ -31,7 +31,7 @@ from mckibben.cli.options import (
 )
 from mckibben.errors import ParameterError, UnitError
 from mckibben.storage.files import to_json, write_json
-from mckibben.units import deg, mm, quantity
+from mckibben.units import deg, mm, ms, quantity
 
 if TYPE_CHECKING:
     from mckibben.experiment_design import ExperimentPlan
@@ -219,6 +219,64 @@ def stiffness(
         echo(found.describe())
     if out:
         notify(f"kept results.json and stiffness.png and .svg in {out}", json)
+
+
+def margins(
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
+    points: Annotated[int, Option(min=1, max=1000, help="Operating points along the reference.")] = 20,
+    json: Json = False,
+    out: Out = None,
+    force: Force = False,
+) -> None:
+    """Compute the stability margins of the sampled loop at operating points along the reference."""
+    results_folder(out, ("results.json", "margins.png", "margins.svg"), force)
+    import numpy as np
+
+    from mckibben.scenario import Scenario
+    from mckibben.simulation import margins as compute
+
+    read = Scenario.read(scenario)
+    plant = read.plant()
+    settings = {"duration": read.duration, "control_period": read.control_period, "substeps": read.substeps}
+    found = compute(plant, read.control(), read.reference(), read.initial(plant), points=points, **settings)
+    shown = {
+        "gain": (found.gain, 1.0, "1"),
+        "phase_deg": (found.phase, deg, "deg"),
+        "delay_ms": (found.delay, ms, "ms"),
+        "disk": (found.disk, 1.0, "1"),
+    }
+    numbers = {
+        "scenario": read.name,
+        "stable": bool((found.radius < 1).all()),
+        "time_s": found.time.tolist(),
+        "largest_pole": found.radius.tolist(),
+        "margins": {name: (values / unit).tolist() for name, (values, unit, _) in shown.items()},
+    }
+    if out:
+        from mckibben.report.style import save
+        from mckibben.report.tracking import margins as draw
+
+        with keeping(out):
+            write_json(out / "results.json", numbers)
+            save(draw(found), out, "margins")
+    if json:
+        echo(to_json(numbers))
+    else:
+        rows = [
+            (name, f"{values.min() / unit:.3g}", f"{np.median(values) / unit:.3g}", symbol, f"{time:.3g} s")
+            for name, (values, unit, symbol) in shown.items()
+            for time in [found.time[values.argmin()]]
+        ]
+        table(f"{read.name}: stability margins", ("margin", "least", "median", "unit", "least at"), rows)
+        unstable = found.time[found.radius >= 1]
+        if unstable.size:
+            echo(f"unstable at {unstable.size} of {found.time.size} points, first at {unstable[0]:.3g} s")
+        else:
+            echo(f"stable at all {found.time.size} points; largest pole {found.radius.max():.4f} in discrete time")
+    if out:
+        notify(f"kept results.json and margins.png and .svg in {out}", json)
+    if (found.radius >= 1).any():
+        raise Exit(1)
 
 
 def envelope(

@@ -16,6 +16,7 @@ from mckibben.component.base import Inherited
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.model_based import Estimates, ModelBasedControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.errors import ParameterError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
 from mckibben.units import CommandDelay
@@ -75,7 +76,7 @@ class DelayCompensation(ModelBasedControl):
     command_delay: Annotated[CommandDelay, Inherited(_plant_delay)] = eqx.field(kw_only=True)
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
-    periods: int = eqx.field(kw_only=True, default=0, static=True)
+    periods: int | None = eqx.field(kw_only=True, default=None, static=True)
 
     @property
     def observers(self) -> tuple[Observer, PressureObserver]:
@@ -86,6 +87,11 @@ class DelayCompensation(ModelBasedControl):
         return dataclasses.replace(prepared, periods=delay_periods(self.command_delay, period))
 
     def init(self, measurement: Measurement) -> DelayState:
+        if self.periods is None:
+            raise ParameterError(
+                "DelayCompensation: the control period is unknown, and with it the commands on their way",
+                remedy="use controller.with_period(period)",
+            )
         sent = (measurement.pressures,) * (self.periods + 1)
         return DelayState(self.controller.init(measurement), self.init_estimates(measurement), sent)
 
@@ -108,7 +114,7 @@ class DelayCompensation(ModelBasedControl):
         self, model: AntagonisticJoint, estimates: Estimates, sent: tuple[Pair, ...], period: ArrayLike
     ) -> Measurement:
         """Angle [rad] and pressures [Pa] when the next command arrives."""
-        steps = min(self.periods, _MOST_STEPS)
+        steps = min(len(sent) - 1, _MOST_STEPS)
         if not steps:
             return Measurement(estimates.motion.angle, estimates.pressures)
         delay, step = self.command_delay / jnp.asarray(period), jnp.asarray(self.command_delay) / steps

@@ -21,7 +21,14 @@ from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, me
 from mckibben.report.page import write_report
 from mckibben.report.study import planned, sweep, tuning
 from mckibben.report.style import house_style, save
-from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories, tracking
+from mckibben.report.tracking import (
+    control_results,
+    controller_comparison,
+    error_curves,
+    gain_histories,
+    margins,
+    tracking,
+)
 
 __all__ = [
     "ReportFigure",
@@ -50,6 +57,7 @@ __all__ = [
     "law_comparison",
     "leg_player",
     "loops",
+    "margins",
     "measured_muscles",
     "planned",
     "profile_likelihood",

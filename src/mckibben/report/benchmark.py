@@ -18,6 +18,7 @@ from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of,
 from mckibben.report.tables import Table, number
 from mckibben.report.tracking import tracking
 from mckibben.study.benchmark import BenchmarkResult
+from mckibben.study.benchmark.statistics import FAILED, failed_runs
 from mckibben.units import deg
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
@@ -194,11 +195,11 @@ def _ranking(numbers: Mapping[str, Any]) -> Table:
     for name in numbers["order"]:
         found = numbers["controllers"][name]
         settled = f"{found['settled']['runs']} of {found['settled']['of']}"
-        rows.append((name, str(found["diverged"]), *_cells(found, _ERROR_COLUMNS), settled))
+        rows.append((name, failed_runs(found), *_cells(found, _ERROR_COLUMNS), settled))
     return Table(
         "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors refer to "
         "the plant's stiffness; coupling and settling refer to stiffness steps.",
-        ("controller", "diverged", *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
+        ("controller", FAILED, *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
         rows,
     )
 
@@ -238,13 +239,13 @@ def _at_air(numbers: Mapping[str, Any]) -> Table | None:
     first = next(iter(numbers["controllers"]))
     columns = (*_ERROR_COLUMNS[:3], _EFFORT_COLUMNS[2])
     rows = [
-        (name, str(found["diverged"]), *_cells(found, columns), _ratio(found["ratio_to_first"]["angle_rmse_deg"]))
+        (name, failed_runs(found), *_cells(found, columns), _ratio(found["ratio_to_first"]["angle_rmse_deg"]))
         for name, found in at_air["controllers"].items()
     ]
     return Table(
         f"At the air of {first}: the trial of each tuning with the lowest angle error at no more than "
         f"{number(at_air['air_L'])} L (medians of the training runs), on the unseen runs; ratio to {first} as tuned.",
-        ("controller", "diverged", *(title for title, _, _ in columns), f"angle rmse / {first}"),
+        ("controller", FAILED, *(title for title, _, _ in columns), f"angle rmse / {first}"),
         rows,
     )
 

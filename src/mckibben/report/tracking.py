@@ -23,6 +23,7 @@ from mckibben.report.style import (
     GREEN,
     PURPLE,
     SKY,
+    VERMILLION,
     blank,
     draw_band,
     legend_above,
@@ -30,10 +31,11 @@ from mckibben.report.style import (
     log_ticks,
     looks_of,
     note_off_scale,
+    plain_numbers,
     robust_limits,
     styled,
 )
-from mckibben.simulation import Result
+from mckibben.simulation import Margins, Result
 from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_band
 from mckibben.units import bar, deg
 
@@ -351,3 +353,26 @@ def _dots(
     axes.set_xscale("log")
     axes.set_xlim(smallest / 1.6, end)
     log_ticks(axes.xaxis, *(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,))
+
+
+@styled
+def margins(found: Margins) -> Figure:
+    """Loci of the open loop at the operating point of least disk margin, and the sensitivity at all points."""
+    figure = blank(DOUBLE, 3.0)
+    nyquist, bode = figure.subplots(1, 2)
+    worst = int(found.disk.argmin())
+    for locus in found.loci[worst].T:
+        nyquist.plot(locus.real, locus.imag, ".", color=BLUE, markersize=1.5)
+    turn = np.linspace(0, 2 * np.pi, 200)
+    nyquist.plot(np.cos(turn), np.sin(turn), color="0.7", linewidth=0.6)
+    nyquist.plot(-1, 0, "+", color=VERMILLION)
+    nyquist.set(xlim=(-3, 2), ylim=(-2.5, 2.5), aspect="equal", xlabel="real part", ylabel="imaginary part")
+    letter(nyquist, 0, f"open loop at {found.time[worst]:.3g} s")
+    for row, values in enumerate(found.sensitivity):
+        look = {"color": BLUE, "zorder": 3} if row == worst else {"color": "0.75", "linewidth": 0.6}
+        bode.loglog(found.frequency, values, **look)
+    bode.set(xlabel="frequency [Hz]", ylabel="largest singular value")
+    letter(bode, 1, "sensitivity at the commands")
+    plain_numbers(bode.xaxis)
+    plain_numbers(bode.yaxis)
+    return figure

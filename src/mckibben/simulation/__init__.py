@@ -18,6 +18,7 @@ from mckibben.simulation.metrics import (
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import Outcome, Result
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
+from mckibben.simulation.stability import Margins, margins
 
 __all__ = [
     "SETTLING_PART",
@@ -27,6 +28,7 @@ __all__ = [
     "Derivatives",
     "DynamicStiffness",
     "Feasibility",
+    "Margins",
     "Metrics",
     "Mode",
     "Outcome",
@@ -41,6 +43,7 @@ __all__ = [
     "differentiate",
     "dynamic_stiffness",
     "episode",
+    "margins",
     "measure",
     "rms",
     "run_episode",

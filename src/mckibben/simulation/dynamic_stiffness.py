@@ -160,6 +160,7 @@ def dynamic_stiffness(
         )
     rates = 2 * np.pi / (each * _SAMPLES * control_period)
     control = controller or _ConstantCommands(openings=plant.valve.direct)
+    plant, control = plant.with_period(control_period), control.with_period(control_period)
     wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
     parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))
     found = [

@@ -14,7 +14,7 @@ from mckibben.units import deg
 Scalar = Float[Array, ""]
 
 _SWING = 0.2 * deg  # between two turning points; smaller ones are noise
-_SUSTAINED = 0.7  # least swing, relative to the one before
+_SUSTAINED = 0.55  # least swing, relative to the one before
 _REGULAR = 2.0  # largest ratio of two consecutive half-periods
 _HALF_PERIODS = 8  # of a limit cycle, in a row
 _FASTER = 0.6  # largest period of a limit cycle, relative to the mean period of the reference

@@ -279,6 +279,9 @@ class Result:
             commanded = np.isfinite(columns["command1"][last]) and np.isfinite(columns["command2"][last])
             cause = "too few substeps for this plant" if commanded else "commands of the controller that are not finite"
             return f"{sentence} after {times[last]:.4g} s; likely cause: {cause}"
+        if self.outcome is Outcome.LIMIT_CYCLE:
+            amplitude, period = self.metrics["oscillation_amplitude"] / deg, self.metrics["oscillation_period"]
+            sentence = f"{sentence}, by {amplitude:.3g} deg either way with a period of {period:.3g} s"
         peak = max(columns["force1"].max(), columns["force2"].max())
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"

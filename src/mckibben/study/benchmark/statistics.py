@@ -27,6 +27,15 @@ SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 _UNIT = {metric: unit for metric, _, unit in METRICS.values()}
 
 
+FAILED = "diverged + limit cycles"
+"""Title of `failed_runs`."""
+
+
+def failed_runs(found: Mapping[str, Any]) -> str:
+    """Return the numbers of diverged runs and of limit cycles of a controller, for tables."""
+    return f"{found['diverged']} + {found['limit_cycles']}"
+
+
 def statistics(result: BenchmarkResult) -> dict[str, Any]:
     """Statistics of a benchmark, for JSON, in the units of results."""
     names = list(result.batches)
@@ -62,6 +71,7 @@ def _pooled(results: Sequence[tuple[BenchmarkResult, BenchmarkResult]]) -> dict[
     return {
         name: {
             "diverged": sum(int(result.diverged(name).sum()) for result, _ in results),
+            "limit_cycles": sum(int(result.oscillates(name).sum()) for result, _ in results),
             "metrics": {SHOWN[metric]: _percentiles(all_runs(name, metric), _UNIT[metric]) for metric in TRADED},
             "ratio_to_first": {SHOWN[metric]: _ratio(all_runs(name, metric), tuned[metric]) for metric in MAIN},
         }
@@ -78,10 +88,11 @@ def _at_air(result: BenchmarkResult) -> dict[str, Any] | None:
 
 
 def _errors(result: BenchmarkResult, name: str, first: Batch) -> dict[str, Any]:
-    """Metrics and diverged runs of a controller, also by reference and joint, and its ratios to the first."""
+    """Metrics and failed runs of a controller, also by reference and joint, and its ratios to the first."""
     errors = {metric: result.metric(name, metric) for metric in MAIN}
     return {
         "diverged": int(result.diverged(name).sum()),
+        "limit_cycles": int(result.oscillates(name).sum()),
         "metrics": {
             SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
         },
@@ -119,7 +130,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
 def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
     """Pareto front of the trials (air, angle error) with their metrics [SI], by rising air.
 
-    Includes only trials in which no run diverged, with a stiffness error of at most 1.1 times that of the best trial.
+    Includes only trials in which no run failed, with a stiffness error of at most 1.1 times that of the best trial.
     """
     known = [(trial, trial.metrics) for trial in trials if trial.metrics]
     limit = stiffness_limit(trials)
@@ -146,7 +157,7 @@ def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
 
 
 def _best(trials: Sequence[Trial]) -> dict[str, float]:
-    """Metrics [SI] of the trial of lowest cost; empty if runs diverged in all trials."""
+    """Metrics [SI] of the trial of lowest cost; empty if runs failed in all trials."""
     known = [trial for trial in trials if trial.metrics]
     return min(known, key=lambda trial: (trial.cost, trial.point)).metrics or {} if known else {}
 
@@ -160,7 +171,7 @@ def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | N
 
 
 def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
-    """Ratio of the medians, with infinite errors in diverged runs, and its bootstrap interval."""
+    """Ratio of the medians, with infinite errors in failed runs, and its bootstrap interval."""
     values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
     generator, ratios = np.random.default_rng(0), np.empty(0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -186,6 +197,6 @@ def _by_group(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> d
 
 
 def _correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
-    """Rank correlation, with infinite errors in diverged runs."""
+    """Rank correlation, with infinite errors in failed runs."""
     found = spearman(condition, np.where(np.isfinite(error), error, np.inf))
     return float(found) if np.isfinite(found) else None

@@ -1,0 +1,122 @@
+"""Actuators as the model of a controller: prediction, attainable pressures, and commands."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mckibben.actuator import (
+    AirVolume,
+    FirstOrderValve,
+    FlowValve,
+    IdealValve,
+    PressureRegulator,
+    SecondOrderValve,
+    SwitchingValves,
+)
+from mckibben.actuator.base import lag_fraction
+from mckibben.units import bar, ms
+
+ATMOSPHERE, ENERGY, DENSITY = 1.01325e5, 288.0 * 293.15, 1.185
+C, SUPPLY, LAG, BAND, INDEX = 0.05e-8, 8 * bar, 20 * ms, 0.5 * bar, 1.2
+REGULATOR = PressureRegulator(C, SUPPLY, time_constant=LAG, band=BAND, polytropic_index=INDEX)
+VOLUME, GROWTH = 20e-6, 7e-6  # m^3, m^3/s
+AIR = AirVolume(jnp.asarray(VOLUME), jnp.asarray(GROWTH))
+LIMITS = (0.0, 6 * bar)
+PERIOD = 1 * ms
+
+
+def flow(opening, pressure):
+    """Mass flow by ISO 6358 [kg/s] at a gauge pressure [Pa], written anew."""
+    inlet, outlet = (SUPPLY, pressure) if opening > 0 else (pressure, 0.0)
+    ratio = (outlet + ATMOSPHERE) / (inlet + ATMOSPHERE)
+    share = math.sqrt(1 - (max(ratio - 0.3, 0.0) / 0.7) ** 2)
+    return opening * C * DENSITY * (inlet + ATMOSPHERE) * share
+
+
+def true_response(pressure, lagged, command, time):
+    def rate(t, y):
+        opening = min(max((y[1] - y[0]) / BAND, -1.0), 1.0)
+        volume = VOLUME + GROWTH * t
+        inflow = ENERGY * flow(opening, y[0]) - (y[0] + ATMOSPHERE) * GROWTH
+        return [INDEX / volume * inflow, (command - y[1]) / LAG]
+
+    return solve_ivp(rate, (0, time), [pressure, lagged], rtol=1e-9, atol=1e-3, max_step=1e-4).y[:, -1]
+
+
+@pytest.mark.parametrize("command", [1.0 * bar, 2.7 * bar, 5.0 * bar])
+def test_a_regulator_is_predicted_at_small_and_at_large_errors(command):
+    """Against the differential equations: venting and filling, choked and not, with a muscle that grows."""
+    start = 2.5 * bar
+    pressure, state = jnp.asarray(start), REGULATOR.init_model(jnp.asarray(start))
+    for k in range(40):
+        air = AirVolume(jnp.asarray(VOLUME + GROWTH * k * PERIOD), AIR.rate)
+        pressure, state = REGULATOR.predict(pressure, state, command, air, PERIOD)
+        true, lagged = true_response(start, start, command, (k + 1) * PERIOD)
+        assert float(pressure) == pytest.approx(true, abs=0.02 * abs(command - start))
+        assert float(state) == pytest.approx(lagged, rel=1e-6)
+
+
+@pytest.mark.parametrize("pressure", [0.3 * bar, 2.5 * bar, 5.0 * bar])
+def test_the_attainable_pressures_are_those_of_the_open_valve(pressure):
+    reach = REGULATOR.attainable(jnp.asarray(pressure), jnp.asarray(pressure), LIMITS, AIR, PERIOD)
+    for opening, limit in zip((-1.0, 1.0), reach(pressure), strict=True):
+        rate = INDEX / VOLUME * (ENERGY * flow(opening, pressure) - (pressure + ATMOSPHERE) * GROWTH)
+        assert float(limit) == pytest.approx(pressure + PERIOD * rate, rel=1e-9)
+
+
+@pytest.mark.parametrize("target", [2.45 * bar, 2.5 * bar, 2.53 * bar])
+def test_the_command_leads_the_pressure_to_a_target(target):
+    """With a lag of 8 ms: after 30 ms, 1 - exp(-30 / 8) of the way but for the lag of the command."""
+    pressure = jnp.asarray(2.5 * bar)
+    state = REGULATOR.init_model(pressure)
+    for _ in range(40):
+        command = REGULATOR.command_toward(pressure, state, target, AIR, 8 * ms, PERIOD)
+        pressure, state = REGULATOR.predict(pressure, state, command, AIR, PERIOD)
+    assert float(pressure) == pytest.approx(target, abs=0.004 * bar)
+
+
+def test_a_first_order_valve_covers_its_part_of_the_way_within_a_period():
+    valve, pressure = FirstOrderValve(20 * ms), jnp.asarray(2 * bar)
+    command = valve.command_toward(pressure, (), 3 * bar, None, 5 * ms, PERIOD)
+    following, _ = valve.predict(pressure, (), command, None, PERIOD)
+    assert float(following) == pytest.approx(2 * bar + (1 - math.exp(-0.2)) * bar, rel=1e-12)
+    lowest, highest = valve.attainable(pressure, (), LIMITS, None, PERIOD)(pressure)
+    for command, limit in zip(LIMITS, (lowest, highest), strict=True):
+        assert float(valve.pressure_after(pressure, command, PERIOD)) == pytest.approx(float(limit), rel=1e-12)
+
+
+def test_a_limited_rate_limits_what_is_attainable():
+    valve, pressure = FirstOrderValve(20 * ms, rate=10 * bar), jnp.asarray(2 * bar)
+    lowest, highest = valve.attainable(pressure, (), LIMITS, None, PERIOD)(pressure)
+    assert (float(lowest), float(highest)) == (pytest.approx(1.99 * bar), pytest.approx(2.01 * bar))
+    assert float(valve.predict(pressure, (), 6 * bar, None, PERIOD)[0]) == pytest.approx(2.01 * bar)
+
+
+@pytest.mark.parametrize(
+    "valve",
+    [
+        IdealValve(),
+        FirstOrderValve(20 * ms),
+        SecondOrderValve(60.0),
+        REGULATOR,
+        FlowValve(C, SUPPLY),
+        SwitchingValves(C, SUPPLY, period=10 * ms),
+    ],
+    ids=lambda valve: type(valve).__name__,
+)
+def test_at_its_target_a_pressure_stays(valve):
+    pressure, still = jnp.asarray(3 * bar), AirVolume(AIR.volume, jnp.zeros(()))
+    state = valve.init_model(pressure)
+    command = valve.command_toward(pressure, state, pressure, still, 8 * ms, PERIOD)
+    following, state = valve.predict(pressure, state, command, still, PERIOD)
+    assert float(following) == pytest.approx(3 * bar, rel=1e-12)
+    lowest, highest = valve.attainable(pressure, state, LIMITS, still, PERIOD)(pressure)
+    assert float(lowest) < 3 * bar < float(highest)
+
+
+def test_the_part_of_a_step_that_a_lag_covers():
+    assert float(lag_fraction(0.0, PERIOD)) == 1.0
+    np.testing.assert_allclose(lag_fraction(np.array([0.01, 0.1]), PERIOD), 1 - np.exp([-0.1, -0.01]), rtol=1e-12)

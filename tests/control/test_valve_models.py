@@ -1,0 +1,129 @@
+"""Controllers with a model of the valves, on valves that let air in, and with commands that arrive late."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.control import DelayCompensation, ExtendedStateObserver, PressureObserver
+from mckibben.errors import ReachabilityWarning
+from mckibben.muscle.air import L_PER_S_BAR
+from mckibben.plant import PressureRegulator, SampledSensors
+from mckibben.simulation import Outcome
+from mckibben.units import bar, deg, kPa, ms
+
+SINE = mk.Reference(angle=mk.Sine(6 * deg, 1.0, 0.0, np.pi / 2), stiffness=15.0)
+SENSORS = SampledSensors(encoder=0.022 * deg, pressure_noise=4 * kPa)
+VALVES = {  # by the conductance in L/(s*bar) and the lag
+    conductance: PressureRegulator(conductance * L_PER_S_BAR, 8 * bar, time_constant=lag)
+    for conductance, lag in ((0.4, 8 * ms), (0.12, 8 * ms), (0.05, 8 * ms), (0.025, 30 * ms))
+}
+
+
+def observers(bandwidth):
+    return {"observer": ExtendedStateObserver(3 * bandwidth, damping=2.0), "pressure_observer": PressureObserver(200.0)}
+
+
+@pytest.fixture(scope="module")
+def make(knee, load):
+    def make(kind, valve, bandwidth, **more):
+        given = observers(bandwidth) | {"valve": valve} | more
+        if kind == "predictive":
+            return mk.PredictiveControl(knee, load, bandwidth=bandwidth, **given)
+        return mk.DecouplingControl(knee, load, mk.PolePlacement(bandwidth, damping=2.5), **given)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def run(knee, load):
+    def run(valve, control, reference=SINE, **more):
+        plant = mk.JointPlant(knee, load, valve, sensors=SENSORS, **more)
+        return mk.simulate(plant, control, reference, duration=2.0)
+
+    return run
+
+
+def settled(result):
+    """RMS error of the angle [rad] after the start, which no command reaches in time."""
+    return float(np.sqrt(np.mean((result["angle"] - result["desired_angle"])[1000:] ** 2)))
+
+
+@pytest.mark.parametrize("kind", ["decoupling", "predictive"])
+@pytest.mark.parametrize("conductance", VALVES)
+def test_valves_with_air_are_controlled_as_well_as_lags(run, make, kind, conductance):
+    result = run(VALVES[conductance], make(kind, VALVES[conductance], 60.0))
+    assert not result.outcome.failed and result.outcome is not Outcome.LIMIT_CYCLE
+    assert result.metrics["angle_rmse"] < 0.15 * deg
+    assert result.metrics["stiffness_rmse"] < 0.1
+
+
+def test_with_a_lag_in_place_of_the_air_they_end_in_a_limit_cycle(run, make):
+    """The fault that the model of the valve mends, named in the result, with its amplitude and period."""
+    valve = VALVES[0.05]
+    result = run(valve, make("decoupling", mk.FirstOrderValve(20 * ms), 98.0))
+    assert result.outcome is Outcome.LIMIT_CYCLE
+    assert result.metrics["oscillation_amplitude"] > 1 * deg
+    assert 0.05 < result.metrics["oscillation_period"] < 0.5
+
+
+def test_a_step_too_fast_for_the_valves_is_braked_in_time(run, make):
+    """A regulator of 0.0091 L/(s*bar), as in the paper: bandwidths that its flow allows for small errors alone."""
+    valve = mk.catalog.valve("smc-itv0050", supply=8 * bar)
+    step = mk.Reference(angle=mk.Step(-8 * deg, 8 * deg, 0.1), stiffness=15.0)
+    for bandwidth in (20.0, 60.0):
+        result = run(valve, make("decoupling", valve, bandwidth), step)
+        assert result.outcome is not Outcome.LIMIT_CYCLE and not result.outcome.failed
+        assert result["angle"].max() < 9 * deg
+        assert abs(result["angle"][-1] - 8 * deg) < 0.3 * deg
+
+
+def test_the_supply_of_the_model_limits_the_pressures(run, make):
+    """At a stiffness that needs more than the supply the angle is kept, and no integral winds up."""
+    valve = dataclasses.replace(VALVES[0.12], supply=4 * bar)
+    reference = mk.Reference(angle=SINE.angle, stiffness=16.5)
+    with pytest.warns(ReachabilityWarning):
+        result = run(valve, make("decoupling", valve, 40.0), reference)
+    assert result.metrics["angle_rmse"] < 0.5 * deg
+    assert max(result["command1"].max(), result["command2"].max()) <= 4 * bar
+
+
+@pytest.mark.parametrize("delay", [3 * ms, 4.5 * ms, 8 * ms, 16 * ms])
+def test_a_known_delay_of_the_commands_is_compensated(run, make, knee, load, delay):
+    valve = mk.FirstOrderValve(20 * ms)
+    inner = make("decoupling", valve, 60.0)
+    control = DelayCompensation(knee, load, controller=inner, command_delay=delay, valve=valve, **observers(60.0))
+    late = run(valve, control, command_delay=delay)
+    assert late.outcome is not Outcome.LIMIT_CYCLE
+    assert settled(late) < 2.5 * settled(run(valve, inner))
+    if delay >= 8 * ms:
+        assert settled(late) < 0.2 * settled(run(valve, inner, command_delay=delay))
+
+
+def test_a_pid_is_compensated_too(run, knee, load):
+    valve, delay = mk.FirstOrderValve(20 * ms), 12 * ms
+    position = mk.PID(3 * bar, 60 * bar, 0.8 * bar, derivative_on_error=True)
+    pid = mk.PositionStiffnessControl(position, mk.PID(0.08 * bar, 5 * bar, 0.0), model=knee, minimum_tension=5.0)
+    control = DelayCompensation(knee, load, controller=pid, command_delay=delay, valve=valve, **observers(40.0))
+    compensated, plain = (run(valve, each, command_delay=delay) for each in (control, pid))
+    assert compensated.metrics["angle_rmse"] < 0.5 * plain.metrics["angle_rmse"]
+
+
+def test_delays_may_differ_between_runs(make, knee, load):
+    """The state holds the commands of the longest; each run is the one that it would be alone."""
+    valve, delays = VALVES[0.12], np.array([0.0, 2.5 * ms, 8 * ms])
+    inner = make("decoupling", valve, 40.0)
+    plant = mk.JointPlant(knee, load, valve, command_delay=8 * ms)
+    control = DelayCompensation(knee, load, controller=inner, command_delay=8 * ms, valve=valve, **observers(40.0))
+    over = {"plant.command_delay": delays, "controller.command_delay": delays}
+    over = {key.removeprefix("plant."): column for key, column in over.items()}
+    batch = mk.simulate_many(plant, control, SINE, over=over, duration=1.0)
+    for delay, error in zip(delays, batch.metrics["angle_rmse"], strict=True):
+        alone = mk.simulate(
+            dataclasses.replace(plant, command_delay=delay),
+            dataclasses.replace(control, command_delay=delay),
+            SINE,
+            duration=1.0,
+        )
+        assert error == pytest.approx(alone.metrics["angle_rmse"], rel=1e-3)

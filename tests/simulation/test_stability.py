@@ -1,0 +1,72 @@
+"""Margins of the linearised loop, against runs of the loop itself."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.actuator import FirstOrderValve
+from mckibben.control import ExtendedStateObserver, PressureObserver
+from mckibben.plant import SampledSensors
+from mckibben.simulation import Outcome, margins
+from mckibben.units import deg, ms
+
+REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
+KICKED = mk.Reference(angle=mk.Step(2.5 * deg, 3 * deg, 0.1), stiffness=15.0)
+SETTINGS = {"duration": 0.2, "points": 2}
+
+
+@pytest.fixture(scope="module")
+def loop(knee, load):
+    valve = FirstOrderValve(20 * ms)
+    parts = {"observer": ExtendedStateObserver(180.0, damping=2.0), "pressure_observer": PressureObserver(180.0)}
+    control = mk.DecouplingControl(knee, load, mk.PolePlacement(60.0, damping=2.5), valve=valve, **parts)
+    return mk.JointPlant(knee, load, valve), control
+
+
+@pytest.fixture(scope="module")
+def found(loop):
+    plant, control = loop
+    return margins(plant, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
+
+
+def test_a_good_loop_is_stable_with_margins(found):
+    assert found.time.shape == found.gain.shape == (2,)
+    assert (found.radius < 1).all() and (found.disk > 0.3).all()
+    assert found.sensitivity.shape == (2, found.frequency.size) and found.loci.shape == (2, found.frequency.size, 2)
+    # a disk of alpha contains these gains and phases
+    assert (found.gain > (2 + found.disk) / (2 - found.disk)).all()
+    assert (found.phase > 2 * np.arctan(found.disk / 2)).all()
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(0.8, Outcome.COMPLETED), (1.3, Outcome.LIMIT_CYCLE)])
+def test_the_delay_margin_is_where_runs_become_unstable(loop, found, share, outcome):
+    plant, control = loop
+    late = dataclasses.replace(plant, command_delay=share * found.delay.min())
+    result = mk.simulate(late, control, KICKED, duration=1.5)
+    assert (result.outcome is Outcome.LIMIT_CYCLE) == (outcome is Outcome.LIMIT_CYCLE)
+
+
+@pytest.mark.slow
+def test_beyond_the_delay_margin_the_linear_loop_is_unstable_too(loop, found):
+    plant, control = loop
+    for share, stable in ((0.95, True), (1.1, False)):
+        late = dataclasses.replace(plant, command_delay=share * found.delay.min())
+        again = margins(late, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
+        assert (again.radius.max() < 1) == stable
+        assert again.disk.min() == 0.0 if not stable else again.disk.min() > 0
+
+
+@pytest.mark.slow
+def test_a_reading_delay_of_the_sensors_takes_from_the_delay_margin(loop, found):
+    plant, control = loop
+    late = dataclasses.replace(plant, sensors=SampledSensors(delay=1.0))
+    again = margins(late, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
+    assert again.delay.min() == pytest.approx(found.delay.min() - 1 * ms, abs=0.05 * ms)
+
+
+def test_the_poles_are_those_that_were_placed(found):
+    """The slowest pole of the closed loop decays within the bandwidths: 60 rad/s with a damping of 2.5."""
+    slowest = -np.log(found.radius.max()) / 1e-3
+    assert 15.0 < slowest < 60.0
