@@ -19,7 +19,7 @@ from mckibben.component.checks import check_positive, known_numbers
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement, RigidTendon
 from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, foot_mobility, frames, motion
-from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
+from mckibben.leg.mechanism import Leg, RoutedMuscle
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
@@ -28,13 +28,14 @@ from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
 from mckibben.plant.sensors import Disturbance
-from mckibben.units import Gravity, Quantity, Share, Speed, bar, deg, mm
+from mckibben.units import Gravity, Quantity, Share, Speed, mm, show
 
 ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
 ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
 
+_ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
 
@@ -273,12 +274,13 @@ class LegPlant(Plant):
         _check_count("angles", len(start.angles), [joint.name for joint in leg.joints])
         _check_count("pressures", len(start.pressures), leg.muscle_names)
         for joint, angle in zip(leg.joints, start.angles, strict=True):
-            _check_angle(joint, angle)
+            remedy = "start within the range of the joint"
+            _check_inside(joint.name, "angles", angle, joint.lower, joint.upper, "rad", remedy)
         supply = getattr(self.valve, "supply", None)
         for name, muscle, pressure in zip(leg.muscle_names, leg.muscles, start.pressures, strict=True):
-            highest = muscle.specimen.domain.pressure_max
-            _check_pressure(name, pressure, highest)
-            _check_pressure(f"{name} (supply)", pressure, highest if supply is None else supply)
+            rated, remedy = muscle.specimen.domain.pressure_max, "give a pressure that muscle and supply permit"
+            for what, highest in ((name, rated), (f"{name} (supply)", rated if supply is None else supply)):
+                _check_inside(what, "pressures", pressure, 0.0, highest, "Pa", remedy)
         check_positive("LegPlant", "m", zero=True, clearance=start.clearance)
         if leg.trunk.freedom == "fixed" and np.any(known_numbers("LegPlant", "upward_speed", start.upward_speed)):
             raise RangeError(
@@ -420,35 +422,17 @@ def _check_count(field: str, given: int, names: Sequence[str]) -> None:
         )
 
 
-def _check_angle(joint: LegJoint, angle: ArrayLike) -> None:
-    """Raise where a given angle is beyond a stop."""
-    if not all(isinstance(one, Real) for one in (angle, joint.lower, joint.upper)):
+def _check_inside(what: str, field: str, value: Any, lower: Any, upper: Any, unit: str, remedy: str) -> None:
+    """Raise where a given number at the start is outside its range; others pass."""
+    if not all(isinstance(one, Real) for one in (value, lower, upper)):
         return
-    at, lower, upper = float(angle), float(joint.lower), float(joint.upper)  # type: ignore[arg-type]
-    if not lower - 1e-9 <= at <= upper + 1e-9:
+    if not lower - _ROUNDING[unit] <= value <= upper + _ROUNDING[unit]:
         raise RangeError(
-            f"{joint.name}: the start is at {at / deg:.4g} deg",
-            field="angles",
-            value=at,
-            lower=lower,
-            upper=upper,
-            unit="rad",
-            remedy="start within the range of the joint",
-        )
-
-
-def _check_pressure(name: str, pressure: ArrayLike, highest: ArrayLike) -> None:
-    """Raise where a given pressure cannot be supplied."""
-    if not (isinstance(pressure, Real) and isinstance(highest, Real)):
-        return
-    at, upper = float(pressure), float(highest)  # type: ignore[arg-type]
-    if not 0 <= at <= upper + 1e-3:
-        raise RangeError(
-            f"{name}: the start is at {at / bar:.4g} bar",
-            field="pressures",
-            value=at,
-            lower=0.0,
-            upper=upper,
-            unit="Pa",
-            remedy="give a pressure that muscle and supply permit",
+            f"{what}: the start is at {show(float(value), 'deg' if unit == 'rad' else 'bar')}",
+            field=field,
+            value=float(value),
+            lower=float(lower),
+            upper=float(upper),
+            unit=unit,
+            remedy=remedy,
         )
