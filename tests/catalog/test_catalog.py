@@ -16,7 +16,8 @@ OPEN = {"FlowValve": {}, "SwitchingValves": {"period": 0.02}, "PressureRegulator
 
 
 def load_valve(name):
-    return catalog.valve(name, supply=7e5, **OPEN[valve_section(name)["class"]])
+    section = valve_section(name)
+    return catalog.valve(name, supply=7e5, **{k: v for k, v in OPEN[section["class"]].items() if k not in section})
 
 
 LOADERS = {

@@ -81,7 +81,7 @@ def test_regulators_hold_the_pressure_against_a_slow_push_and_the_air_against_a_
     isobaric = float(secant(held.joint, start.pressures, AMPLITUDES[0]))
     air = float(secant(held.joint, start.pressures, AMPLITUDES[0], 1.2)) - isobaric
     volume = float(held.joint.muscle1.specimen.volume(0.1))
-    lag = np.mean([regulator.time_constant_at(float(p), volume) for p in start.pressures]) - regulator.lag
+    lag = np.mean([regulator.time_constant_at(float(p), volume) for p in start.pressures]) - regulator.command_lag
     expected = isobaric + air / (1 + 1 / (2j * math.pi * found.frequency * lag))
     assert (expected[0].real - isobaric, expected[-1].real - isobaric) == pytest.approx((0.0, air), abs=0.05 * air)
     np.testing.assert_allclose(found.stiffness[:, 0], expected.real, atol=0.01 * air)

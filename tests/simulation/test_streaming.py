@@ -18,6 +18,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
 from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import MetricAccumulator, last_change
+from mckibben.simulation.oscillation import find_limit_cycle
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
@@ -39,7 +40,7 @@ def folded(moved: Trajectory) -> Metrics:
     nothing = jnp.zeros_like(moved.angle[0])
     begun = (MetricAccumulator.empty(nothing), nothing, (moved.air1[0], moved.air2[0]))
     (total, _, _), _ = jax.lax.scan(following, begun, (jnp.arange(periods), moved))
-    return total.metrics(change, periods, PERIOD)
+    return total.metrics(change, periods, PERIOD, find_limit_cycle(moved.angle, moved.desired_angle, PERIOD))
 
 
 both_ways = jax.jit(lambda moved: (folded(moved), measure(moved, PERIOD)))

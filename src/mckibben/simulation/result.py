@@ -142,6 +142,8 @@ UNITS = {
     "time_slack": ("s", "time with a muscle slack"),
     "time_outside_domain": ("s", "time with a muscle outside its domain"),
     "time_overloaded": ("s", "time with a muscle above its rated force"),
+    "oscillation_amplitude": (_ANGLE, "amplitude of a limit cycle of the angle"),
+    "oscillation_period": ("s", "period of a limit cycle of the angle"),
     "excursion_max": ("1", "largest distance of a contraction from its domain"),
     "force_max": ("N", "largest tension"),
     "air": ("m^3", "air consumption, as a volume at atmospheric pressure"),
