@@ -70,12 +70,18 @@ def test_a_file_error_lists_all_its_problems():
 
 
 def test_a_long_list_is_cut_and_says_by_how_much():
-    problems = [Problem("x", line=i) for i in range(FileError.shown + 7)]
+    problems = [Problem(f"x{i}", line=i) for i in range(FileError.shown + 7)]
     lines = str(FileError("f", problems)).splitlines()
     assert lines[0] == f"f: {FileError.shown + 7} problems"
     assert len(lines) == FileError.shown + 2
     assert lines[-1] == "  ... and 7 more"
     assert len(FileError("f", problems).problems) == FileError.shown + 7
+
+
+def test_a_problem_that_repeats_is_shown_once_with_its_lines():
+    problems = [Problem("is empty", line=line) for line in (3, 4, 5, 9)] + [Problem("is long", line=6), Problem("x")]
+    lines = str(FileError("f", problems)).splitlines()
+    assert lines == ["f: 6 problems", "  lines 3-5, 9: is empty", "  line 6: is long", "  x"]
 
 
 def test_a_file_error_survives_a_trip_to_another_process():

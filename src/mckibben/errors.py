@@ -163,15 +163,35 @@ class Problem:
         return cls(error.message, line, field, error.remedy, error.value, error.lower, error.upper, error.unit)
 
     def __str__(self) -> str:
-        where = [f"line {self.line}"] if self.line is not None else []
+        return self.text([] if self.line is None else [self.line])
+
+    def text(self, lines: Sequence[int]) -> str:
+        """Return the problem as text, at some ascending lines of the file."""
+        where = [_lines(lines)] if lines else []
         where += [self.field] if self.field else []
         message = printable(self.message, _LONGEST_MESSAGE)
         text = ": ".join([printable(", ".join(where), _LONGEST_MESSAGE), message]) if where else message
         return f"{text}; {printable(self.remedy, _LONGEST_MESSAGE)}" if self.remedy else text
 
 
+_MOST_SPANS = 10
+
+
+def _lines(lines: Sequence[int]) -> str:
+    """Lines as text, such as "lines 3, 5-8"."""
+    spans: list[list[int]] = []
+    for line in lines:
+        if spans and line == spans[-1][1] + 1:
+            spans[-1][1] = line
+        else:
+            spans.append([line, line])
+    shown = [str(first) if first == last else f"{first}-{last}" for first, last in spans[:_MOST_SPANS]]
+    more = ", ..." if len(spans) > _MOST_SPANS else ""
+    return f"line{'s' if len(lines) > 1 else ''} {', '.join(shown)}{more}"
+
+
 class FileError(McKibbenError, ValueError):
-    """A file cannot be used; lists all its problems in file order.
+    """A file cannot be used; lists all its problems in file order, those that repeat once, with their lines.
 
     >>> print(FileError("rig.csv", [Problem("'abc' is not a number", line=7, field="force_N")]))
     rig.csv: 1 problem
@@ -186,9 +206,14 @@ class FileError(McKibbenError, ValueError):
         self.problems = tuple(problems)
         count = len(self.problems)
         lines = [f"{source}: {count} problem{'s' if count != 1 else ''}"]
-        lines += [f"  {problem}" for problem in self.problems[: self.shown]]
-        if count > self.shown:
-            lines.append(f"  ... and {count - self.shown} more")
+        groups: dict[object, list[Problem]] = {}
+        for problem in self.problems:
+            alike = (problem.field, problem.message, problem.remedy)
+            groups.setdefault(alike if problem.line is not None else id(problem), []).append(problem)
+        shown = list(groups.values())[: self.shown]
+        lines += [f"  {one[0].text([each.line for each in one if each.line is not None])}" for one in shown]
+        if rest := count - sum(map(len, shown)):
+            lines.append(f"  ... and {rest} more")
         super().__init__("\n".join(lines))
 
     def __reduce__(self) -> tuple[type[FileError], tuple[str, tuple[Problem, ...]]]:

@@ -142,7 +142,16 @@ def test_a_valve_and_a_law_of_a_package_are_simulated(acme, tmp_path):
     read = scenario(tmp_path, joint=joint, valve={"class": "AcmeValve", "rate": "20 bar/s"})
     run(acme, "simulate", read, "--out", "run", cwd=tmp_path)
     (kept,) = (tmp_path / "run").glob("*.yaml")
-    assert yaml.safe_load(kept.read_text())["valve"]["class"] == "acme_parts:AcmeValve"
+    content = yaml.safe_load(kept.read_text())
+    assert content["valve"]["class"] == "acme_parts:AcmeValve"
+    assert content["packages"] == ["acme 1.2"]
+    assert yaml.safe_load(run(acme, "simulate", kept, "--json", cwd=tmp_path))["outcome"]
+    kept.write_text(kept.read_text().replace("acme 1.2", "acme 1.1"))
+    command = "import sys; from mckibben.scenario import Scenario; Scenario.read(sys.argv[1])"
+    path = os.pathsep.join([str(acme), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run([sys.executable, "-c", command, kept], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and "acme 1.1" in done.stderr and "acme 1.2" in done.stderr
 
 
 def test_a_rig_of_a_package_runs_a_test_under_its_own_watchdog(acme, tmp_path):

@@ -97,7 +97,7 @@ def test_the_loop_is_the_linear_one_that_was_designed(run, plant, controllers):
 def test_it_stands_still_where_it_stands(run, plant, controllers):
     record, _ = run(plant, controllers["observer"], 0.0, 15.0, start=15.0)
     np.testing.assert_allclose(record.state.angle, 0.0, atol=1e-9)
-    np.testing.assert_allclose(record.command1, record.command1[0], atol=1.0)
+    np.testing.assert_allclose(record.commands[0], record.commands[0][0], atol=1.0)
 
 
 def test_a_step_of_stiffness_hardly_moves_the_angle(run, plant, controllers, knee, load):
@@ -116,7 +116,7 @@ def test_a_step_of_stiffness_hardly_moves_the_angle(run, plant, controllers, kne
 def test_commands_stay_within_limits_and_muscles_taut_when_too_much_is_asked(run, plant, controllers, knee):
     for stiffness in (5.0, 25.0):
         record, _ = run(plant, controllers["observer"], SINE, stiffness)
-        commands = np.stack([record.command1, record.command2])
+        commands = np.stack([record.commands[0], record.commands[1]])
         assert commands.min() >= 0.0 and commands.max() <= 6e5
         assert np.asarray(record.telemetry["saturated"]).mean() > 0.9
         tensions = np.asarray(knee.tensions(record.state.angle, record.state.pressures))
@@ -149,9 +149,9 @@ def test_the_commands_follow_from_the_measurements_alone(run, plant, controllers
     other = eqx.combine(jax.tree.map(lambda x: 0.98 * x, numbers), rest)
     record, setpoints = run(other, controllers[name], SINE, 15.0)
     again, seconds = replayed(controllers[name], setpoints, record.state)
-    np.testing.assert_allclose(again[0], record.command1, rtol=1e-7)
-    np.testing.assert_allclose(again[1], record.command2, rtol=1e-7)
-    assert np.ptp(np.asarray(record.command1)) > 1e4
+    np.testing.assert_allclose(again[0], record.commands[0], rtol=1e-7)
+    np.testing.assert_allclose(again[1], record.commands[1], rtol=1e-7)
+    assert np.ptp(np.asarray(record.commands[0])) > 1e4
     assert seconds < 50e-6  # a step; it takes about one microsecond
 
 
@@ -177,7 +177,7 @@ def test_32_bits_will_do(tracked, controllers):
     record, setpoints = tracked["observer"]
     commands, _ = replayed(controllers["observer"], setpoints, record.state, jnp.float32)
     assert commands[0].dtype == jnp.float32
-    assert np.sqrt(np.mean((np.asarray(commands[0]) - record.command1) ** 2)) < 500.0  # Pa
+    assert np.sqrt(np.mean((np.asarray(commands[0]) - record.commands[0]) ** 2)) < 500.0  # Pa
 
 
 class Sensed(Controller):

@@ -86,7 +86,7 @@ def test_it_does_not_chatter(runs):
     """The command goes no further up and down than it did to overcome friction by feedback."""
 
     def way(name):
-        return np.abs(np.diff(runs[name][0].command2)).sum()
+        return np.abs(np.diff(runs[name][0].commands[1])).sum()
 
     assert way("made up for") < 1.05 * way("friction")
     rates = np.abs(np.diff(runs["made up for"][0].telemetry["friction_compensation"]))

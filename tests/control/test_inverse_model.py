@@ -152,9 +152,9 @@ def test_without_learning_and_load_it_is_the_loops_alone(run, replayed, plant, a
     """But for rounding, where the setpoint stands or jumps."""
     record, setpoints = run(plant, rated(alone, 0.0), Step(0.05, 0.1, 0.5), Step(14.0, 16.0, 1.0))
     expected = replayed(alone.loops, (record, setpoints))
-    np.testing.assert_allclose(record.command1, expected[0], rtol=1e-9)
-    np.testing.assert_allclose(record.command2, expected[1], rtol=1e-9)
-    assert np.ptp(np.asarray(record.command1)) > 1e4
+    np.testing.assert_allclose(record.commands[0], expected[0], rtol=1e-9)
+    np.testing.assert_allclose(record.commands[1], expected[1], rtol=1e-9)
+    assert np.ptp(np.asarray(record.commands[0])) > 1e4
 
 
 def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, modelled):
@@ -167,9 +167,9 @@ def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, m
     record, setpoints = run(differing, modelled)
     again = replayed(modelled, (record, setpoints), jnp.float32)
     assert again[0].dtype == jnp.float32
-    for mine, true in zip(again, (record.command1, record.command2), strict=True):
+    for mine, true in zip(again, (record.commands[0], record.commands[1]), strict=True):
         assert float(np.sqrt(np.mean((np.asarray(mine) - true) ** 2))) < 200.0  # Pa
-    assert np.ptp(np.asarray(record.command1)) > 1e4
+    assert np.ptp(np.asarray(record.commands[0])) > 1e4
 
 
 def test_it_takes_over_the_pressures_as_they_are(run, plant, load, modelled):
@@ -179,7 +179,7 @@ def test_it_takes_over_the_pressures_as_they_are(run, plant, load, modelled):
     estimated = tensions(modelled.loops.model, rest)[:, 0] / tensions(wrong.joint, rest)[:, 0]
     assert np.abs(estimated - 1.0).min() > 0.05
     record, _ = run(wrong, modelled, 0.1, float(rest.telemetry["stiffness_estimate"][0]))
-    for command, pressure in zip((record.command1, record.command2), rest.state.pressures, strict=True):
+    for command, pressure in zip((record.commands[0], record.commands[1]), rest.state.pressures, strict=True):
         np.testing.assert_allclose(command, float(pressure[0]), rtol=1e-6)
 
 

@@ -111,9 +111,9 @@ def test_the_commands_follow_from_what_was_told(run, knee, load, name):
     again = run(control, (1.08, 0.97), **numbers, tape=first.telemetry["told"])
     for one, other in zip(jax.tree.leaves(first.telemetry), jax.tree.leaves(again.telemetry), strict=True):
         np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(first.command1, again.command1)
-    np.testing.assert_array_equal(first.command2, again.command2)
-    assert np.ptp(first.command1) > 5e4 and not first.limited.all()
+    np.testing.assert_array_equal(first.commands[0], again.commands[0])
+    np.testing.assert_array_equal(first.commands[1], again.commands[1])
+    assert np.ptp(first.commands[0]) > 5e4 and not first.limited.all()
     assert np.abs(first.state.angle - again.state.angle).max() > 1 * deg  # the other plant went its own way
 
 

@@ -89,7 +89,7 @@ def test_without_limits_the_loop_is_the_linear_one_that_was_designed(run, plant,
 def test_it_stands_still_where_it_stands(run, plant, knee, load):
     record, _ = run(plant, predictive(knee, load), 0.0, 15.0, start=15.0)
     np.testing.assert_allclose(record.state.angle, 0.0, atol=1e-9)
-    np.testing.assert_allclose(record.command1, record.command1[0], atol=1.0)
+    np.testing.assert_allclose(record.commands[0], record.commands[0][0], atol=1.0)
 
 
 def test_where_both_cannot_be_had_they_are_given_up_as_their_errors_weigh(run, plant, knee, load):
@@ -97,7 +97,7 @@ def test_where_both_cannot_be_had_they_are_given_up_as_their_errors_weigh(run, p
     knee = numeric(knee)
     for wanted in (5.0, 25.0):
         record, _ = run(plant, predictive(knee, load, 80.0, 250.0), SINE, wanted)
-        commands = np.stack([record.command1, record.command2])
+        commands = np.stack([record.commands[0], record.commands[1]])
         assert commands.min() >= 0.0 and commands.max() <= 6e5
         assert np.asarray(record.telemetry["saturated"]).mean() > 0.9
         there, tensions = seen_from_outside(knee, record)
@@ -167,9 +167,9 @@ def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, k
     record, setpoints = run(other, predictive(knee, load), SINE, 15.0)
     again, seconds = replayed(predictive(knee, load), setpoints, record.state)
     assert again[0].dtype == jnp.float32  # 32 bits will do
-    assert np.sqrt(np.mean((np.asarray(again[0]) - record.command1) ** 2)) < 500.0  # Pa
-    assert np.sqrt(np.mean((np.asarray(again[1]) - record.command2) ** 2)) < 500.0
-    assert np.ptp(np.asarray(record.command1)) > 1e4
+    assert np.sqrt(np.mean((np.asarray(again[0]) - record.commands[0]) ** 2)) < 500.0  # Pa
+    assert np.sqrt(np.mean((np.asarray(again[1]) - record.commands[1]) ** 2)) < 500.0
+    assert np.ptp(np.asarray(record.commands[0])) > 1e4
     assert seconds < 1e-3  # a step; it takes about 20 microseconds as little optimised as here
 
 

@@ -165,8 +165,8 @@ def simulated(scenario):
     plant, controller, initial = numeric((plant, controller, plant.complete_state(scenario.initial(plant))))
     _, setpoints = sampled(scenario.reference(), scenario.duration, PERIOD)
     _, record = compiled_episode(plant, controller, setpoints, initial, PERIOD, scenario.substeps)
-    expected = np.stack([record.state.angle, record.state.velocity, *record.state.pressures, record.command1,
-                         record.command2], 1)  # fmt: skip
+    expected = np.stack([record.state.angle, record.state.velocity, *record.state.pressures, record.commands[0],
+                         record.commands[1]], 1)  # fmt: skip
     return setpoints, expected
 
 

@@ -28,7 +28,7 @@ class Recorder(LegController):
     def init(self, measurement):
         return measurement
 
-    def step(self, state, measurement, period):
+    def step(self, state, time, measurement, period):
         return measurement, tuple(map(jnp.asarray, self.commands))
 
     def telemetry(self, state):
@@ -64,6 +64,8 @@ def test_sensors_quantise_angles_and_disturb_pressures(fixed):
     sensors = SampledSensors(encoder=0.1 * deg, pressure_noise=4 * kPa, seed=3)
     plant = dataclasses.replace(fixed, sensors=sensors)
     run, again = (simulate_leg(plant, Recorder(PRESSURES), START, **RUN) for _ in range(2))
+    assert not run["saturated"].any()
+    assert simulate_leg(plant, Recorder((9e5, *PRESSURES[1:])), START, **RUN)["saturated"].all()
     steps = run["seen_angle"].to_numpy() / (0.1 * deg)
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     assert np.ptp(steps) > 3

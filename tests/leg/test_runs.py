@@ -5,16 +5,19 @@ from __future__ import annotations
 import dataclasses
 import runpy
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.control import Controller
 from mckibben.errors import ParameterError, RangeError, SimulationError
 from mckibben.leg import (
     BiarticularMuscle,
     JointwiseControl,
     Leg,
+    LegMeasurement,
     LegPlant,
     LegStart,
     PressureSchedule,
@@ -22,7 +25,6 @@ from mckibben.leg import (
     simulate_leg,
     simulate_legs,
 )
-from mckibben.leg.control import LegMeasurement
 from mckibben.units import deg
 
 STEP = {"duration": 0.1, "control_period": 0.25e-3}
@@ -90,7 +92,7 @@ def test_energy_is_kept_without_damping_and_valves(plant: LegPlant) -> None:
 
 def test_schedule_is_the_mean_over_the_period() -> None:
     schedule = PressureSchedule(((1e5, 4e5, 2e5),), ((1.25e-3, 3e-3),))
-    at = lambda t: float(schedule.step((), LegMeasurement(jnp.asarray(t), (), (), jnp.zeros(())), 1e-3)[1][0])  # noqa: E731
+    at = lambda t: float(schedule.step((), t, LegMeasurement((), (), jnp.zeros(())), 1e-3)[1][0])  # noqa: E731
     assert [at(t * 1e-3) for t in range(5)] == pytest.approx([1e5, 3.25e5, 4e5, 2e5, 2e5])
 
 
@@ -224,3 +226,36 @@ def test_the_air_of_a_run_is_that_which_flows_in(plant: LegPlant, start: LegStar
     table = simulate_legs(plant, schedule, high, over={"start.upward_speed": [-1.0, -0.9]}, substeps=1, **STEP)
     assert -steps[steps < 0].sum() > 0.2 * steps[steps > 0].sum() > 0
     assert float(table["air_mass"][0]) == pytest.approx(steps[steps > 0].sum(), rel=2e-3)
+
+
+def test_arguments_that_are_swapped_or_not_a_number_are_named(plant: LegPlant, start: LegStart) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    for arguments, field in (
+        ((plant, start, schedule), "controller"),
+        ((plant, schedule, start._replace(upward_speed=float("nan"))), "start.upward_speed"),
+    ):
+        with pytest.raises(SimulationError) as caught:
+            simulate_leg(*arguments, **STEP)  # type: ignore[arg-type]
+        assert caught.value.field == field
+    with pytest.raises(ParameterError):
+        simulate_leg(plant, schedule, start._replace(upward_speed=np.array([-1.0, -0.5])), **STEP)
+
+
+def test_parts_of_a_controller_are_prepared_for_the_control_period() -> None:
+    class Prepared(Controller):
+        periods: int = eqx.field(static=True, default=0)
+
+        def with_period(self, period):
+            return dataclasses.replace(self, periods=round(0.01 / period))
+
+        def init(self, measurement):
+            return ()
+
+        def step(self, state, setpoint, measurement, period):
+            return (), measurement.pressures
+
+        def telemetry(self, state):
+            return {}
+
+    control = JointwiseControl((Prepared(), Prepared()), TimedReference(())).with_period(1e-3)
+    assert [one.periods for one in control.controllers] == [10, 10]  # type: ignore[attr-defined]

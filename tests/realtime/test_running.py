@@ -83,8 +83,8 @@ def test_unpaced_and_measured_perfectly_it_is_the_simulation(ran, simulated):
     assert np.allclose(columns["angle"], simulated.state.angle, rtol=0, atol=1e-13)
     for name, pressure in zip(("pressure1", "pressure2"), simulated.state.pressures, strict=True):
         assert np.allclose(columns[name], pressure, rtol=1e-11)
-    for name in ("command1", "command2"):
-        assert np.allclose(columns[name], getattr(simulated, name), rtol=1e-11)
+    for name, command in zip(("command1", "command2"), simulated.commands, strict=True):
+        assert np.allclose(columns[name], command, rtol=1e-11)
     for name, values in simulated.telemetry.items():
         assert np.allclose(columns[f"controller_{name}"], values, rtol=1e-10)
 

@@ -50,7 +50,7 @@ def solved(paper, record, time_constant):
         )
         return jax.tree.map(lambda x: x[-1], answer.ys), y[0]
 
-    state, commands = record.state, (record.command1 / 1e5, record.command2 / 1e5)
+    state, commands = record.state, (record.commands[0] / 1e5, record.commands[1] / 1e5)
     start = (state.angle[0], state.velocity[0], state.pressures[0][0] / 1e5, state.pressures[1][0] / 1e5)
     return jax.jit(lambda y, c: lax.scan(period, y, c)[1])(start, commands)
 
@@ -78,7 +78,7 @@ def test_a_valve_much_faster_than_the_step_is_nearly_an_ideal_one(plant, ideal_p
 def test_the_loop_tracks_and_stays_within_limits(run):
     _, setpoints, final, record = run
     assert float(jnp.max(jnp.abs(record.state.angle - setpoints.angle)[1000:])) < 0.06
-    for command in (record.command1, record.command2):
+    for command in (record.commands[0], record.commands[1]):
         assert 0.0 <= float(command.min()) <= float(command.max()) <= 6e5
     assert float(jnp.mean(record.telemetry["stiffness_estimate"][8000:])) == pytest.approx(17.0, abs=0.5)
     assert record.state.angle.shape == (10_000,)
@@ -90,7 +90,7 @@ def test_the_record_holds_the_start_of_each_period(run):
     assert float(record.state.angle[0]) == 0.0
     assert float(record.state.velocity[0]) == 0.0
     if valve == "ideal":  # the pressure of the last period is its command
-        np.testing.assert_array_equal(record.state.pressures[0][1:], record.command1[:-1])
+        np.testing.assert_array_equal(record.state.pressures[0][1:], record.commands[0][:-1])
 
 
 def test_the_commands_are_those_of_the_controller_stepped_by_hand(run, control):
@@ -103,7 +103,7 @@ def test_the_commands_are_those_of_the_controller_stepped_by_hand(run, control):
     for k in range(5):
         memory, commands = step(memory, Setpoint(setpoints.angle[k], setpoints.stiffness[k]), at(k))
         assert [float(c) for c in commands] == pytest.approx(
-            [float(record.command1[k]), float(record.command2[k])], rel=1e-12
+            [float(record.commands[0][k]), float(record.commands[1][k])], rel=1e-12
         )
 
 

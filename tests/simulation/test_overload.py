@@ -22,8 +22,7 @@ def moved():
     zeros = jnp.zeros(4)
     record = Record(
         PlantState(angle, zeros, (pressure1, pressure2)),
-        pressure1,
-        pressure2,
+        (pressure1, pressure2),
         jnp.zeros(4, bool),
         {"stiffness_estimate": zeros},
     )

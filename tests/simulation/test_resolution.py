@@ -22,8 +22,8 @@ from mckibben import (
     simulate_many,
 )
 from mckibben.errors import RangeError, SimulationError
+from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.simulation import Outcome
-from mckibben.simulation.resolution import STABILITY_LIMIT, check_substeps, fastest_mode
 
 KNEE, LOAD = catalog.joint("knee-table-2"), catalog.load("knee-table-2")
 PLANT = JointPlant(KNEE, LOAD, FirstOrderValve(0.02))
@@ -76,16 +76,17 @@ def test_a_plant_too_stiff_for_its_substeps_is_refused_with_the_number_that_woul
 
 def test_the_mode_is_that_of_damping_over_inertia_or_of_the_spring():
     inertia = float(LOAD.total_inertia)
-    assert fastest_mode(heavily_damped(1000.0), [0.0], [72.5]) == pytest.approx(1000.0 / inertia, rel=1e-3)
-    undamped = fastest_mode(heavily_damped(0.0), [0.0], [72.5])
+    damped = heavily_damped(1000.0).fastest_rates([0.0], [72.5])["the motion"]
+    assert damped == pytest.approx(1000.0 / inertia, rel=1e-3)
+    undamped = heavily_damped(0.0).fastest_rates([0.0], [72.5])["the motion"]
     assert undamped == pytest.approx(np.sqrt((72.5 + float(LOAD.gravity_moment)) / inertia))
 
 
 def test_the_limit_is_that_of_the_runge_kutta_method():
     damping = STABILITY_LIMIT / 0.25e-3 * float(LOAD.total_inertia)
-    check_substeps(heavily_damped(0.99 * damping), [0.0], [72.5], 1e-3, 4)
+    heavily_damped(0.99 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
     with pytest.raises(SimulationError) as caught:
-        check_substeps(heavily_damped(1.01 * damping), [0.0], [72.5], 1e-3, 4)
+        heavily_damped(1.01 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
     assert caught.value.lower == 5
 
 

@@ -11,7 +11,6 @@ from mckibben.errors import ScenarioError, SimulationError
 from mckibben.plant import FlowValve, PressureRegulator, SwitchingValves
 from mckibben.reachability import check_trackability
 from mckibben.scenario import Scenario, run_many, run_scenario
-from mckibben.simulation.resolution import check_substeps
 from mckibben.units import bar
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
@@ -70,9 +69,9 @@ def test_a_wrong_valve_is_named(text, field):
 def test_a_valve_too_fast_for_the_substeps_is_refused_with_their_number():
     plant = scenario("{class: FlowValve, conductance: 4 L/(s*bar), supply: 7 bar, band: 0.1 bar}").plant()
     with pytest.raises(SimulationError) as caught:
-        check_substeps(plant, [0.0, 0.1], 15.0, 1e-3, 4)
+        plant.check_substeps([0.0, 0.1], 15.0, 1e-3, 4)
     assert caught.value.field == "substeps"
-    check_substeps(plant, [0.0, 0.1], 15.0, 1e-3, caught.value.lower)
+    plant.check_substeps([0.0, 0.1], 15.0, 1e-3, caught.value.lower)
 
 
 def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):

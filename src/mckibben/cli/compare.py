@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from mckibben.cli.options import Json, echo, keeping, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import atomic_write, check_free, make_folder, make_subfolder, to_json, write_json
+from mckibben.storage.files import check_free, make_folder, make_subfolder, to_json, write_json
 
 if TYPE_CHECKING:
     from mckibben.study.benchmark import BenchmarkResult, Suite
@@ -132,8 +132,7 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
     with keeping(out, "make room, and continue with --resume"):
         write_json(out / "results.json", numbers)  # before anything is drawn
         write_table(result, out / "runs.nc")
-        with atomic_write(out / "suite.yaml", overwrite=True) as part:
-            part.write_text(result.suite.dumps(folder=out), encoding="utf-8")
+        result.suite.to_yaml(out / "suite.yaml")
         kept = _tuned_scenarios(result, out)
         page = report.write_benchmark(result, numbers, out)
     if not json:

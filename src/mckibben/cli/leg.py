@@ -65,7 +65,7 @@ def land(
         with keeping(out):
             write_json(out / "results.json", numbers)
             study.table.to_netcdf(out / "landing.nc")
-            _keep(read, out)
+            read.to_yaml(out / "leg.yaml")
             write_landing(study, out)
     _show(read.name, study, numbers, json)
     if animate:
@@ -92,7 +92,7 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
             write_json(out / "results.json", numbers)
             study.constant.run.to_netcdf(out / "constant.nc")
             study.timed.run.to_netcdf(out / "timed.nc")
-            _keep(read, out)
+            read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)
     if not json:
@@ -107,13 +107,6 @@ def _read(file: Path) -> LegScenario:
     from mckibben.leg.scenario import LegScenario
 
     return LegScenario.read(file)
-
-
-def _keep(read: LegScenario, out: Path) -> None:
-    from mckibben.storage.files import atomic_write
-
-    with atomic_write(out / "leg.yaml", overwrite=True) as part:
-        part.write_text(read.dumps(folder=out), encoding="utf-8")
 
 
 def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:

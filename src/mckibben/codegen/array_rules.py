@@ -173,7 +173,7 @@ class ArrayRules:
         return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
 
     def _unstack(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
-        """Of JAX 0.12 and newer."""
+        """Items along an axis; a primitive of JAX 0.12 and newer."""
         axis = parameters["axis"]
         return [np.squeeze(one, axis) for one in np.split(x, x.shape[axis], axis)]
 

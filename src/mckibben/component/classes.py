@@ -145,8 +145,6 @@ class Keyed:
 
 
 def short_key(written: Any, section: Any) -> tuple[str, ...]:
-    """Return the key of a section below the name of its class, as in ``isobaric: {repeats: 2}``; none of another."""
-    name = section.get("class") if isinstance(section, dict) else None
-    return (
-        (name,) if isinstance(name, str) and isinstance(written, dict) and isinstance(written.get(name), dict) else ()
-    )
+    """Return the key of a section or value below the name of its class, as in ``move: 10 %``; none of another form."""
+    named = isinstance(written, dict) and isinstance(section, dict) and list(written) == [section.get("class")]
+    return tuple(written) if named else ()

@@ -97,6 +97,21 @@ def package_version(module: str) -> str | None:
     return " ".join((name := _distributions()[package][0], metadata.version(name))) if package else None
 
 
+def version_differences(recorded: Sequence[str]) -> list[str]:
+    """Describe the packages of a file, recorded as by `package_version`, that are missing or of another version."""
+    found = []
+    for one in recorded:
+        name, _, version = one.rpartition(" ")
+        try:
+            here = metadata.version(name)
+        except (metadata.PackageNotFoundError, ValueError):
+            here = ""
+        if here != version:
+            text = f"this is {name} {here}" if here else f"{name} is not installed"
+            found.append(f"the file was written with {one}, {text}: its numbers may differ")
+    return found
+
+
 @functools.cache
 def _distributions() -> dict[str, list[str]]:
     """Distributions by package; the search takes a while."""

@@ -227,7 +227,7 @@ class Part:
         try:
             read = model.model_validate(section, context=context)
         except ValidationError as error:
-            raise located_below(error, below) from None
+            raise located_below(error, below, alone=bool(below) and not isinstance(written[below[0]], dict)) from None
         fields = {name: getattr(read, name) for name in read.model_fields_set - {"class_"}}
         for alias, names in getattr(kind, "aliases", {}).items():
             if alias not in fields:
@@ -296,7 +296,7 @@ class Part:
             written, value = value, self.base.from_file(value)
             if isinstance(value, dict) and "class" not in value and "from" in value and len(classes_of(self.base)) > 1:
                 return None
-            if below := short_key(written, value):
+            if (below := short_key(written, value)) and isinstance(written[below[0]], dict):
                 inner = section_of(self.class_for(value), self.units)
                 return cast(Any, create_model)("Keyed", __base__=Section, **{below[0]: (inner, ...)})
             return section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)

@@ -110,9 +110,9 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
     raise ScenarioError(source, [problem]) from None
 
 
-def located_below(error: ValidationError, place: Place) -> ValidationError:
-    """Return the mistakes of a validation as those of a section below a place."""
-    details: Any = [{**one, "loc": (*place, *one["loc"])} for one in error.errors(include_url=False)]
+def located_below(error: ValidationError, place: Place, *, alone: bool = False) -> ValidationError:
+    """Return the mistakes of a validation as those of a section below a place, or of its field that stands `alone`."""
+    details: Any = [{**one, "loc": (*place, *one["loc"][alone:])} for one in error.errors(include_url=False)]
     return ValidationError.from_exception_data(error.title, details)
 
 
@@ -154,7 +154,7 @@ def parse_text(
     context: Mapping[str, Any],
     key: str = "",
 ) -> tuple[Any, Document]:
-    """What a validator of pydantic makes of YAML text, or of what stands there below a key; as `parse_model`."""
+    """Validate YAML text, or its section under a key, with a pydantic validator; errors as for `parse_model`."""
     document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -15,8 +15,10 @@ from jax import lax
 from mckibben import catalog
 from mckibben.actuator.base import AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
-from mckibben.leg.control import LegController, LegMeasurement, LegReference
+from mckibben.leg.control import LegController, LegReference
+from mckibben.leg.plant import LegMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.numerics.calculus import derivative
 from mckibben.plant import Actuator, AirValve, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
@@ -371,13 +373,16 @@ def _signal(_: Signal | Reference) -> Probes:
 def _commands(
     controller: Controller, angle: Any, further: Any, pressure1: Any, pressure2: Any, target: Any, stiffness: Any
 ) -> Any:
-    pressures, setpoint = (pressure1, pressure2), Setpoint(target, stiffness)
+    found = [Measurement(at, (pressure1, pressure2)) for at in (angle, further)]
+    return _stepped(controller, Setpoint(target, stiffness), found)
 
-    def step(state: Any, now: Any) -> tuple[Any, Any]:
-        return controller.step(state, setpoint, Measurement(now, pressures), _PERIOD)
 
-    state, commands = lax.scan(step, controller.init(Measurement(angle, pressures)), jnp.stack([angle, further]))
-    return commands, controller.telemetry(state)
+def _stepped(system: DiscreteTimeSystem, setpoint: Any, measurements: Sequence[Any]) -> Any:
+    """Outputs for successive measurements, from a start at the first, and telemetry."""
+    rows = jax.tree.map(lambda *each: jnp.stack(each), *measurements)
+    start = system.init(measurements[0])
+    state, outputs = lax.scan(lambda state, row: system.step(state, setpoint, row, _PERIOD), start, rows)
+    return outputs, system.telemetry(state)
 
 
 def _controller(_: Controller) -> Probes:
@@ -433,9 +438,7 @@ def _observer(_: Observer) -> Probes:
 
 
 def _leg_step(part: LegController | LegReference, time: Any, angle: Any, pressure: Any, force: Any) -> Any:
-    found = LegMeasurement(time, (angle, 0.5 + angle), (pressure,) * 5, force)
-    state, given = lax.scan(lambda state, _: part.step(state, found, _PERIOD), part.init(found), length=2)
-    return given, part.telemetry(state)
+    return _stepped(part, time, [LegMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)] * 2)
 
 
 def _leg(_: LegController | LegReference) -> Probes:

@@ -79,7 +79,7 @@ class LawAdaptation(Component):
     bandwidth
         lambda [rad/s].
     drift_time
-        T [s], over which the parameters drift to other values within their prior; None for constant ones.
+        Correlation time T [s] of parameters that drift within their prior; None for constant ones.
 
     References
     ----------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import operator
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple, Self
 
@@ -68,22 +69,47 @@ ValveLagModel = Annotated[ValveLag, Inherited(_model_lag)]
 """First-order time constant [s] of the valves in a controller's model; in a file, by default, that of the plant's."""
 
 
-class Controller(Component):
-    """Interface from measurements to pressure commands.
+class DiscreteTimeSystem(Component):
+    """Discrete-time system with explicit state, of measurements; what calls it owns time.
 
-    A controller may hold a model of the joint, never the plant. The simulation owns time: it calls `init` once and
-    `step` once a control period.
+    `init` is called once, and `step` once per control period.
+    """
+
+    def with_period(self, period: float) -> Self:
+        """Return the system for a control period [s], where the size of its state depends on it."""
+
+        def prepared(part: Any) -> Any:
+            if type(part) is tuple:
+                found = tuple(map(prepared, part))
+                return part if all(map(operator.is_, found, part)) else found
+            return part.with_period(period) if isinstance(part, DiscreteTimeSystem) else part
+
+        parts = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        inner = {name: after for name, part in parts.items() if (after := prepared(part)) is not part}
+        return dataclasses.replace(self, **inner) if inner else self
+
+    @abc.abstractmethod
+    def init(self, measurement: Any) -> Any:
+        """Return the state before the first step."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, setpoint: Any, measurement: Any, period: ArrayLike, /) -> tuple[Any, tuple[Any, ...]]:
+        """Return the next state, and the outputs for the coming control period [s]."""
+
+    def telemetry(self, state: Any) -> dict[str, Array]:
+        """Return the signals to record each period, by name."""
+        return {}
+
+
+class Controller(DiscreteTimeSystem):
+    """Interface from a setpoint and measurements of a joint to pressure commands.
+
+    A controller may hold a model of the joint, never the plant.
     """
 
     default_class = "position_stiffness"
     stiffness_amplitude = None
     """Amplitude [rad] of the motion whose stiffness is controlled; None for the isobaric stiffness."""
-
-    def with_period(self, period: float) -> Self:
-        """Return the controller for a control period [s], where the size of its state depends on it."""
-        parts = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        inner = {name: part.with_period(period) for name, part in parts.items() if isinstance(part, Controller)}
-        return dataclasses.replace(self, **inner) if inner else self
 
     @abc.abstractmethod
     def init(self, measurement: Measurement) -> Any:

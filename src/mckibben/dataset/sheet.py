@@ -151,7 +151,7 @@ def read_numbers(
 
 
 def _without_thousands(text: str, decimal: str) -> str:
-    """The number without thousands separators, if these cannot be mistaken for a decimal sign."""
+    """Return the number without thousands separators, unless one of them could be a decimal sign."""
     match = _THOUSANDS.fullmatch(text)
     if match is None or match[1] == decimal or (match[1] in ".," and text.count(match[1]) == 1 and decimal not in text):
         return text

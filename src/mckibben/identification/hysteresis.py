@@ -170,7 +170,7 @@ class HysteresisFit:
 
 _AT_BOUND = 1e-2  # of the logarithm of the presliding length
 _EDGE = 1e-6  # of the range of a shape parameter
-_MISFIT = 0.1  # of half the loop width: larger systematic residuals may be mistaken for friction
+_MISFIT = 0.1  # of half the loop width: larger systematic residuals bias the friction
 _ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 

@@ -3,7 +3,6 @@
 from mckibben.leg.control import (
     JointwiseControl,
     LegController,
-    LegMeasurement,
     LegReference,
     PhasedReference,
     PressureSchedule,
@@ -14,9 +13,9 @@ from mckibben.leg.jumping import JumpStudy, study_jump
 from mckibben.leg.landing import LandingStudy, study_landing
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
 from mckibben.leg.metrics import LegMetrics
-from mckibben.leg.plant import Ground, LegPlant, LegState
+from mckibben.leg.plant import Ground, LegMeasurement, LegPlant, LegStart, LegState
 from mckibben.leg.scenario import LegScenario, read_leg
-from mckibben.leg.simulate import LegStart, leg_metrics, simulate_leg, simulate_legs
+from mckibben.leg.simulate import leg_metrics, simulate_leg, simulate_legs
 
 __all__ = [
     "BiarticularMuscle",

@@ -12,40 +12,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.component.base import Component
 from mckibben.control import Controller, Reference
-from mckibben.control.base import Setpoint
+from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
+from mckibben.leg.plant import LegMeasurement
 from mckibben.numerics.elementary import exp
 from mckibben.units import Instant, PositiveTime, Pressure, ShortTime, Tension, ms
 
 Scalar = Float[Array, ""]
 
 
-class LegMeasurement(NamedTuple):
-    """Measured time [s], angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
+class LegController(DiscreteTimeSystem):
+    """Interface from time and measurements to pressure commands of all muscles.
 
-    time: Scalar
-    angles: tuple[Scalar, ...]
-    pressures: tuple[Scalar, ...]
-    ground_force: Scalar
-
-
-class LegController(Component):
-    """Interface from measurements to pressure commands of all muscles."""
+    A controller of a leg has references of its own: in place of a setpoint `step` is given the time [s].
+    """
 
     @abc.abstractmethod
-    def init(self, measurement: LegMeasurement) -> Any:
-        """Return the state before the first step."""
-
-    @abc.abstractmethod
-    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Array, ...]]:
+    def step(
+        self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Array, ...]]:
         """Return the next state, and the commands [Pa] for the coming control period [s]."""
-
-    def telemetry(self, state: Any) -> dict[str, Array]:
-        """Return the signals to record each period, by name."""
-        return {}
 
 
 class PressureSchedule(LegController):
@@ -64,8 +52,8 @@ class PressureSchedule(LegController):
     Examples
     --------
     >>> schedule = PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ()))
-    >>> start = LegMeasurement(jnp.asarray(1e-3), (), (), jnp.zeros(()))
-    >>> [float(one) for one in schedule.step((), start, 1e-3)[1]]
+    >>> nothing = LegMeasurement((), (), jnp.zeros(()))
+    >>> [float(one) for one in schedule.step((), 1e-3, nothing, 1e-3)[1]]
     [325000.0, 200000.0]
     """
 
@@ -101,31 +89,27 @@ class PressureSchedule(LegController):
     def init(self, measurement: LegMeasurement) -> tuple[()]:
         return ()
 
-    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Array, ...]]:
+    def step(
+        self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Array, ...]]:
         commands = []
         for levels, times in zip(self.levels, self.switches or ((),) * len(self.levels), strict=True):
             command = jnp.asarray(levels[0])
             for before, after, at in zip(levels, levels[1:], times, strict=False):
-                part = jnp.clip((measurement.time + period - at) / period, 0.0, 1.0)
+                part = jnp.clip((time + period - at) / period, 0.0, 1.0)
                 command = command + (jnp.asarray(after) - before) * part
             commands.append(command)
         return (), tuple(commands)
 
 
-class LegReference(Component):
-    """Interface from measurements to the setpoints of all joints."""
+class LegReference(DiscreteTimeSystem):
+    """Interface from time and measurements to the setpoints of all joints."""
 
     @abc.abstractmethod
-    def init(self, measurement: LegMeasurement) -> Any:
-        """Return the state before the first step."""
-
-    @abc.abstractmethod
-    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Setpoint, ...]]:
-        """Return the next state, and the setpoint of each joint."""
-
-    def telemetry(self, state: Any) -> dict[str, Array]:
-        """Return the signals to record each period, by name."""
-        return {}
+    def step(
+        self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Setpoint, ...]]:
+        """Return the next state, and the setpoint of each joint at a time [s]."""
 
 
 class TimedReference(LegReference):
@@ -136,8 +120,10 @@ class TimedReference(LegReference):
     def init(self, measurement: LegMeasurement) -> tuple[()]:
         return ()
 
-    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Setpoint, ...]]:
-        return (), tuple(reference(measurement.time) for reference in self.references)
+    def step(
+        self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Setpoint, ...]]:
+        return (), tuple(reference(time) for reference in self.references)
 
 
 FLIGHT, TOUCHDOWN, STANCE, PUSH_OFF = range(4)
@@ -203,7 +189,7 @@ class PhasedReference(LegReference):
         return PhaseState(begun, zero, setpoints, measurement.angles[self.extensor], zero)
 
     def step(
-        self, state: PhaseState, measurement: LegMeasurement, period: ArrayLike
+        self, state: PhaseState, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
     ) -> tuple[PhaseState, tuple[Setpoint, ...]]:
         touching = measurement.ground_force > self.threshold
         extension = measurement.angles[self.extensor]
@@ -271,8 +257,10 @@ class JointwiseControl(LegController):
         states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
         return self.reference.init(measurement), tuple(states)
 
-    def step(self, state: Any, measurement: LegMeasurement, period: ArrayLike) -> tuple[Any, tuple[Array, ...]]:
-        reference, setpoints = self.reference.step(state[0], measurement, period)
+    def step(
+        self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Array, ...]]:
+        reference, setpoints = self.reference.step(state[0], time, measurement, period)
         states, commands = [], []
         for index, (one, held, setpoint) in enumerate(zip(self.controllers, state[1], setpoints, strict=True)):
             held, pair = one.step(held, setpoint, _of_joint(measurement, index), period)

@@ -14,19 +14,18 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.codegen.native import NativeFunction
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, frames, motion
 from mckibben.leg.landing import EDGES
-from mckibben.leg.plant import LegPlant
+from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LegStart, check_step, leg_metrics, simulate_leg, simulate_legs
+from mckibben.leg.simulate import leg_metrics, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
-from mckibben.numerics.compiled import compiled, compiled_as_given, numeric
-from mckibben.simulation.engine import compute_with
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import sampling_times
 from mckibben.units import bar, deg, mm, ms
 
@@ -237,16 +236,11 @@ class JumpRuns(NamedTuple):
         x = np.asarray(variables, float)
         times, period = sampling_times(self.duration, self.step), np.asarray(self.step)
         shared = numeric((self.plant, self.start, self.variables, x, times, period))
-        directions = np.eye(x.size)
-        (value, gradient), _ = compute_with(
-            engine,
-            np.float64,
-            lambda: _native_derivative(shared, directions),
-            lambda: _derivatives(shared, directions),
-        )
+        (value, gradient), _ = _derivative(engine, shared, np.eye(x.size))
         return float(np.asarray(value)[0]), np.asarray(gradient)
 
 
+@BatchFunction
 def _derivative(shared: Any, direction: Any) -> tuple[Array, Array]:
     """Height of a jump, and its derivative in one direction."""
     plant, start, given, variables, times, period = shared
@@ -255,14 +249,6 @@ def _derivative(shared: Any, direction: Any) -> tuple[Array, Array]:
         return leg_metrics(plant, given.schedule(x), start, times, period, 1).apex
 
     return jax.jvp(height, (variables,), (direction,))
-
-
-_native_derivative = NativeFunction(_derivative)
-
-
-@compiled_as_given
-def _derivatives(shared: Any, directions: Any) -> tuple[Array, Array]:
-    return jax.vmap(_derivative, (None, 0))(shared, directions)
 
 
 def study_jump(
@@ -287,7 +273,7 @@ def study_jump(
     try:
         pressures = leg.pressures_for(angles, standing_torques(plant, angles).tolist(), [None] * len(angles))
         start = LegStart(angles, pressures)
-        check_step(plant, start, scenario.step, 1)
+        plant.check_substeps(angles, None, scenario.step, 1)
     except SimulationError as error:
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:

@@ -15,12 +15,13 @@ import mckibben
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LEG_UNITS, LegMetrics
-from mckibben.leg.plant import LegPlant
+from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LegStart, check_step, simulate_leg, simulate_legs
+from mckibben.leg.simulate import simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
+from mckibben.simulation.result import attributes
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_arrays, read_header, unpack_arrays
 from mckibben.units import bar, deg, mm, ms
 
@@ -254,7 +255,7 @@ def study_landing(
         valves = _valves(nominal, landing.time_constants)
         for valve in valves.values():
             own = eqx.tree_at(lambda x: x.valve, nominal, valve)
-            check_step(own, LegStart(angles, tuple(pressures[0])), scenario.step, 1)
+            own.check_substeps(angles, None, scenario.step, 1)
     except SimulationError as error:
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
@@ -393,7 +394,7 @@ def _table(
 
     dims = ("valve", "drop", "stiffness", "draw")
     columns = {
-        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), {"units": LEG_UNITS[name]})
+        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), attributes(name, LEG_UNITS))
         for name in LegMetrics._fields
     }
     coords = {

@@ -1,77 +1,19 @@
-"""Observations of a leg, and metrics that are accumulated along a run."""
+"""Metrics of a leg that are accumulated along a run."""
 
 from __future__ import annotations
 
-import functools
-import operator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.leg.dynamics import motion
-from mckibben.leg.plant import LegPlant, LegState
-from mckibben.muscle.air import ATMOSPHERE, ENERGY
+from mckibben.leg.plant import LegPlant, LegSample
+from mckibben.simulation.result import UNITS
 
 Scalar = Float[Array, ""]
 
 IMPACT = 10e-3
 """Time [s] after the first touch in which the force is that of the foot's own impact, `peak_force_late` leaves out."""
-
-
-class LegSample(NamedTuple):
-    """Sample of a run at the start of a control period; tuples are over joints or muscles."""
-
-    x: Scalar
-    z: Scalar
-    speed: Scalar
-    pitch: Scalar
-    angle: tuple[Scalar, ...]
-    velocity: tuple[Scalar, ...]
-    pressure: tuple[Scalar, ...]
-    tension: tuple[Scalar, ...]
-    contraction: tuple[Scalar, ...]
-    stop_torque: tuple[Scalar, ...]
-    ground_forward: Scalar
-    ground_up: Scalar
-    mass_height: Scalar
-    mass_speed: Scalar
-    kinetic: Scalar
-    muscle_power: Scalar
-    air_mass: tuple[Scalar, ...]
-    outside: Array  # whether a contraction is outside its muscle's domain
-
-
-def observe(plant: LegPlant, state: LegState) -> LegSample:
-    """Return a sample of a state."""
-    forces, volumes = plant.forces(state), plant.air_volumes(state)
-    moving = motion(plant.leg, state.posture, state.velocity, plant.gravity)
-    tensions = zip(forces.tensions, forces.path_rates, strict=True)
-    air = zip(state.pressures, volumes, strict=True)
-    inside = [
-        muscle.domain.contains_contraction(one)
-        for muscle, one in zip(plant.leg.muscles, forces.contractions, strict=True)
-    ]
-    return LegSample(
-        x=state.posture.x,
-        z=state.posture.z,
-        speed=state.velocity.z,
-        pitch=state.posture.pitch,
-        angle=state.posture.angles,
-        velocity=state.velocity.angles,
-        pressure=state.pressures,
-        tension=forces.tensions,
-        contraction=forces.contractions,
-        stop_torque=forces.stops,
-        ground_forward=forces.ground[0],
-        ground_up=forces.ground[1],
-        mass_height=moving.height,
-        mass_speed=moving.upward_speed,
-        kinetic=moving.kinetic,
-        muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
-        air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
-        outside=~functools.reduce(operator.and_, inside),
-    )
 
 
 class LegMetrics(NamedTuple):
@@ -114,19 +56,34 @@ class LegMetrics(NamedTuple):
     time_outside_domain: Scalar
 
 
-LEG_UNITS = {
-    "peak_force": "N",
-    "peak_force_late": "N",
-    "peak_trunk_force": "N",
-    "deflection": "m",
-    "stop_torque": "N*m",
-    "apex": "m",
-    "take_off_speed": "m/s",
-    "muscle_work": "J",
-    "air_mass": "kg",
-    "time_outside_domain": "s",
+LEG_UNITS = UNITS | {
+    "peak_force": ("N", "largest upward force of the ground"),
+    "peak_force_late": ("N", "largest upward force of the ground, without the impact of the foot"),
+    "peak_trunk_force": ("N", "largest upward force on the trunk"),
+    "deflection": ("m", "depth of the hip below its height at the first touch"),
+    "stop_torque": ("N*m", "torque of the stops"),
+    "apex": ("m", "greatest height of the centre of mass in flight"),
+    "take_off_speed": ("m/s", "upward speed of the centre of mass at take-off"),
+    "muscle_work": ("J", "work of the muscles"),
+    "air_mass": ("kg", "mass of the air"),
+    "x": ("m", "position of the hip, forwards"),
+    "z": ("m", "height of the hip"),
+    "speed": ("m/s", "upward speed of the hip"),
+    "pitch": ("rad", "pitch of the trunk"),
+    "pressure": ("Pa", "gauge pressure"),
+    "command": ("Pa", "commanded pressure"),
+    "tension": ("N", "tension of the muscle"),
+    "contraction": ("1", "contraction of the muscle"),
+    "ground_forward": ("N", "force of the ground on the foot, forwards"),
+    "ground_up": ("N", "force of the ground on the foot, upwards"),
+    "mass_height": ("m", "height of the centre of mass"),
+    "mass_speed": ("m/s", "upward speed of the centre of mass"),
+    "kinetic": ("J", "kinetic energy"),
+    "muscle_power": ("W", "power of the muscles"),
+    "outside": ("1", "a muscle's contraction is outside its domain"),
+    "diverged": ("1", "the run diverged"),
 }
-"""Units of `LegMetrics`."""
+"""Unit and meaning of the variables of runs of a leg."""
 
 
 class MetricSums(NamedTuple):
@@ -183,26 +140,3 @@ class MetricSums(NamedTuple):
         """The metrics; NaN for the apex of a foot that never left the ground."""
         apex = self.metrics.apex
         return self.metrics._replace(apex=jnp.where(apex > -jnp.inf, apex, jnp.nan))
-
-
-SAMPLE_UNITS = {
-    "x": "m",
-    "z": "m",
-    "speed": "m/s",
-    "pitch": "rad",
-    "angle": "rad",
-    "velocity": "rad/s",
-    "pressure": "Pa",
-    "tension": "N",
-    "contraction": "1",
-    "stop_torque": "N*m",
-    "ground_forward": "N",
-    "ground_up": "N",
-    "mass_height": "m",
-    "mass_speed": "m/s",
-    "kinetic": "J",
-    "muscle_power": "W",
-    "air_mass": "kg",
-    "command": "Pa",
-}
-"""Units of `LegSample` and of the commands."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import math
+import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,20 +18,25 @@ from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement, RigidTendon
-from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, frames, motion
-from mckibben.leg.mechanism import Leg, LegJoint, RoutedMuscle
-from mckibben.muscle import Muscle, MuscleState
+from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, foot_mobility, frames, motion
+from mckibben.leg.mechanism import Leg, RoutedMuscle
+from mckibben.muscle import Muscle, MuscleState, SpringLaw
+from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant.base import IOState, Motion, Plant
+from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
 from mckibben.plant.sensors import Disturbance
-from mckibben.units import Gravity, Quantity, Share, Speed, bar, deg, mm
+from mckibben.units import Gravity, Quantity, Share, Speed, mm, show
 
 ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
 ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
+
+_ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
+_LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
 
 def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, damping: ArrayLike) -> Array:
@@ -77,6 +85,49 @@ class LegState(NamedTuple):
     air: AirState | tuple[()] = ()
     friction: tuple[FrictionState, ...] = ()
     sent: tuple[tuple[Scalar, ...], ...] = ()
+
+
+class LegStart(NamedTuple):
+    """Start of a run: angles [rad], pressures [Pa], clearance of the foot [m], and upward speed [m/s].
+
+    Numbers, or arrays over runs; see `LegPlant.init_state`.
+    """
+
+    angles: tuple[ArrayLike, ...]
+    pressures: tuple[ArrayLike, ...]
+    clearance: ArrayLike = 0.0
+    upward_speed: ArrayLike = 0.0
+
+
+class LegMeasurement(NamedTuple):
+    """Measured angles of the joints [rad], pressures of the muscles [Pa], and force on the foot [N]."""
+
+    angles: tuple[Scalar, ...]
+    pressures: tuple[Scalar, ...]
+    ground_force: Scalar
+
+
+class LegSample(NamedTuple):
+    """Sample of a run at the start of a control period; tuples are over joints or muscles."""
+
+    x: Scalar
+    z: Scalar
+    speed: Scalar
+    pitch: Scalar
+    angle: tuple[Scalar, ...]
+    velocity: tuple[Scalar, ...]
+    pressure: tuple[Scalar, ...]
+    tension: tuple[Scalar, ...]
+    contraction: tuple[Scalar, ...]
+    stop_torque: tuple[Scalar, ...]
+    ground_forward: Scalar
+    ground_up: Scalar
+    mass_height: Scalar
+    mass_speed: Scalar
+    kinetic: Scalar
+    muscle_power: Scalar
+    air_mass: tuple[Scalar, ...]
+    outside: Array  # whether a contraction is outside its muscle's domain
 
 
 class LegForces(NamedTuple):
@@ -129,8 +180,68 @@ class LegPlant(Plant):
         pressures: Any = state.pressures
         return Measurement(angles, pressures)
 
+    def sample(self, state: LegState, period: ArrayLike) -> tuple[LegState, LegMeasurement]:
+        """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
+        state, (angles, pressures) = super().sample(state, period)
+        return state, LegMeasurement(cast(Any, angles), pressures, self.ground_force(state)[1])
+
     def disturbing_torque(self, time: ArrayLike) -> tuple[Array, ...]:
         return tuple(floating(one.torque(time)) for one in self.disturbances)
+
+    def observe(self, state: LegState) -> LegSample:
+        forces, volumes = self.forces(state), self.air_volumes(state)
+        moving = motion(self.leg, state.posture, state.velocity, self.gravity)
+        tensions = zip(forces.tensions, forces.path_rates, strict=True)
+        air = zip(state.pressures, volumes, strict=True)
+        inside = [
+            muscle.domain.contains_contraction(one)
+            for muscle, one in zip(self.leg.muscles, forces.contractions, strict=True)
+        ]
+        return LegSample(
+            x=state.posture.x,
+            z=state.posture.z,
+            speed=state.velocity.z,
+            pitch=state.posture.pitch,
+            angle=state.posture.angles,
+            velocity=state.velocity.angles,
+            pressure=state.pressures,
+            tension=forces.tensions,
+            contraction=forces.contractions,
+            stop_torque=forces.stops,
+            ground_forward=forces.ground[0],
+            ground_up=forces.ground[1],
+            mass_height=moving.height,
+            mass_speed=moving.upward_speed,
+            kinetic=moving.kinetic,
+            muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
+            air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
+            outside=~functools.reduce(operator.and_, inside),
+        )
+
+    def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
+        """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
+        leg, ground = self.leg, self.ground
+        mobility = np.asarray(_mobility(leg, angles))
+        bodies = [
+            (joint, link.inertia + link.mass * link.centre**2)
+            for joint, link in zip(leg.joints, leg.links, strict=True)
+            if joint.locked is None
+        ]
+        stiffnesses = {
+            "the ground": ground.stiffness * np.linalg.eigvalsh(mobility)[-1],
+            "the stops": max((joint.stop_stiffness / inertia for joint, inertia in bodies), default=0.0),
+            "the friction of the joints": max(
+                (joint.friction.steepest / inertia for joint, inertia in bodies if joint.friction), default=0.0
+            ),
+        }
+        rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
+        weight = float(leg.total_mass) * self.gravity
+        rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * mobility[0, 0]
+        if self.valve.holds_air:
+            muscles = (muscle for muscle in leg.muscles if not isinstance(muscle.law, SpringLaw))
+            volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
+            rates["the air"] = self.valve.fastest_rate_in(min(volumes))
+        return rates
 
     def init_state(
         self,
@@ -155,30 +266,39 @@ class LegPlant(Plant):
             If there is not one angle for each joint and one pressure for each muscle, an angle is beyond its stop, or
             the foot is in the ground.
         """
+        return self.begin(LegStart(tuple(angles), tuple(pressures), clearance, upward_speed))
+
+    def check_start(self, start: LegStart) -> None:
+        """Raise `RangeError` where the plain numbers of a start are not possible, as by `init_state`."""
         leg = self.leg
-        _check_count("angles", len(angles), [joint.name for joint in leg.joints])
-        _check_count("pressures", len(pressures), leg.muscle_names)
-        for joint, angle in zip(leg.joints, angles, strict=True):
-            _check_angle(joint, angle)
+        _check_count("angles", len(start.angles), [joint.name for joint in leg.joints])
+        _check_count("pressures", len(start.pressures), leg.muscle_names)
+        for joint, angle in zip(leg.joints, start.angles, strict=True):
+            remedy = "start within the range of the joint"
+            _check_inside(joint.name, "angles", angle, joint.lower, joint.upper, "rad", remedy)
         supply = getattr(self.valve, "supply", None)
-        for name, muscle, pressure in zip(leg.muscle_names, leg.muscles, pressures, strict=True):
-            highest = muscle.specimen.domain.pressure_max
-            _check_pressure(name, pressure, highest)
-            _check_pressure(f"{name} (supply)", pressure, highest if supply is None else supply)
-        check_positive("LegPlant", "m", zero=True, clearance=clearance)
-        if leg.trunk.freedom == "fixed" and np.any(known_numbers("LegPlant", "upward_speed", upward_speed)):
+        for name, muscle, pressure in zip(leg.muscle_names, leg.muscles, start.pressures, strict=True):
+            rated, remedy = muscle.specimen.domain.pressure_max, "give a pressure that muscle and supply permit"
+            for what, highest in ((name, rated), (f"{name} (supply)", rated if supply is None else supply)):
+                _check_inside(what, "pressures", pressure, 0.0, highest, "Pa", remedy)
+        check_positive("LegPlant", "m", zero=True, clearance=start.clearance)
+        if leg.trunk.freedom == "fixed" and np.any(known_numbers("LegPlant", "upward_speed", start.upward_speed)):
             raise RangeError(
                 "a fixed trunk has no speed",
                 field="upward_speed",
-                value=upward_speed,
+                value=start.upward_speed,
                 remedy="give the trunk the freedom vertical, planar or free",
             )
-        held = tuple(map(floating, leg.held(angles)))
-        zero, speed = jnp.zeros(()), floating(upward_speed)
+
+    def begin(self, start: LegStart) -> LegState:
+        self.check_start(start)
+        leg = self.leg
+        held = tuple(map(floating, leg.held(start.angles)))
+        zero, speed = jnp.zeros(()), floating(start.upward_speed)
         posture = Posture(zero, zero, zero, held)
         velocity = Velocity(zero, speed, zero, tuple(zero for _ in held))
-        posture = posture._replace(z=floating(clearance) - contact(leg, frames(leg, posture, velocity)).z)
-        inside = tuple(map(floating, pressures))
+        posture = posture._replace(z=floating(start.clearance) - contact(leg, frames(leg, posture, velocity)).z)
+        inside = tuple(map(floating, start.pressures))
         muscles = (MuscleState((), ()),) * len(inside)
         return self.complete_state(LegState(posture, velocity, inside, muscles))
 
@@ -281,6 +401,12 @@ class LegPlant(Plant):
         return found.kinetic + found.potential
 
 
+@compiled
+def _mobility(leg: Leg, angles: tuple[ArrayLike, ...]) -> Array:
+    zero = jnp.zeros(())
+    return foot_mobility(leg, Posture(zero, zero, zero, leg.held(angles)))
+
+
 def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
     """Rate of the length of a muscle's path [m/s]."""
     return sum((slope * rates[joint] for joint, slope in unit.slopes.items()), start=jnp.zeros(()))
@@ -296,35 +422,17 @@ def _check_count(field: str, given: int, names: Sequence[str]) -> None:
         )
 
 
-def _check_angle(joint: LegJoint, angle: ArrayLike) -> None:
-    """Raise where a given angle is beyond a stop."""
-    if not all(isinstance(one, Real) for one in (angle, joint.lower, joint.upper)):
+def _check_inside(what: str, field: str, value: Any, lower: Any, upper: Any, unit: str, remedy: str) -> None:
+    """Raise where a given number at the start is outside its range; others pass."""
+    if not all(isinstance(one, Real) for one in (value, lower, upper)):
         return
-    at, lower, upper = float(angle), float(joint.lower), float(joint.upper)  # type: ignore[arg-type]
-    if not lower - 1e-9 <= at <= upper + 1e-9:
+    if not lower - _ROUNDING[unit] <= value <= upper + _ROUNDING[unit]:
         raise RangeError(
-            f"{joint.name}: the start is at {at / deg:.4g} deg",
-            field="angles",
-            value=at,
-            lower=lower,
-            upper=upper,
-            unit="rad",
-            remedy="start within the range of the joint",
-        )
-
-
-def _check_pressure(name: str, pressure: ArrayLike, highest: ArrayLike) -> None:
-    """Raise where a given pressure cannot be supplied."""
-    if not (isinstance(pressure, Real) and isinstance(highest, Real)):
-        return
-    at, upper = float(pressure), float(highest)  # type: ignore[arg-type]
-    if not 0 <= at <= upper + 1e-3:
-        raise RangeError(
-            f"{name}: the start is at {at / bar:.4g} bar",
-            field="pressures",
-            value=at,
-            lower=0.0,
-            upper=upper,
-            unit="Pa",
-            remedy="give a pressure that muscle and supply permit",
+            f"{what}: the start is at {show(float(value), 'deg' if unit == 'rad' else 'bar')}",
+            field=field,
+            value=float(value),
+            lower=float(lower),
+            upper=float(upper),
+            unit=unit,
+            remedy=remedy,
         )

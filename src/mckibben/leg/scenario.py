@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -11,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from mckibben.component.schema import Part, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import quoted, suggest
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import Ground, LegPlant
@@ -128,6 +127,9 @@ class LegScenario(RunSettings):
     LegPlant(...)
     """
 
+    kind = "leg"
+    examples = "examples/leg/"
+
     name: Title
     leg: Annotated[Leg, Part(Leg)]
     valve: ValvePart = IdealValve()
@@ -207,17 +209,6 @@ class LegScenario(RunSettings):
                 "give a valve such as {class: regulator, ...}, or `time_constants: []`",
             )
         return self
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> LegScenario:
-        """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
-        source = os.fspath(path)
-        return cls.parse(read_text(path, "a leg", "examples/leg/"), source=source, folder=Path(path).parent)
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "leg", folder: str | os.PathLike[str] = ".") -> LegScenario:
-        """Read YAML text; errors as for `read`."""
-        return parse_model(cls, text, source=source, folder=folder)[0]
 
     def whole_steps(self, duration: float) -> float:
         """The duration [s] as a multiple of the step."""

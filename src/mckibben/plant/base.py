@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
@@ -15,12 +16,22 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import AirState, AirVolume, delay_periods
 from mckibben.component.base import Component
+from mckibben.errors import SimulationError
 from mckibben.joint import Measurement
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.elementary import floating
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.units import CommandDelay
+
+STABILITY_LIMIT = 2.785
+"""Largest product of step and mode on the negative real axis at which the classical Runge-Kutta method is stable."""
+
+_SLOWER = {
+    "the motion": "less damping and stiffness, or more inertia",
+    "the air": "a valve with less conductance, a wider band, a slower spool or regulator, or more dead volume",
+}
+_ROUNDING = 1e-9
 
 Scalar = Float[Array, ""]
 
@@ -142,6 +153,37 @@ class Plant(Component):
     def init_friction(self, state: Any) -> Any:
         """Return the unstressed states of the friction of the joints at the positions of a state."""
 
+    @abc.abstractmethod
+    def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
+        """Return the rates [1/s] that integration steps must resolve by their cause, near angles [rad]."""
+
+    def check_substeps(self, angles: Any, stiffness: Any, period: float, substeps: int) -> None:
+        """Raise `SimulationError` if integration steps do not resolve the fastest rate of the plant.
+
+        At the first, the lowest and the highest of the angles [rad] of a joint, with a stiffness [N*m/rad], or at the
+        angles of all joints of a leg.
+        """
+        what, fastest = max(self.fastest_rates(angles, stiffness).items(), key=lambda item: item[1])
+        needed = fastest * period / STABILITY_LIMIT
+        if math.isfinite(needed) and needed > substeps * (1 + _ROUNDING):
+            raise SimulationError(
+                f"integration steps of {period / substeps * 1e3:g} ms do not resolve {what}: "
+                f"{period / needed * 1e3:.2g} ms would",
+                field="substeps",
+                value=substeps,
+                lower=math.ceil(needed),
+                remedy=f"give at least {math.ceil(needed)} substeps, a shorter control period, or "
+                f"{_SLOWER.get(what, 'what is softer or slower there')}",
+            )
+
+    def begin(self, start: Any) -> Any:
+        """Return the state of a start; by default a start is a state."""
+        return start
+
+    def observe(self, state: Any) -> Any:
+        """Return what a run records of a state at the start of a control period; by default the state."""
+        return state
+
     @property
     def has_ideal_io(self) -> bool:
         """Whether sensors are perfect and there is no disturbance."""
@@ -157,7 +199,7 @@ class Plant(Component):
             return self
         return dataclasses.replace(self, delay_periods=delay_periods(self.command_delay, period))
 
-    def sample(self, state: S, period: ArrayLike) -> tuple[S, Measurement]:
+    def sample(self, state: Any, period: ArrayLike) -> tuple[Any, Any]:
         """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
         true, io = self.true_measurement(state), state.io
         if not isinstance(io, IOState):

@@ -8,14 +8,16 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
+from numpy.typing import NDArray
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
 from mckibben.joint.geometry import Pressures
-from mckibben.muscle import Muscle
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
@@ -24,6 +26,8 @@ from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
 
 Scalar = Float[Array, ""]
+
+_STEP = 1e-4  # rad, of the differences that give the moment arms
 
 
 class PlantState(NamedTuple):
@@ -147,6 +151,41 @@ class JointPlant(Plant):
 
     def init_friction(self, state: PlantState) -> FrictionState:
         return () if self.friction is None else self.friction.initial(state.angle)
+
+    def fastest_rates(self, angles: ArrayLike, stiffness: ArrayLike = 0.0) -> dict[str, float]:
+        at = np.asarray(angles, float)
+        at = np.array([at.flat[0], np.nanmin(at), np.nanmax(at)])
+        return {"the motion": self._fastest_mode(at, stiffness), "the air": self._fastest_air(at)}
+
+    def _fastest_mode(self, angles: NDArray[np.float64], stiffness: ArrayLike) -> float:
+        """Largest magnitude [1/s] of an eigenvalue of the linearised motion, with presliding friction and creep."""
+        inertia, damping = float(self.load.total_inertia), float(self.load.damping)
+        total = float(np.nanmax(np.abs(np.asarray(stiffness, float)))) + abs(float(self.load.gravity_moment))
+        modes = [0.0]
+        if self.joint.has_friction or self.joint.has_creep:
+            lengths = [np.asarray(self.joint.geometry.path_lengths(angles + step)) for step in (-_STEP, _STEP)]
+            arms = np.max(np.abs(lengths[1] - lengths[0]) / (2 * _STEP), axis=1)
+            for muscle, arm in zip(self.muscles, map(float, arms), strict=True):
+                friction, creep = muscle.friction, muscle.creep
+                if isinstance(friction, MaxwellSlip):
+                    total += float(np.sum(friction.stiffnesses)) * arm**2
+                    damping += float(friction.viscous) * arm**2
+                if isinstance(creep, MaxwellCreep):
+                    total += float(creep.stiffness) * arm**2
+                    modes.append(1 / float(creep.time_constants[0]))
+        if self.friction is not None:
+            total += float(self.friction.steepest)
+        half = damping / (2 * inertia)  # of s^2 + 2 half s + total/inertia
+        root = half**2 - total / inertia
+        return max(*modes, half + math.sqrt(root) if root > 0 else math.sqrt(total / inertia))
+
+    def _fastest_air(self, angles: NDArray[np.float64]) -> float:
+        """Bound on the rates [1/s] of the air in both muscles with its valves; 0 without."""
+        if not self.valve.holds_air:
+            return 0.0
+        lowest1, lowest2 = (muscle.domain.pressure_min for muscle in self.muscles)
+        pairs = zip(self.muscles, self.joint.contractions(angles, (lowest1, lowest2)), strict=True)
+        return self.valve.fastest_rate_in(min(float(np.min(muscle.specimen.volume(at))) for muscle, at in pairs))
 
     def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """Return the state of `equilibrium` and whether it exists, for traced numbers; NaN for no given stiffness."""

@@ -143,7 +143,7 @@ def measured_result(
     velocity: Any = np.gradient(table["angle"], period)
     angle, pressure1, pressure2 = (cast(Any, table[name]) for name in ("angle", "pressure1", "pressure2"))
     state = PlantState(angle, velocity, (pressure1, pressure2))
-    record = Record(state, table["command1"], table["command2"], table["limited"] != 0, telemetry)  # type: ignore[arg-type]
+    record = Record(state, (table["command1"], table["command2"]), table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing = np.full(count, np.nan)
     moved = compiled_trajectory(numeric(_by_laws(plant)), references, record, nothing, stiffness_amplitude)  # type: ignore[arg-type]

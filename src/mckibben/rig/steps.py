@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -46,12 +47,12 @@ SPEED = 0.2 * mm / s
 """Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
 
 
-class ProtocolStep(Keyed, Checked):
+class ProtocolStep(Keyed, Checked, abc.ABC):
     """A step of a test."""
 
+    @abc.abstractmethod
     def describe(self) -> str:
         """Description as text."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from html import escape
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, ValidationInfo, field_validator, model_serializer
+from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.component.checks import whole_periods
+from mckibben.component.extensions import package_version, version_differences
 from mckibben.component.schema import Part, independent, inherit, write
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.control import Controller, Reference
-from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import (
     Actuator,
@@ -48,7 +51,22 @@ ReferencePart = Annotated[Reference, Part(Reference)]
 
 
 class RunSettings(ConfigModel):
-    """Base of documents with a plant and the timing of its runs."""
+    """Base of documents with a plant and the timing of its runs.
+
+    The key `packages` has the installed packages of classes that are not ours, with the versions that wrote the text.
+    """
+
+    kind: ClassVar[str] = "scenario"
+    examples: ClassVar[str] = "examples/"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _packages_fit(cls, value: Any) -> Any:
+        if not isinstance(value, dict) or not isinstance(value.get("packages"), list | tuple):
+            return value
+        for text in version_differences(value["packages"]):
+            warnings.warn(text, McKibbenWarning, stacklevel=2)
+        return {key: one for key, one in value.items() if key != "packages"}
 
     @field_validator("control_period", mode="after", check_fields=False)
     @classmethod
@@ -71,9 +89,37 @@ class RunSettings(ConfigModel):
             )
         return value
 
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
+        text = read_text(path, f"a {cls.kind}", cls.examples)
+        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
+        """Read YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
+        return parse_model(cls, text, source=source or cls.kind, folder=folder)[0]
+
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
+        """Write a file that `read` reads back to the last bit."""
+        with atomic_write(path, overwrite=True) as part:
+            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
         """Return text that `parse` reads back to the last bit; paths are relative to a folder."""
-        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
+        written = self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)})
+        packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
+        return to_text(written | ({"packages": packages} if packages else {}))
+
+
+def _classes_in(part: Any) -> Iterator[type]:
+    """Classes of the parts of a document."""
+    if isinstance(part, tuple | list | dict):
+        for one in part.values() if isinstance(part, dict) else part:
+            yield from _classes_in(one)
+    elif isinstance(part, ConfigModel) or (is_dataclass(part) and not isinstance(part, type)):
+        yield type(part)
+        yield from _classes_in(vars(part))
 
 
 class Start(ConfigModel):
@@ -151,23 +197,8 @@ class Scenario(RunSettings):
         usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
         return {key: one for key, one in written.items() if usual.get(key) != one}
 
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Read a scenario file; raises ScenarioError with every problem: line, field, value, range and remedy."""
-        return cls.parse(read_text(path), source=os.fspath(path), folder=Path(path).parent)
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
-        """Read a scenario from YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
-        return parse_model(cls, text, source=source, folder=folder)[0]
-
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
-
-    def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write the scenario to a file that `read` reads back to the last bit."""
-        with atomic_write(path, overwrite=True) as part:
-            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
     def plant(self) -> JointPlant:
         """Return the simulated plant."""

@@ -15,16 +15,15 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.codegen.native import NativeFunction
 from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import McKibbenWarning, ParameterError, SimulationError
-from mckibben.notebook import Progress, html_table, notebook_progress
-from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
+from mckibben.errors import McKibbenWarning, SimulationError
+from mckibben.notebook import Progress, html_table
+from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.engine import check_engine, compute_with
-from mckibben.simulation.loop import Streamed, streaming_episode
+from mckibben.simulation.engine import BatchFunction, compute_chunks
+from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
 from mckibben.simulation.problem import (
     AtRest,
@@ -34,22 +33,12 @@ from mckibben.simulation.problem import (
     float_type,
     sample_reference,
     sampling_times,
-    split_problem,
+    split_runs,
 )
-from mckibben.simulation.resolution import check_substeps
 from mckibben.simulation.result import OUTCOMES, Outcome, attributes, outcomes
 
 if TYPE_CHECKING:
     import xarray as xr
-
-CHUNK = 256
-"""Runs per chunk of XLA on a CPU: they fit a core's cache and fill its vectors."""
-NATIVE = 1024
-"""Runs per chunk of the native engine, which computes one vector of them after the other."""
-ON_ACCELERATOR = 16384
-"""Runs per chunk on an accelerator."""
-VECTOR = 16
-"""Smallest chunk: one vector of 32-bit numbers."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,32 +169,33 @@ def simulate_many(
     check_names("column of a trajectory", keep, Trajectory._fields)
     asked = _Asked(substeps, tuple(metrics), tuple(keep), stride, float_type(precision).name)
 
-    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {}, control_period)
-    if lanes is None or count is None:
-        raise ParameterError(
-            "all runs are the same",
-            remedy="give a NumPy array in place of a number, or use `simulate` for one run",
-        )
+    problem = SimulationProblem.of(plant, controller, reference, initial)
+    lanes, shared, count = split_runs(problem, over or {}, control_period, alone="simulate")
     _warn_of_substeps(lanes, shared, times, control_period, substeps)
-    size = chunk_size(chunk, count, workers, engine, asked.precision)
     period = jnp.asarray(control_period, float)
 
-    def compute(piece: slice) -> tuple[dict[str, NDArray], str]:
-        given = pad_chunk(lanes, piece, size), shared, times, period, asked
-        native, xla = lambda: _native_chunk(*given), lambda: _chunk(*given)
-        answer, used = compute_with(engine, asked.precision, native, xla, many=True)
-        return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}, used
+    def compute(lane: SimulationProblem) -> tuple[dict[str, Array], str]:
+        begun, span = _begun(lane, shared, times, asked)
+        each = bool(jax.tree.leaves(lane.reference))
+        spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
+        of_each, of_all = eqx.partition(begun, spec)
+        unused: Any = {"reference": None, "initial": None}
+        given = (shared._replace(**unused), of_all, period, asked), (lane._replace(**unused), of_each)
+        columns, used = _run(engine, *given, asked.precision)
+        return columns | {"_span": np.broadcast_to(span, begun.exist.shape)}, used
 
-    progress = progress or notebook_progress()
-    answers = []
-    for piece, answer in map_chunks(compute, count, size, workers):
-        answers.append(answer)
-        if progress:
-            progress(f"{piece.stop} of {count} runs", piece.stop / count)
-    parts, used = zip(*answers, strict=True)
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns, used = compute_chunks(
+        compute,
+        lanes,
+        count,
+        chunk=chunk,
+        workers=workers,
+        engine=engine,
+        precision=asked.precision,
+        progress=progress,
+    )
     table = _table(columns, over or {}, times[::stride], asked)
-    return Batch(table.assign_attrs(engine=used[0]))  # one program, so the same for all
+    return Batch(table.assign_attrs(engine=used))
 
 
 def _warn_of_substeps(
@@ -225,7 +215,7 @@ def _warn_of_substeps(
         problem = eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), shared)
         setpoints = compiled_reference(problem.reference, times)
         try:
-            check_substeps(problem.plant, setpoints.angle, setpoints.stiffness, period, substeps)
+            problem.plant.check_substeps(*setpoints, period, substeps)
         except SimulationError as error:
             needed = max(needed, int(error.lower or 0))
     if needed:
@@ -255,72 +245,34 @@ class _Beginnings(NamedTuple):
 
 def _begin(
     lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64] | Array, asked: _Asked
-) -> _Beginnings:
-    """The beginnings of a chunk of runs."""
+) -> tuple[_Beginnings, Array]:
+    """The beginnings of a chunk of runs, and the distance that their desired angles move."""
 
     def of(lane: SimulationProblem) -> Setpoint:
         return sample_reference(eqx.combine(lane, shared).reference, times)
 
     if jax.tree.leaves(lanes.reference):
-        axis, setpoints = 1, jax.vmap(of, out_axes=1)(lanes)
-        changes = jax.vmap(last_change, in_axes=1)(setpoints.stiffness)
+        axis, setpoints = -1, jax.vmap(of, in_axes=-1, out_axes=-1)(lanes)
+        changes = jax.vmap(last_change, in_axes=-1)(setpoints.stiffness)
     else:
         axis, setpoints = None, sample_reference(shared.reference, times)
         changes = last_change(setpoints.stiffness)
-    starts, exist = jax.vmap(lambda lane, setpoints: eqx.combine(lane, shared).start(setpoints), (0, axis))(
-        lanes, setpoints
-    )
+
+    def start(lane: SimulationProblem, setpoints: Setpoint) -> tuple[PlantState, Array]:
+        return eqx.combine(lane, shared).start(setpoints)
+
+    starts, exist = jax.vmap(start, (-1, axis), -1)(lanes, setpoints)
     first = jnp.min(jnp.where(changes.ends, changes.at, jnp.size(times)))
-    return _Beginnings(setpoints, changes, starts, exist, first if "coupling" in asked.metrics else None)
+    split = first if "coupling" in asked.metrics else None
+    span = setpoints.angle.max(axis=0) - setpoints.angle.min(axis=0)
+    return _Beginnings(setpoints, changes, starts, exist, split), span
 
 
 _begun = compiled_batch(_begin)
 
 
-@compiled_batch
-def _chunk(
-    lanes: SimulationProblem,
-    shared: SimulationProblem,
-    times: NDArray[np.float64] | Array,
-    period: Array,
-    asked: _Asked,
-) -> dict[str, Array]:
-    """Metrics, columns for the outcomes and kept trajectories of a chunk of runs, by name."""
-    begun = _begin(lanes, shared, times, asked)
-    precision = jnp.dtype(asked.precision)
-    axis = 1 if jax.tree.leaves(lanes.reference) else None
-
-    def run(lane: SimulationProblem, setpoints: Setpoint, change: Change, start: PlantState, exists: Array) -> Any:
-        problem = eqx.combine(lane, shared)
-        change = cast(change, precision)
-        parts = cast((problem.plant, problem.controller, setpoints, start, period), precision)
-        with batched_program():
-            streamed = streaming_episode(
-                *parts, asked.substeps, change=change, split=begun.split, keep=asked.keep, every=asked.stride
-            )
-        return _columns(streamed, exists, asked)
-
-    columns = jax.vmap(run, (0, axis, axis and 0, 0, 0))(
-        lanes, begun.setpoints, begun.changes, begun.starts, begun.exist
-    )
-    return {**columns, "_span": _span(begun.setpoints.angle, lanes)}
-
-
-def _columns(streamed: Streamed, exists: Array, asked: _Asked) -> dict[str, Array]:
-    """Columns of one run, but for the span of its reference."""
-    metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
-    deciding = {f"_{name}": metrics[name] for name in _DECIDING}
-    deciding |= {"_started": exists, "_angle_at_end": streamed.angle_at_end}
-    return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
-
-
-def _span(angle: Any, lanes: SimulationProblem) -> Any:
-    """How far the desired angle of each run moves."""
-    return angle.max(axis=0) - angle.min(axis=0) + np.zeros(np.shape(jax.tree.leaves(lanes)[0])[:1])
-
-
-@NativeFunction
-def _native_run(shared: Any, lane: Any) -> dict[str, Array]:
+@BatchFunction
+def _run(shared: Any, lane: Any) -> dict[str, Array]:
     """Columns of one run."""
     problem, begun, period, asked = shared
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
@@ -334,29 +286,16 @@ def _native_run(shared: Any, lane: Any) -> dict[str, Array]:
         keep=asked.keep,
         every=asked.stride,
     )
-    return _columns(streamed, begun.exist, asked)
-
-
-def _native_chunk(
-    lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64], period: Array, asked: _Asked
-) -> dict[str, Any]:
-    """`_chunk` by the C compiler of the machine; raises `ExportError` where it cannot be emitted."""
-    begun = _begun(lanes, shared, times, asked)
-    each = bool(jax.tree.leaves(lanes.reference))
-    spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
-    of_each, of_all = eqx.partition(begun, spec)
-    unused: Any = {"reference": None, "initial": None}
-    varying = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), lanes._replace(**unused))
-    given = (shared._replace(**unused), of_all, period, asked), (varying, of_each)
-    columns = _native_run(*given, single=asked.precision == "float32")
-    span = _span(np.asarray(begun.setpoints.angle), lanes)
-    return {name: np.moveaxis(values, -1, 0) for name, values in columns.items()} | {"_span": span}
+    metrics = {name: jnp.where(begun.exist, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
+    deciding = {f"_{name}": metrics[name] for name in _DECIDING}
+    deciding |= {"_started": begun.exist, "_angle_at_end": streamed.angle_at_end}
+    return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
 
 
 _DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated", "oscillation_amplitude")
 
 
-def _table(columns: dict[str, NDArray], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked) -> xr.Dataset:
+def _table(columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked) -> xr.Dataset:
     code = outcomes(
         angle_max=columns["_angle_max"],
         angle_at_end=columns["_angle_at_end"],
@@ -398,21 +337,3 @@ def _stride(every: float | None, control_period: float, periods: int) -> int:
             remedy="give a multiple of the control period that divides the duration",
         )
     return stride
-
-
-def check_count(what: str, count: int) -> int:
-    """A number of something; `SimulationError` unless it is an integer from 1 up."""
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise SimulationError(f"{count} {what}", value=count, remedy="give an integer from 1 up")
-    return count
-
-
-def chunk_size(chunk: int | None, count: int, workers: int | None, engine: str, precision: Any = np.float64) -> int:
-    """Runs per chunk: the best number of the engine, fewer where that leaves cores idle."""
-    workers = cores() if workers is None else check_count("workers", workers)
-    native = check_engine(engine, precision, many=True) == "native"
-    if chunk is None:
-        chunk = NATIVE if native else CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR
-    check_count("runs per chunk", chunk)
-    even = -(-count // workers)
-    return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))

@@ -109,7 +109,8 @@ def differentiate(
     if isinstance(parameters, str):
         raise ParameterError(f"{parameters!r} is a text, not a list", value=parameters, remedy="give a list of names")
     times = sampling_times(duration, control_period, substeps)
-    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {}, control_period)
+    problem = SimulationProblem.of(plant, controller, reference, initial)
+    lanes, shared, count = split_problem(problem, over or {}, control_period)
     numbers = select_leaves(_whole(lanes, shared)._asdict(), parameters)
     for name, leaf in numbers.items():
         if not eqx.is_inexact_array(leaf):

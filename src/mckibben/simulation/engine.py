@@ -1,4 +1,4 @@
-"""Runs by XLA, or by the C compiler of the machine."""
+"""Runs by XLA, or by the C compiler of the machine: one, or many in chunks."""
 
 from __future__ import annotations
 
@@ -9,12 +9,24 @@ import jax
 import numpy as np
 
 from mckibben.codegen.native import NativeFunction, compiler
-from mckibben.control.base import Controller, Setpoint
-from mckibben.errors import ExportError, ParameterError, quoted
-from mckibben.plant import JointPlant, PlantState
+from mckibben.control.base import DiscreteTimeSystem
+from mckibben.errors import ExportError, ParameterError, SimulationError, quoted
+from mckibben.notebook import Progress, notebook_progress
+from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
+from mckibben.numerics.compiled import compiled_batch
+from mckibben.plant import Plant
 from mckibben.simulation.loop import Record, compiled_episode, episode
 
 R = TypeVar("R")
+
+CHUNK = 256
+"""Runs per chunk of XLA on a CPU: they fit a core's cache and fill its vectors."""
+NATIVE = 1024
+"""Runs per chunk of the native engine, which computes one vector of them after the other."""
+ON_ACCELERATOR = 16384
+"""Runs per chunk on an accelerator."""
+VECTOR = 16
+"""Smallest chunk: one vector of 32-bit numbers."""
 
 ENGINES = ("auto", "native", "xla")
 """Engines: programs emitted as C and compiled by the machine's compiler, XLA's, or the first where it can be used."""
@@ -57,10 +69,10 @@ def compute_with(
 
 def run_alone(
     engine: str,
-    plant: JointPlant,
-    controller: Controller,
-    setpoints: Setpoint,
-    start: PlantState,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    setpoints: Any,
+    start: Any,
     period: Any,
     substeps: int,
 ) -> tuple[Record, str]:
@@ -74,3 +86,84 @@ def run_alone(
 def native_episode(parts: Any, _: None) -> Record:
     """Record of one run."""
     return episode(*parts)[1]
+
+
+class BatchFunction:
+    """A pure function of a shared tree and of one for each run, compiled for many runs, by either engine.
+
+    Arrays of the second tree have the runs along their last axis, as do the results.
+    """
+
+    def __init__(self, function: Callable[[Any, Any], Any]) -> None:
+        self._function, self._native = function, NativeFunction(function)
+
+    def __call__(self, engine: str, shared: Any, lanes: Any, precision: Any = np.float64) -> tuple[Any, str]:
+        """Results, and the engine that computed them."""
+        single = np.dtype(precision) == np.float32
+        return compute_with(
+            engine,
+            precision,
+            lambda: self._native(shared, lanes, single=single),
+            lambda: _by_xla(self._function, shared, lanes),
+            many=True,
+        )
+
+
+@compiled_batch
+def _by_xla(function: Callable[[Any, Any], Any], shared: Any, lanes: Any) -> Any:
+    def run(lane: Any) -> Any:
+        with batched_program():
+            return function(shared, lane)
+
+    return jax.vmap(run, in_axes=-1, out_axes=-1)(lanes)
+
+
+def compute_chunks(
+    compute: Callable[[Any], tuple[R, str]],
+    lanes: Any,
+    count: int,
+    *,
+    chunk: int | None = None,
+    workers: int | None = None,
+    engine: str = "auto",
+    precision: Any = np.float64,
+    progress: Progress | None = None,
+) -> tuple[R, str]:
+    """Results of many runs in their order, along the first axis, and the engine that computed them.
+
+    `compute` gets a chunk of the lanes, whose arrays have the runs along the last axis, as its results have.
+    """
+    size = chunk_size(chunk, count, workers, engine, precision)
+
+    def piece_of(piece: slice) -> tuple[Any, str]:
+        part = jax.tree.map(lambda x: np.moveaxis(x, 0, -1), pad_chunk(lanes, piece, size))
+        answer, used = compute(part)
+        kept = piece.stop - piece.start
+        return jax.tree.map(lambda x: np.moveaxis(np.asarray(x), -1, 0)[:kept], answer), used
+
+    progress = progress or notebook_progress()
+    answers = []
+    for piece, answer in map_chunks(piece_of, count, size, workers):
+        answers.append(answer)
+        if progress:
+            progress(f"{piece.stop} of {count} runs", piece.stop / count)
+    parts, used = zip(*answers, strict=True)
+    return jax.tree.map(lambda *each: np.concatenate(each), *parts), used[0]  # one program, so the same for all
+
+
+def check_count(what: str, count: int) -> int:
+    """A number of something; `SimulationError` unless it is an integer from 1 up."""
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise SimulationError(f"{count} {what}", value=count, remedy="give an integer from 1 up")
+    return count
+
+
+def chunk_size(chunk: int | None, count: int, workers: int | None, engine: str, precision: Any = np.float64) -> int:
+    """Runs per chunk: the best number of the engine, fewer where that leaves cores idle."""
+    workers = cores() if workers is None else check_count("workers", workers)
+    native = check_engine(engine, precision, many=True) == "native"
+    if chunk is None:
+        chunk = NATIVE if native else CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR
+    check_count("runs per chunk", chunk)
+    even = -(-count // workers)
+    return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))

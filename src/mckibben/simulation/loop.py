@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from typing import Any, NamedTuple
 
 import jax
@@ -13,9 +14,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from mckibben.control.base import Controller, Setpoint
+from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
 from mckibben.numerics.compiled import compiled_as_given
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import SETTLING_PART, Change, MetricAccumulator, Metrics, last_change, trajectory
 from mckibben.simulation.oscillation import Swings, limit_cycle
 
@@ -23,50 +24,50 @@ from mckibben.simulation.oscillation import Swings, limit_cycle
 class Record(NamedTuple):
     """The record of every control period; each leaf has the shape of the time axis."""
 
-    state: PlantState
-    command1: Array
-    command2: Array
+    state: Any  # what the plant observes of its state
+    commands: tuple[Array, ...]  # within the limits of the plant
     limited: Array  # whether the plant limited a command
     telemetry: dict[str, Array]
 
 
-LoopState = tuple[PlantState, Any]
+LoopState = tuple[Any, Any]
 """States of plant and controller at the start of a control period."""
 
 
-def initial_loop(plant: JointPlant, controller: Controller, initial: PlantState) -> LoopState:
-    """The plant at its initial state, and the controller initialised from the first measurement."""
-    return initial, controller.init(plant.sample(initial, 0.0)[1])
+def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: Any) -> LoopState:
+    """The plant at its start, and the controller initialised from the first measurement."""
+    state = plant.begin(start)
+    return state, controller.init(plant.sample(state, 0.0)[1])
 
 
 def control_period(
-    plant: JointPlant, controller: Controller, state: LoopState, setpoint: Setpoint, period: ArrayLike, substeps: int
+    plant: Plant, controller: DiscreteTimeSystem, state: LoopState, setpoint: Any, period: ArrayLike, substeps: int
 ) -> tuple[LoopState, Record]:
     """One control period: the controller's step, then the plant under the constant commands."""
     plant_state, controller_state = state
     plant_state, measurement = plant.sample(plant_state, period)
     controller_state, wanted = controller.step(controller_state, setpoint, measurement, period)
     commands = plant.clip_commands(wanted)
-    limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
-    record = Record(plant_state, commands[0], commands[1], limited, controller.telemetry(controller_state))
+    limited = functools.reduce(operator.or_, [one != given for one, given in zip(commands, wanted, strict=True)])
+    record = Record(plant.observe(plant_state), commands, limited, controller.telemetry(controller_state))
     return (plant.follow(plant_state, commands, period, substeps), controller_state), record
 
 
 def episode(
-    plant: JointPlant,
-    controller: Controller,
-    setpoints: Setpoint,
-    initial: PlantState,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    setpoints: Any,
+    initial: Any,
     period: ArrayLike,
     substeps: int,
-) -> tuple[PlantState, Record]:
+) -> tuple[Any, Record]:
     """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 
-    Setpoints at the start of each control period [s] are arrays of shape (periods,). Returns the plant's state after
-    the last period, and the record of shape (periods,).
+    Setpoints at the start of each control period [s] are arrays of shape (periods,), of a leg the times. Returns the
+    plant's state after the last period, and the record of shape (periods,).
     """
 
-    def next_period(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Record]:
+    def next_period(state: LoopState, setpoint: Any) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
     (final, _), record = lax.scan(next_period, initial_loop(plant, controller, initial), setpoints)

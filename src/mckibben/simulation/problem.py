@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -17,12 +18,11 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import SimulationError
+from mckibben.errors import ParameterError, SimulationError
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.resolution import check_frequencies
 
 
 class AtRest(NamedTuple):
@@ -40,6 +40,22 @@ class SimulationProblem(NamedTuple):
     reference: Reference
     initial: PlantState | AtRest
 
+    kinds = MappingProxyType(  # type: ignore[misc]
+        {
+            "plant": (JointPlant,),
+            "controller": (Controller,),
+            "reference": (Reference,),
+            "initial": (PlantState, AtRest),
+        }
+    )
+
+    @classmethod
+    def of(
+        cls, plant: JointPlant, controller: Controller, reference: Reference, initial: PlantState | AtRest | None
+    ) -> SimulationProblem:
+        """The problem, by default with a start at rest at the first desired angle."""
+        return cls(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
+
     def start(self, setpoints: Setpoint) -> tuple[PlantState, Array]:
         """The initial state for setpoints of shape (periods,), and whether it exists."""
         if isinstance(self.initial, PlantState):
@@ -52,53 +68,61 @@ class SimulationProblem(NamedTuple):
         return jnp.where(jnp.isnan(angle), setpoints.angle[0], angle), jnp.asarray(stiffness)
 
 
+Problem = TypeVar("Problem", bound=tuple)
+"""A named tuple with everything that a run is made of, the plant first; its `kinds` are the types of its fields."""
+
+
 def split_problem(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
-    initial: PlantState | AtRest | None,
-    over: Mapping[str, ArrayLike],
-    control_period: float,
-) -> tuple[SimulationProblem | None, SimulationProblem, int | None]:
+    problem: Problem, over: Mapping[str, ArrayLike], control_period: float
+) -> tuple[Problem | None, Problem, int | None]:
     """Problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count."""
-    problem = SimulationProblem(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
-    _check_types(problem)
+    given: Any = problem
+    _check_types(given._asdict(), given.kinds)
     if over:  # else each object has checked its values when it was made
-        problem = SimulationProblem(**with_leaves(problem._asdict(), over))
-    _check_numbers(problem)
-    check_frequencies(problem.reference, control_period)
-    problem = problem._replace(
-        plant=problem.plant.with_period(control_period), controller=problem.controller.with_period(control_period)
-    )
-    count, varying = lanes_of(problem)
-    return (None, numeric(problem), None) if count is None else (*eqx.partition(numeric(problem), varying), count)
+        given = type(given)(**with_leaves(given._asdict(), over))
+    _check_numbers(given._asdict())
+    check_frequencies(getattr(given, "reference", None), control_period)
+    parts = {name: getattr(given, name).with_period(control_period) for name in ("plant", "controller")}
+    given = given._replace(**parts)
+    count, varying = lanes_of(given)
+    return (None, numeric(given), None) if count is None else (*eqx.partition(numeric(given), varying), count)
 
 
-_TYPES: dict[str, tuple[type, ...]] = {
-    "plant": (JointPlant,),
-    "controller": (Controller,),
-    "reference": (Reference,),
-    "initial": (PlantState, AtRest),
-}
+def split_runs(
+    problem: Problem, over: Mapping[str, ArrayLike], control_period: float, alone: str
+) -> tuple[Problem, Problem, int]:
+    """`split_problem` of many runs; raises `ParameterError` if they are the same, with the function for one."""
+    lanes, shared, count = split_problem(problem, over, control_period)
+    if lanes is None or count is None:
+        remedy = f"give a NumPy array in place of a number, or use `{alone}` for one run"
+        raise ParameterError("all runs are the same", remedy=remedy)
+    return lanes, shared, count
 
 
-def _check_types(problem: SimulationProblem) -> None:
+def single_run(problem: Problem, control_period: float, many: str) -> Problem:
+    """`split_problem` of one run; raises `ParameterError` if a number varies, with the function for many runs."""
+    lanes, single, _ = split_problem(problem, {}, control_period)
+    if lanes is not None:
+        varying, remedy = ", ".join(named_leaves(cast(Any, lanes)._asdict())), f"use `{many}` for many runs"
+        raise ParameterError(f"{varying}: an array in place of a number", remedy=remedy)
+    return single
+
+
+def _check_types(trees: Mapping[str, Any], kinds: Mapping[str, tuple[type, ...]]) -> None:
     """Raise unless each part is of its type: arguments are easily swapped."""
-    for name, types in _TYPES.items():
-        value = getattr(problem, name)
+    for name, types in kinds.items():
+        value = trees[name]
         if not isinstance(value, types):
             given = repr(value) if isinstance(value, int | float | str | None) else f"a {type(value).__name__}"
             wanted = " or ".join(kind.__name__ for kind in types)
-            swapped = [other for other, kinds in _TYPES.items() if isinstance(value, kinds)]
+            swapped = [other for other, others in kinds.items() if isinstance(value, others)]
             hint = f"; it looks like the {swapped[0]}: are arguments swapped?" if swapped else ""
             raise SimulationError(f"{name} is {given}", field=name, value=value, remedy=f"give a {wanted}{hint}")
 
 
-def _check_numbers(problem: SimulationProblem) -> None:
+def _check_numbers(trees: Mapping[str, Any]) -> None:
     """Raise if a number is NaN, other than in a start at rest, where it stands for the default."""
-    trees = problem._asdict()
-    if isinstance(problem.initial, AtRest):
-        del trees["initial"]
+    trees = {name: tree for name, tree in trees.items() if not isinstance(tree, AtRest)}
     if any(_has_nan(leaf) for leaf in jax.tree.leaves(trees)):
         name, leaf = next((name, leaf) for name, leaf in named_leaves(trees).items() if _has_nan(leaf))
         raise SimulationError(f"{name} is not a number", field=name, value=leaf, remedy="give a finite number")
@@ -109,6 +133,23 @@ def _has_nan(leaf: Any) -> bool:
         return math.isnan(leaf)
     known = isinstance(leaf, np.ndarray | jax.Array) and not isinstance(leaf, jax.core.Tracer)
     return known and bool(np.isnan(np.asarray(leaf, float)).any())
+
+
+def check_frequencies(reference: Reference | None, control_period: float) -> None:
+    """Raise `SimulationError` if a frequency [Hz] of a signal is at or above half the control rate."""
+    highest = 0.5 / control_period
+    for name, leaf in named_leaves({"reference": reference}).items():
+        if name.split(".")[-1] == "frequency" or "frequencies" in name.split("."):
+            value = float(np.max(np.asarray(leaf, float)))
+            if value >= highest * (1 - 1e-9):
+                raise SimulationError(
+                    f"{name} is {value:g} Hz, at or above half the control rate of {1 / control_period:g} Hz",
+                    field=name,
+                    value=value,
+                    upper=highest,
+                    unit="Hz",
+                    remedy=f"give less than {highest:g} Hz, or a shorter control period",
+                )
 
 
 def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:

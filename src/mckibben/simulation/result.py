@@ -302,7 +302,7 @@ class Result:
         import xarray as xr  # 0.15 s
 
         return xr.Dataset(
-            {name: ("time", value, attributes(name)) for name, value in self.columns.items()},
+            variables(self.columns, "time"),
             coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
             attrs={
                 "control_period": self.control_period,
@@ -360,10 +360,25 @@ def _outside(columns: Mapping[str, np.ndarray]) -> str:
     return f"outside the domain ({how_far})"
 
 
-def attributes(name: str) -> dict[str, str]:
+def attributes(name: str, known: Mapping[str, tuple[str, str]] = UNITS) -> dict[str, str]:
     """Unit and meaning of a variable as NetCDF attributes."""
-    units, meaning = UNITS.get(name, ("", name.replace("_", " ")))
+    units, meaning = known.get(name, ("", name.replace("_", " ")))
     return {"units": units, "long_name": meaning} if units else {"long_name": meaning}
+
+
+def variables(
+    columns: Mapping[str, Any],
+    along: str,
+    parts: Callable[[str], str] = str,
+    known: Mapping[str, tuple[str, str]] = UNITS,
+) -> dict[str, Any]:
+    """Variables of a dataset along a dimension; tuples have first the dimension that `parts` gives for their name."""
+    found = {}
+    for name, column in columns.items():
+        several = isinstance(column, tuple)
+        dims = (parts(name), along) if several else along
+        found[name] = (dims, np.stack(column) if several else column, attributes(name, known))
+    return found
 
 
 def _outcome(columns: Mapping[str, np.ndarray], period: float) -> Outcome:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
-from mckibben.errors import DomainWarning, McKibbenWarning, ParameterError, ReachabilityWarning, SimulationError
+from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
-from mckibben.numerics.batching import cast, named_leaves
+from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled, compiled_batch, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import check_engine, run_alone
@@ -32,10 +32,9 @@ from mckibben.simulation.problem import (
     float_type,
     sampled,
     sampling_times,
-    split_problem,
+    single_run,
     without_last_change,
 )
-from mckibben.simulation.resolution import check_substeps
 from mckibben.simulation.result import BAND, Columns, Result
 from mckibben.units import deg
 
@@ -232,10 +231,7 @@ def checked_run(
     times = sampling_times(duration, control_period, substeps)
     kind = float_type(precision)
     check_engine(engine, kind)
-    lanes, problem, _ = split_problem(plant, controller, reference, initial, {}, control_period)
-    if lanes is not None:
-        varying = ", ".join(named_leaves(lanes._asdict()))
-        raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")
+    problem = single_run(SimulationProblem.of(plant, controller, reference, initial), control_period, "simulate_many")
     amplitude = problem.controller.stiffness_amplitude
     setpoints = compiled_reference(problem.reference, times)
     without: Any = {"controller": None, "reference": None}  # others compile nothing new
@@ -251,7 +247,7 @@ def checked_run(
     result = _episode_result(*parts, control_period, substeps, engine=engine, known=known, scenario=scenario)
     if not exists:
         _raise_why(plant, initial, float(setpoints.angle[0]))
-    check_substeps(plant, setpoints.angle, setpoints.stiffness, control_period, substeps)
+    plant.check_substeps(*setpoints, control_period, substeps)
     low, high = plant.joint.geometry.angle_range
     if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
         text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
@@ -299,7 +295,7 @@ def _episode_result(
 
     record, used = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)
-    commands = plant.arriving(state, (record.command1, record.command2), period)
+    commands = plant.arriving(state, record.commands, period)
     telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
@@ -312,8 +308,8 @@ def _episode_result(
         "pressure2": state.pressures[1],
         "desired_angle": setpoints.angle,
         "desired_stiffness": setpoints.stiffness,
-        "command1": record.command1,
-        "command2": record.command2,
+        "command1": record.commands[0],
+        "command2": record.commands[1],
         **{name: value for name, value in telemetry.items() if name != "saturated" and value is not None},
         **known,
     }

@@ -17,7 +17,6 @@ from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
-from mckibben.simulation.resolution import check_substeps
 from mckibben.units import bar, deg
 
 Values = NDArray[np.float64]
@@ -129,7 +128,7 @@ def stiffness_tests(
     closed = closed_valves(plant)
     period, substeps = scenario.control_period, scenario.substeps
     setpoint = scenario.reference()(0.0)
-    check_substeps(plant, setpoint.angle, setpoint.stiffness, period, substeps)
+    plant.check_substeps(setpoint.angle, setpoint.stiffness, period, substeps)
     held = Setpoint(*(jnp.full(round(_SETTLING / period), float(value)) for value in setpoint))
     start = plant.complete_state(scenario.initial(plant))
     report("settling", 0.0)

@@ -17,8 +17,7 @@ from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, with_values
-from mckibben.simulation.problem import compiled_reference, sample_reference, sampling_times
-from mckibben.simulation.resolution import check_frequencies, check_substeps
+from mckibben.simulation.problem import check_frequencies, compiled_reference, sample_reference, sampling_times
 from mckibben.study.benchmark.suite import Suite, start_of
 from mckibben.study.parameters import sample
 
@@ -162,7 +161,7 @@ def _groups(runs: Runs, setpoints: Column) -> tuple[Group, ...]:
     for name in dict.fromkeys(runs.joint):
         rows = _rows(runs.joint, name)
         scenario = suite.example(joint=name)
-        check_substeps(scenario.plant(), setpoints[0], setpoints[1], suite.control_period, suite.substeps)
+        scenario.plant().check_substeps(setpoints[0], setpoints[1], suite.control_period, suite.substeps)
         taken = runs.conditions_of(name, rows)
         plant = (batched(scenario, taken) if taken else scenario).plant()
         parts.setdefault(jax.tree.structure(plant), []).append((rows, plant))

@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, explained, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, explained, fail_validation, parse_model
 from mckibben.control import Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
@@ -267,6 +266,8 @@ class Suite(RunSettings):
         Training runs and budget, and evaluation runs.
     """
 
+    kind = "suite"
+
     name: Title
     joint: JointPart
     joint_share: _Share = 1
@@ -301,12 +302,7 @@ class Suite(RunSettings):
         return value
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Suite:
-        """Read a suite file; raises ScenarioError with every problem of it."""
-        return cls.parse(read_text(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Suite:
+    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Self:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
         suite, document = parse_model(cls, text, source=source, folder=folder)
         first = next(iter(suite.setups), None)

@@ -15,9 +15,9 @@ import numpy as np
 from mckibben.errors import ParameterError, Problem, suggest
 from mckibben.scenario import Known, Scenario, batched, known_names
 from mckibben.simulation import Metrics
-from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
+from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.simulation.metrics import METRICS
-from mckibben.simulation.resolution import check_frequencies
+from mckibben.simulation.problem import check_frequencies
 from mckibben.storage.journal import header_differences
 from mckibben.study.parameters import Distribution, SweptParameter, Table, parse_sweeps, sample, sweep_parameters
 from mckibben.study.sweep.compute import BatchTask, software

@@ -26,8 +26,7 @@ from mckibben.scenario import (
     valid_rows,
 )
 from mckibben.simulation import Metrics, differentiate
-from mckibben.simulation.problem import split_problem
-from mckibben.simulation.resolution import check_frequencies
+from mckibben.simulation.problem import SimulationProblem, check_frequencies, split_problem
 from mckibben.simulation.result import attributes
 from mckibben.study.parameters import SweptParameter, Table
 from mckibben.study.tune.search import SearchSpace, Vector, is_gain
@@ -382,7 +381,7 @@ class TuningProblem:
                 break
         many = batched(scenario, {each.name: pair}, known=self.known)
         parts = many.plant(), many.control(), many.reference(), initial_state(many)
-        varying, _, _ = split_problem(*parts, {}, scenario.control_period)
+        varying, _, _ = split_problem(SimulationProblem.of(*parts), {}, scenario.control_period)
         leaves = named_leaves(varying._asdict()) if varying else {}
         if not leaves or not all(np.array_equal(leaf, pair) for leaf in leaves.values()):
             raise ParameterError(f"{each.name} has no gradient", remedy="use cma or evolution for it")
