@@ -153,39 +153,7 @@ class JointPlant(Plant):
         return () if self.friction is None else self.friction.initial(state.angle)
 
     def fastest_rates(self, angles: ArrayLike, stiffness: ArrayLike = 0.0) -> dict[str, float]:
-        at = np.asarray(angles, float)
-        at = np.array([at.flat[0], np.nanmin(at), np.nanmax(at)])
-        return {"the motion": self._fastest_mode(at, stiffness), "the air": self._fastest_air(at)}
-
-    def _fastest_mode(self, angles: NDArray[np.float64], stiffness: ArrayLike) -> float:
-        """Largest magnitude [1/s] of an eigenvalue of the linearised motion, with presliding friction and creep."""
-        inertia, damping = float(self.load.total_inertia), float(self.load.damping)
-        total = float(np.nanmax(np.abs(np.asarray(stiffness, float)))) + abs(float(self.load.gravity_moment))
-        modes = [0.0]
-        if self.joint.has_friction or self.joint.has_creep:
-            lengths = [np.asarray(self.joint.geometry.path_lengths(angles + step)) for step in (-_STEP, _STEP)]
-            arms = np.max(np.abs(lengths[1] - lengths[0]) / (2 * _STEP), axis=1)
-            for muscle, arm in zip(self.muscles, map(float, arms), strict=True):
-                friction, creep = muscle.friction, muscle.creep
-                if isinstance(friction, MaxwellSlip):
-                    total += float(np.sum(friction.stiffnesses)) * arm**2
-                    damping += float(friction.viscous) * arm**2
-                if isinstance(creep, MaxwellCreep):
-                    total += float(creep.stiffness) * arm**2
-                    modes.append(1 / float(creep.time_constants[0]))
-        if self.friction is not None:
-            total += float(self.friction.steepest)
-        half = damping / (2 * inertia)  # of s^2 + 2 half s + total/inertia
-        root = half**2 - total / inertia
-        return max(*modes, half + math.sqrt(root) if root > 0 else math.sqrt(total / inertia))
-
-    def _fastest_air(self, angles: NDArray[np.float64]) -> float:
-        """Bound on the rates [1/s] of the air in both muscles with its valves; 0 without."""
-        if not self.valve.holds_air:
-            return 0.0
-        lowest1, lowest2 = (muscle.domain.pressure_min for muscle in self.muscles)
-        pairs = zip(self.muscles, self.joint.contractions(angles, (lowest1, lowest2)), strict=True)
-        return self.valve.fastest_rate_in(min(float(np.min(muscle.specimen.volume(at))) for muscle, at in pairs))
+        return {"the motion": _fastest_mode(self, angles, stiffness), "the air": _fastest_air(self, angles)}
 
     def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """Return the state of `equilibrium` and whether it exists, for traced numbers; NaN for no given stiffness."""
@@ -211,6 +179,45 @@ class JointPlant(Plant):
         if not found.exists:
             raise_unattainable(self.supplied_joint, found, float(angle), float(torque), float(wanted))
         return state
+
+
+def _fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) -> float:
+    """Largest magnitude [1/s] of an eigenvalue of the linearised motion, with presliding friction and creep."""
+    inertia, damping = float(plant.load.total_inertia), float(plant.load.damping)
+    total = float(np.nanmax(np.abs(np.asarray(stiffness, float)))) + abs(float(plant.load.gravity_moment))
+    modes = [0.0]
+    if plant.joint.has_friction or plant.joint.has_creep:
+        at = _extremes(angles)
+        lengths = [np.asarray(plant.joint.geometry.path_lengths(at + step)) for step in (-_STEP, _STEP)]
+        arms = np.max(np.abs(lengths[1] - lengths[0]) / (2 * _STEP), axis=1)
+        for muscle, arm in zip(plant.muscles, map(float, arms), strict=True):
+            friction, creep = muscle.friction, muscle.creep
+            if isinstance(friction, MaxwellSlip):
+                total += float(np.sum(friction.stiffnesses)) * arm**2
+                damping += float(friction.viscous) * arm**2
+            if isinstance(creep, MaxwellCreep):
+                total += float(creep.stiffness) * arm**2
+                modes.append(1 / float(creep.time_constants[0]))
+    if plant.friction is not None:
+        total += float(plant.friction.steepest)
+    half = damping / (2 * inertia)  # of s^2 + 2 half s + total/inertia
+    root = half**2 - total / inertia
+    return max(*modes, half + math.sqrt(root) if root > 0 else math.sqrt(total / inertia))
+
+
+def _fastest_air(plant: JointPlant, angles: ArrayLike) -> float:
+    """Bound on the rates [1/s] of the air in both muscles with its valves; 0 without."""
+    if not plant.valve.holds_air:
+        return 0.0
+    lowest1, lowest2 = (muscle.domain.pressure_min for muscle in plant.muscles)
+    pairs = zip(plant.muscles, plant.joint.contractions(_extremes(angles), (lowest1, lowest2)), strict=True)
+    return plant.valve.fastest_rate_in(min(float(np.min(muscle.specimen.volume(at))) for muscle, at in pairs))
+
+
+def _extremes(angles: ArrayLike) -> NDArray[np.float64]:
+    """First, lowest and highest angle."""
+    at = np.asarray(angles, float)
+    return np.array([at.flat[0], np.nanmin(at), np.nanmax(at)])
 
 
 @compiled
