@@ -7,7 +7,7 @@ import pytest
 
 import mckibben as mk
 from mckibben.control import DelayCompensation, ExtendedStateObserver, PressureObserver
-from mckibben.errors import ReachabilityWarning
+from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.plant import PressureRegulator, SampledSensors
 from mckibben.simulation import Outcome
@@ -127,3 +127,26 @@ def test_delays_may_differ_between_runs(make, knee, load):
             duration=1.0,
         )
         assert error == pytest.approx(alone.metrics["angle_rmse"], rel=1e-3)
+
+
+def test_a_model_of_valves_that_lacks_a_number_is_refused(make, knee):
+    class Unknown(mk.FirstOrderValve):
+        """First-order valve whose time constant a controller does not know."""
+
+        lag = None
+
+    with pytest.raises(RangeError) as caught:
+        make("decoupling", Unknown(20 * ms), 60.0)
+    assert caught.value.field == "valve"
+    bare = dataclasses.replace(knee.muscle1.specimen, initial_diameter=None, braid_angle=None)
+    muscle = dataclasses.replace(knee.muscle1, specimen=bare)
+    joint = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
+    with pytest.raises(McKibbenError, match="initial_diameter"):
+        mk.DecouplingControl(joint, mk.catalog.load("knee-table-2"), mk.PolePlacement(60.0), valve=VALVES[0.05])
+
+
+def test_the_control_period_has_to_be_known(knee, load, make):
+    valve = mk.FirstOrderValve(20 * ms)
+    control = DelayCompensation(knee, load, controller=make("decoupling", valve, 60.0), command_delay=8 * ms)
+    with pytest.raises(McKibbenError, match="with_period"):
+        control.init(mk.JointPlant(knee, load, valve).true_measurement(mk.JointPlant(knee, load, valve).equilibrium()))

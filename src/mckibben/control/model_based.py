@@ -91,6 +91,15 @@ class ModelBasedControl(Controller):
         name = type(self).__name__
         if self.adaptation is not None:
             self.adaptation.check_load(self.load)
+        if self.valve.holds_air:
+            for muscle in (self.model.muscle1, self.model.muscle2):
+                muscle.specimen.check_volume(f"a {type(self.valve).__name__} as the model of the valves")
+        elif self.valve.lag is None:
+            raise RangeError(
+                f"{name}: the time constant of a {type(self.valve).__name__} is unknown",
+                field="valve",
+                remedy="give the controller a `valve` with a time_constant, or the class a property `lag`",
+            )
         if self.valve_adaptation is not None and not self.valve.is_first_order:
             raise RangeError(
                 f"{name}: valve_adaptation estimates the lag of a first-order valve, and the model is a "
