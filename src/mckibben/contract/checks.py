@@ -22,7 +22,8 @@ from mckibben.component.classes import name_in_files
 from mckibben.component.extensions import load_extension
 from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
 from mckibben.config.document import to_text
-from mckibben.contract.probes import Identity, Probe, Probes, Ranges, plant_scope, probes_of
+from mckibben.contract.probes import PERIOD, Identity, Probe, Probes, Ranges, plant_scope, probes_of
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
 from mckibben.errors import McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
@@ -137,6 +138,8 @@ def _check_instance(component: Any) -> Iterator[Finding]:
     probes = made[0]
     if probes.in_files:
         yield _finding(kind, "file", lambda: _check_file(component))
+    if isinstance(component, DiscreteTimeSystem):
+        component = component.with_period(PERIOD)
     for probe in probes.functions:
         sampled = _Sampled(component, probe)
         yield (traced := _finding(kind, "batch", lambda sampled=sampled: sampled.values))

@@ -27,7 +27,8 @@ from mckibben.units import bar, mm, ms, percent
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest value of each argument in SI, in order."""
 
-_PERIOD = 1 * ms
+PERIOD = 1 * ms
+"""Control period [s] of the probes."""
 _JERK = 2000.0  # rad/s^3: attainable by the actuators
 _PRESSURE, _LENGTH = (0.5 * bar, 5 * bar), (170 * mm, 190 * mm)
 
@@ -381,7 +382,7 @@ def _stepped(system: DiscreteTimeSystem, setpoint: Any, measurements: Sequence[A
     """Outputs for successive measurements, from a start at the first, and telemetry."""
     rows = jax.tree.map(lambda *each: jnp.stack(each), *measurements)
     start = system.init(measurements[0])
-    state, outputs = lax.scan(lambda state, row: system.step(state, setpoint, row, _PERIOD), start, rows)
+    state, outputs = lax.scan(lambda state, row: system.step(state, setpoint, row, PERIOD), start, rows)
     return outputs, system.telemetry(state)
 
 
@@ -399,8 +400,8 @@ def _controller(_: Controller) -> Probes:
 
 def _looped(loop: Loop, setpoint: Any, measured: Any, output: Any, sensitivity: Any) -> Any:
     def step(state: Any, _: Any) -> tuple[Any, Any]:
-        state, given = loop.step(state, setpoint, measured, sensitivity, _PERIOD)
-        return loop.track(state, given, 0.9 * given, _PERIOD), given
+        state, given = loop.step(state, setpoint, measured, sensitivity, PERIOD)
+        return loop.track(state, given, 0.9 * given, PERIOD), given
 
     state, given = lax.scan(step, loop.init(setpoint, measured, output), length=2)
     return given, loop.telemetry(state)
@@ -417,8 +418,8 @@ def _loop(_: Loop) -> Probes:
 
 
 def _fed_back(feedback: Feedback, error: Any, rate: Any, shortfall: Any) -> Any:
-    state = feedback.track(feedback.init(error), shortfall, _PERIOD)
-    return feedback.step(state, error, rate, _JERK, _PERIOD)[1], feedback.lag
+    state = feedback.track(feedback.init(error), shortfall, PERIOD)
+    return feedback.step(state, error, rate, _JERK, PERIOD)[1], feedback.lag
 
 
 def _feedback(_: Feedback) -> Probes:
