@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from mckibben.control import DelayCompensation
 from mckibben.errors import ScenarioError, SimulationError
 from mckibben.plant import FlowValve, PressureRegulator, SwitchingValves
 from mckibben.reachability import check_trackability
 from mckibben.scenario import Scenario, run_many, run_scenario
-from mckibben.units import bar
+from mckibben.simulation import Outcome
+from mckibben.units import bar, deg
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
 SHORT = EXAMPLE.read_text(encoding="utf-8").replace("duration: 10 s", "duration: 0.4 s").replace("at: 5 s", "at: 0.2 s")
@@ -98,3 +100,21 @@ def test_a_small_valve_tracks_worse_and_its_rate_limit_is_found(flow):
         for conductance in (0.4, 0.005)
     }
     assert "trackable throughout" in trackable[0.4] and "at the rate limit" in trackable[0.005]
+
+
+STARTING_POINTS = sorted((Path(__file__).parents[2] / "examples" / "valves").glob("*.yaml"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", STARTING_POINTS, ids=lambda path: path.stem)
+def test_the_gains_to_start_from_control_their_valves(path):
+    result = run_scenario(Scenario.read(path)).result
+    assert not result.outcome.failed and result.outcome is not Outcome.LIMIT_CYCLE
+    assert result.metrics["angle_rmse"] < 2 * deg
+
+
+def test_there_are_gains_to_start_from_for_every_setup():
+    assert {path.stem.rpartition("-")[0] for path in STARTING_POINTS} >= {"itv0050", "mh1", "regulator", "vppe-6"}
+    for path in STARTING_POINTS:
+        scenario = Scenario.read(path)
+        assert type(scenario.control()) is DelayCompensation and scenario.control().command_delay > 0
