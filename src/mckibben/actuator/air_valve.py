@@ -45,9 +45,6 @@ from mckibben.units import (
 _LEAST_RATE = 1e3  # Pa/s: of a model at the pressure of the supply, or without pressure
 _FASTER = 0.5  # lag of the command relative to that of the pressure that it serves
 
-_LEAST_RATE = 1e3  # Pa/s: of a model at the pressure of the supply, or without pressure
-_FASTER = 0.5  # lag of the command relative to that of the pressure that it serves
-
 PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
 DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
 DeadZone = Annotated[float, Percent("1", "%", 0, 90)]
@@ -214,10 +211,8 @@ class AirValve(Actuator):
         lag = self.band / rate
         full = jnp.clip(jnp.abs(error) / rate - lag, 0.0, duration)  # time [s] with a fully open valve
         rest = error - jnp.sign(error) * rate * full
-        share = 1 - exp((full - duration) / lag)
-        return pressure + (error - rest) + rest * share + drift * lag * (
-            1 - exp(-jnp.asarray(duration) / lag)
-        ), following
+        moved = error - rest * exp((full - duration) / lag)
+        return pressure + moved + drift * lag * (1 - exp(-jnp.asarray(duration) / lag)), following
 
     def attainable(
         self,
@@ -252,11 +247,13 @@ class AirValve(Actuator):
         """Rates [Pa/s] by the open valve, to the exhaust and from the full supply, and by the motion of the muscle."""
         assert air is not None
         index, absolute = self.polytropic_index, pressure + ATMOSPHERE
-        room = 1 / air.effective(index, absolute)
-        vent, fill = (self.flow(opening, self.supply + ATMOSPHERE, pressure) for opening in (-1.0, 1.0))
-        per_flow = index * ENERGY * room
-        slowest, fastest = jnp.minimum(per_flow * vent, -_LEAST_RATE), jnp.maximum(per_flow * fill, _LEAST_RATE)
-        return slowest, fastest, -index * absolute * air.rate * room
+        volume = air.effective(index, absolute)
+        vent, fill = (
+            pressure_rate(index, absolute, self.flow(opening, self.supply + ATMOSPHERE, pressure), volume, 0.0)
+            for opening in (-1.0, 1.0)
+        )
+        drift = pressure_rate(index, absolute, 0.0, volume, air.rate)
+        return jnp.minimum(vent, -_LEAST_RATE), jnp.maximum(fill, _LEAST_RATE), drift
 
     def model_lag(self, joint: AntagonisticJoint) -> Any:
         """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
@@ -34,6 +35,8 @@ from mckibben.storage.files import to_json, write_json
 from mckibben.units import deg, mm, ms, quantity
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from mckibben.experiment_design import ExperimentPlan
     from mckibben.muscle import Domain, Specimen
     from mckibben.reachability import Design, Envelope
@@ -205,20 +208,40 @@ def stiffness(
             read, np.unique(np.geomspace(*sizes, 13)), np.unique(np.geomspace(*rates, 5)), progress=report
         )
     numbers = found.records()
+
+    def show() -> None:
+        table(f"{read.name}: stiffness [N*m/rad]", *found.rows())
+        echo(found.describe())
+
+    def draw() -> Figure:
+        from mckibben.report.joint import stiffness
+
+        return stiffness(found)
+
+    _present(numbers, "stiffness", draw, show, out, json)
+
+
+def _present(
+    numbers: dict[str, Any],
+    name: str,
+    draw: Callable[[], Figure],
+    show: Callable[[], None],
+    out: Path | None,
+    json: bool,
+) -> None:
+    """Keep numbers and a figure in a folder, if there is one, and print the numbers as JSON or as tables."""
     if out:
-        from mckibben.report.joint import stiffness as draw
         from mckibben.report.style import save
 
         with keeping(out):
             write_json(out / "results.json", numbers)
-            save(draw(found), out, "stiffness")
+            save(draw(), out, name)
     if json:
         echo(to_json(numbers))
     else:
-        table(f"{read.name}: stiffness [N*m/rad]", *found.rows())
-        echo(found.describe())
+        show()
     if out:
-        notify(f"kept results.json and stiffness.png and .svg in {out}", json)
+        notify(f"kept results.json and {name}.png and .svg in {out}", json)
 
 
 def margins(
@@ -252,16 +275,8 @@ def margins(
         "largest_pole": found.radius.tolist(),
         "margins": {name: (values / unit).tolist() for name, (values, unit, _) in shown.items()},
     }
-    if out:
-        from mckibben.report.style import save
-        from mckibben.report.tracking import margins as draw
 
-        with keeping(out):
-            write_json(out / "results.json", numbers)
-            save(draw(found), out, "margins")
-    if json:
-        echo(to_json(numbers))
-    else:
+    def show() -> None:
         rows = [
             (name, f"{values.min() / unit:.3g}", f"{np.median(values) / unit:.3g}", symbol, f"{time:.3g} s")
             for name, (values, unit, symbol) in shown.items()
@@ -273,8 +288,13 @@ def margins(
             echo(f"unstable at {unstable.size} of {found.time.size} points, first at {unstable[0]:.3g} s")
         else:
             echo(f"stable at all {found.time.size} points; largest pole {found.radius.max():.4f} in discrete time")
-    if out:
-        notify(f"kept results.json and margins.png and .svg in {out}", json)
+
+    def draw() -> Figure:
+        from mckibben.report.tracking import margins
+
+        return margins(found)
+
+    _present(numbers, "margins", draw, show, out, json)
     if (found.radius >= 1).any():
         raise Exit(1)
 

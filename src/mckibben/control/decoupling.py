@@ -8,12 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Attainable
-from mckibben.control.allocation import (
-    keep_taut,
-    linearise,
-    pressure_range,
-    prioritise_torque,
-)
+from mckibben.control.allocation import keep_taut, linearise, pressure_range, prioritise_torque
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
 from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
@@ -24,7 +19,6 @@ from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
 
 Scalar = Float[Array, ""]
-
 
 _SHARE, _LEAST = 0.5, 0.05  # of the rate of the torque, for the feedback
 
@@ -74,7 +68,7 @@ class DecouplingControl(ModelBasedControl):
     pressure_observer
         Filter of the measured pressures.
     valve
-        Model of the valves; `FirstOrderValve` of 20 ms unless given.
+        Model of the valves; by default a `FirstOrderValve` of 20 ms.
     minimum_tension
         Lower limit of each muscle's tension [N].
     friction_compensation
@@ -83,7 +77,7 @@ class DecouplingControl(ModelBasedControl):
     adaptation
         On-line correction of the strength of the model's muscles; none unless given.
     valve_adaptation
-        On-line estimate of the time constant of a `FirstOrderValve`; none unless given.
+        On-line estimate of the time constant of a `FirstOrderValve`; by default none.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
         (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.

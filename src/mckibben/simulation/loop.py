@@ -18,7 +18,7 @@ from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
 from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import SETTLING_PART, Change, MetricAccumulator, Metrics, last_change, trajectory
-from mckibben.simulation.oscillation import Swings, limit_cycle
+from mckibben.simulation.oscillation import Oscillation
 
 
 class Record(NamedTuple):
@@ -93,7 +93,7 @@ class _Carry(NamedTuple):
     total: MetricAccumulator
     stiffness_at_change: Array
     air: tuple[Array, Array]
-    swings: tuple[Swings, Swings]  # of the angle error and the reference
+    oscillation: Oscillation
 
 
 def streaming_episode(
@@ -140,9 +140,8 @@ def streaming_episode(
         before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
         added = MetricAccumulator.of(now, index, periods, change, at_change, before, SETTLING_PART)
         without = step_without_change(carry, following, setpoint, index)
-        error, asked = carry.swings
-        swings = error.after(now.angle - now.desired_angle, index), asked.after(now.desired_angle, index)
-        return _Carry(following, without, carry.total.merge(added), at_change, air, swings), {
+        oscillation = carry.oscillation.after(now.angle, now.desired_angle, index)
+        return _Carry(following, without, carry.total.merge(added), at_change, air, oscillation), {
             name: getattr(now, name) for name in keep
         }
 
@@ -156,14 +155,13 @@ def streaming_episode(
     rows = jnp.arange(periods), setpoints
     loop = initial_loop(plant, controller, initial)
     zero = jnp.zeros_like(jnp.asarray(initial.angle))
-    swings = Swings.empty(zero), Swings.empty(zero)
-    carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero), swings)
+    carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero), Oscillation.empty(zero))
     if every == 1 or not keep:
         carry, kept = lax.scan(next_period, carry, rows)
     else:
         blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
         carry, kept = lax.scan(block, carry, blocks)
-    metrics = carry.total.metrics(change, periods, period, limit_cycle(*carry.swings, periods, period))
+    metrics = carry.total.metrics(change, periods, period, carry.oscillation.limit_cycle(periods, period))
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
     return Streamed(metrics, carry.total.angle_at_end(periods), carry.loop[0], kept)

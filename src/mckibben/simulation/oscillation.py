@@ -86,31 +86,45 @@ class LimitCycle(NamedTuple):
     period: Scalar
 
 
-def limit_cycle(error: Swings, reference: Swings, periods: int, period: ArrayLike) -> LimitCycle:
-    """Return the limit cycle of a run of so many control periods [s], from the swings of angle error and reference.
+class Oscillation(NamedTuple):
+    """Swings of the angle error and of the reference of a run so far."""
 
-    At least four periods in a row, of swings that do not decay and of similar duration, faster than the reference. In
-    a streaming form of T. Hagglund, A control-loop performance monitor, Control Engineering Practice 3, 1995.
-    """
-    chain = error.longest
-    cycle = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
-    of_reference = 2 * periods / jnp.maximum(reference.total, 1e-9)
-    found = (chain.number >= _HALF_PERIODS) & (cycle < _FASTER * of_reference)
-    amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
-    return LimitCycle(jnp.where(found, amplitude, 0.0), jnp.where(found, cycle * period, jnp.nan))
+    error: Swings
+    reference: Swings
+
+    @classmethod
+    def empty(cls, like: Array) -> Oscillation:
+        """Return the state before the first sample, with the float type of `like`."""
+        return cls(Swings.empty(like), Swings.empty(like))
+
+    def after(self, angle: ArrayLike, desired: ArrayLike, index: ArrayLike) -> Oscillation:
+        """Return the state after the angle and the reference [rad] of a control period."""
+        return Oscillation(self.error.after(jnp.asarray(angle) - desired, index), self.reference.after(desired, index))
+
+    def limit_cycle(self, periods: int, period: ArrayLike) -> LimitCycle:
+        """Return the limit cycle of a run of so many control periods [s].
+
+        At least four periods in a row, of swings that do not decay and of similar duration, faster than the reference.
+        In a streaming form of T. Hagglund, A control-loop performance monitor, Control Engineering Practice 3, 1995.
+        """
+        chain = self.error.longest
+        cycle = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
+        of_reference = 2 * periods / jnp.maximum(self.reference.total, 1e-9)
+        found = (chain.number >= _HALF_PERIODS) & (cycle < _FASTER * of_reference)
+        amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
+        return LimitCycle(jnp.where(found, amplitude, 0.0), jnp.where(found, cycle * period, jnp.nan))
 
 
 def find_limit_cycle(angle: ArrayLike, desired: ArrayLike, period: ArrayLike) -> LimitCycle:
     """Return the limit cycle of a run, from angle and reference [rad] of each control period [s]; shape (periods,)."""
     angle, desired = jnp.asarray(angle), jnp.asarray(desired)
 
-    def following(swings: tuple[Swings, Swings], at: tuple[Array, Array, Array]) -> tuple[tuple[Swings, Swings], None]:
+    def following(so_far: Oscillation, at: tuple[Array, Array, Array]) -> tuple[Oscillation, None]:
         index, angle, desired = at
-        return (swings[0].after(angle - desired, index), swings[1].after(desired, index)), None
+        return so_far.after(angle, desired, index), None
 
-    empty = Swings.empty(angle[0])
-    swings = lax.scan(following, (empty, empty), (jnp.arange(angle.size), angle, desired))[0]
-    return limit_cycle(*swings, angle.size, period)
+    rows = jnp.arange(angle.size), angle, desired
+    return lax.scan(following, Oscillation.empty(angle[0]), rows)[0].limit_cycle(angle.size, period)
 
 
 compiled_limit_cycle = compiled(find_limit_cycle)

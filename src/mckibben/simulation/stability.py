@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled_as_given, numeric
-from mckibben.plant import JointPlant, NoDisturbance, PerfectSensors, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import LoopState, initial_loop
 from mckibben.simulation.problem import sample_reference, sampling_times
 
@@ -97,9 +97,7 @@ def margins(
         If the times do not fit together.
     """
     delay = getattr(plant.sensors, "delay", 0.0) * control_period + (plant.command_delay or 0.0)
-    plant = dataclasses.replace(
-        plant, sensors=PerfectSensors(), disturbance=NoDisturbance(), command_delay=delay or None
-    )
+    plant = dataclasses.replace(plant.with_ideal_io(), command_delay=delay or None)
     plant, controller = plant.with_period(control_period), controller.with_period(control_period)
     times = sampling_times(duration, control_period, substeps)
     chosen = np.unique(np.linspace(0, times.size - 1, points).round().astype(int))

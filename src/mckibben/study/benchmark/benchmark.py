@@ -22,6 +22,7 @@ from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
 from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
+from mckibben.simulation.result import OUTCOMES
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.statistics import (
     MAIN,
@@ -117,7 +118,7 @@ class BenchmarkResult:
 
     def oscillates(self, controller: str) -> NDArray[np.bool_]:
         """Mask of the runs that ended in a limit cycle."""
-        return _limit_cycles(self.batches[controller])[self.started]
+        return _ended(self.batches[controller], Outcome.LIMIT_CYCLE)[self.started]
 
     def cost(self, controller: str) -> Vector:
         """Cost of each run that started; 1e6 where the run diverged."""
@@ -193,18 +194,19 @@ def evaluate(
     return _simulated_all(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
 
 
-def _limit_cycles(batch: Batch) -> NDArray[np.bool_]:
-    return np.array([outcome is Outcome.LIMIT_CYCLE for outcome in batch.outcomes])
+def _ended(batch: Batch, outcome: Outcome) -> NDArray[np.bool_]:
+    """Mask of the runs with an outcome. Shape (runs,)."""
+    return batch["outcome"] == OUTCOMES.index(outcome)
 
 
 def failed(batch: Batch) -> NDArray[np.bool_]:
     """Mask of the runs that diverged, ended in a limit cycle or could not start."""
-    return batch.failed | _limit_cycles(batch)
+    return batch.failed | _ended(batch, Outcome.LIMIT_CYCLE)
 
 
 def _started(batch: Batch) -> NDArray[np.bool_]:
     """Mask of the runs that could start. Shape (runs,)."""
-    return np.array([outcome is not Outcome.NO_START for outcome in batch.outcomes])
+    return ~_ended(batch, Outcome.NO_START)
 
 
 def _none_starts(runs: str) -> ParameterError:

@@ -48,11 +48,7 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
     found: list[Problem] = []
 
     def check(place: tuple[str | int, ...], call: Callable[[], object]) -> None:
-        try:
-            call()
-        except (McKibbenError, ValidationError) as error:
-            known = error if isinstance(error, McKibbenError) else explained(error)
-            found.append(Problem.of(known, document.line(place), dotted(place)))
+        found.extend(_problems_at(place, document, call))
 
     for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
         for name in getattr(suite, key):
@@ -98,12 +94,21 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
 
 def problems_of_setup(suite: Suite, name: str, document: Document) -> list[Problem]:
     """Problems of the suite of a setup alone."""
-    own, place = suite.of_setup(name), ("setups", name)
-    try:
+    own = suite.of_setup(name)
+
+    def check() -> None:
         _check_name(name, "")
         parse_sweeps(own.conditions, own.example())
         for controller in own.controllers:
             own.tuned_over(controller)
+
+    return _problems_at(("setups", name), document, check)
+
+
+def _problems_at(place: tuple[str | int, ...], document: Document, call: Callable[[], object]) -> list[Problem]:
+    """The problem at a place of a document that a call raises, if any."""
+    try:
+        call()
     except (McKibbenError, ValidationError) as error:
         known = error if isinstance(error, McKibbenError) else explained(error)
         return [Problem.of(known, document.line(place), dotted(place))]
