@@ -48,6 +48,7 @@ _FASTER = 0.5  # lag of the command relative to that of the pressure that it ser
 PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
 DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
 DeadZone = Annotated[float, Percent("1", "%", 0, 90)]
+DeadBand = Annotated[float, Quantity("Pa", "bar", 0, 1e3)]
 Compensation = Annotated[float, Percent("1", "%", 0, 99)]
 
 
@@ -74,6 +75,8 @@ class AirValve(Actuator):
         n of the air in the muscles, 1 (isothermal) to 1.4 (adiabatic).
     dead_volume
         Volume [m^3] of tube and fittings between valve and muscle.
+    leak
+        C of a leak of muscle, tube and fittings to the atmosphere; none by default.
     reservoir_volume, line_conductance
         Volume [m^3] of air at the valves' inlets, and the C of the line that fills it from the supply: with them the
         supply drops while air flows. Without, the pressure at the inlets is constant.
@@ -88,6 +91,7 @@ class AirValve(Actuator):
     band: PressureScale = eqx.field(kw_only=True, default=1 * bar)
     polytropic_index: PolytropicIndex = eqx.field(kw_only=True, default=1.2)
     dead_volume: DeadVolume = eqx.field(kw_only=True, default=0.0)
+    leak: Conductance | None = eqx.field(kw_only=True, default=None)
     reservoir_volume: Volume | None = eqx.field(kw_only=True, default=None)
     line_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
 
@@ -115,6 +119,11 @@ class AirValve(Actuator):
     def command_lag(self) -> ArrayLike:
         """Time constant [s] of the command before the loop of the pressure; 0 for none."""
         return 0.0
+
+    @property
+    def shut_within(self) -> Any:
+        """Error [Pa] of the pressure up to which the loop keeps the valve shut; None for none."""
+        return None
 
     def fastest_rate(self, stroke: float) -> float:
         """Return a bound on the rates [1/s] of valve and loop, where a pressure strokes by `stroke` [Pa/s]."""
@@ -165,8 +174,9 @@ class AirValve(Actuator):
         for pressure, state, command, volume in zip(pressures, air.valves, commands, volumes, strict=True):
             opening = self.opening(state, command, pressure)
             flow = self.flow(opening, inlet, pressure)
+            inflow = flow if self.leak is None else flow - self._leakage(pressure)
             index, absolute = self.polytropic_index, pressure + ATMOSPHERE
-            rates.append(pressure_rate(index, absolute, flow, volume.effective(index, absolute), volume.rate))
+            rates.append(pressure_rate(index, absolute, inflow, volume.effective(index, absolute), volume.rate))
             valve_rates.append(self.rate(state, command, pressure))
             drawn = drawn + jnp.where(opening > 0, flow, 0.0)
         reservoir: Any = ()
@@ -183,6 +193,12 @@ class AirValve(Actuator):
             conductance, self.critical_ratio, jnp.where(opening > 0, inlet, ATMOSPHERE), pressure + ATMOSPHERE
         )
 
+    def _leakage(self, pressure: ArrayLike) -> Array | float:
+        """Mass flow [kg/s] out of a muscle through the leak."""
+        if self.leak is None:
+            return 0.0
+        return mass_flow(self.leak, self.critical_ratio, pressure + ATMOSPHERE, ATMOSPHERE)
+
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
         """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s], with a full supply.
 
@@ -190,10 +206,10 @@ class AirValve(Actuator):
         """
         absolute = jnp.asarray(pressure) + ATMOSPHERE
         room = volume.effective(self.polytropic_index, absolute)
-        needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
+        needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY + self._leakage(pressure)
         full = jnp.where(needed > 0, 1.0, -1.0)
         share = needed / self.flow(full, self.supply + ATMOSPHERE, pressure)
-        command = pressure + self.band * full * share + self.command_lag * rate
+        command = pressure + self._error_for(full * share) + self.command_lag * rate
         possible = (share >= 0) & (share <= 1) & (jnp.asarray(pressure) <= self.supply)
         return jnp.where(possible, command, full * jnp.inf)
 
@@ -206,7 +222,7 @@ class AirValve(Actuator):
     ) -> tuple[Scalar, Scalar]:
         slowest, fastest, drift = self._rates(pressure, air)
         following = state + lag_fraction(self.command_lag, duration) * (command - state)
-        error = (state + following) / 2 - pressure
+        error = self._effective((state + following) / 2 - pressure)
         rate = jnp.where(error > 0, fastest, -slowest)  # of the open valve
         lag = self.band / rate
         full = jnp.clip(jnp.abs(error) / rate - lag, 0.0, duration)  # time [s] with a fully open valve
@@ -239,12 +255,12 @@ class AirValve(Actuator):
         rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
         flow = jnp.clip(rate - drift, slowest, fastest)  # as a rate of the pressure [Pa/s]
         opening = flow / jnp.where(flow > 0, fastest, -slowest)
-        wanted = pressure + period / 2 * (flow + drift) + self.band * opening
+        wanted = pressure + period / 2 * (flow + drift) + self._error_for(opening)
         lead = lag_fraction(_FASTER * jnp.asarray(lag), period) / lag_fraction(self.command_lag, period)
         return state + lead * (wanted - state)
 
     def _rates(self, pressure: Scalar, air: AirVolume | None) -> tuple[Scalar, Scalar, Scalar]:
-        """Rates [Pa/s] by the open valve, to the exhaust and from the full supply, and by the motion of the muscle."""
+        """Rates [Pa/s] by the open valve, to the exhaust and from the full supply, and with the valve shut."""
         assert air is not None
         index, absolute = self.polytropic_index, pressure + ATMOSPHERE
         volume = air.effective(index, absolute)
@@ -252,7 +268,7 @@ class AirValve(Actuator):
             pressure_rate(index, absolute, self.flow(opening, self.supply + ATMOSPHERE, pressure), volume, 0.0)
             for opening in (-1.0, 1.0)
         )
-        drift = pressure_rate(index, absolute, 0.0, volume, air.rate)
+        drift = pressure_rate(index, absolute, -self._leakage(pressure), volume, air.rate)
         return jnp.minimum(vent, -_LEAST_RATE), jnp.maximum(fill, _LEAST_RATE), drift
 
     def model_lag(self, joint: AntagonisticJoint) -> Any:
@@ -294,7 +310,17 @@ class AirValve(Actuator):
 
     def _loop(self, command: ArrayLike, pressure: ArrayLike) -> Array:
         """Opening that the proportional loop asks for."""
-        return jnp.clip((jnp.asarray(command) - jnp.asarray(pressure)) * (1 / self.band), -1.0, 1.0)
+        return jnp.clip(self._effective(jnp.asarray(command) - jnp.asarray(pressure)) * (1 / self.band), -1.0, 1.0)
+
+    def _effective(self, error: Array) -> Array:
+        """Part of an error [Pa] of the pressure that opens the valve."""
+        shut = self.shut_within
+        return error if shut is None else error - jnp.clip(error, -shut, shut)
+
+    def _error_for(self, opening: ArrayLike) -> Array:
+        """Error [Pa] at which the loop gives an opening; where it is small, less than what keeps the valve shut."""
+        error, shut = self.band * jnp.asarray(opening), self.shut_within
+        return error if shut is None else error + jnp.clip(error, -shut, shut)
 
 
 def _compensated(opening: Array, shut: Any, compensation: Any) -> Array:
@@ -359,11 +385,18 @@ class PressureRegulator(AirValve):
     ----------
     time_constant
         Lag [s] of the command before the loop.
+    dead_zone
+        Error [Pa] of the pressure up to which the regulator stays shut; none by default.
     """
 
     short_name = "regulator"
 
     time_constant: ValveTime = eqx.field(kw_only=True)
+    dead_zone: DeadBand | None = eqx.field(kw_only=True, default=None)
+
+    @property
+    def shut_within(self) -> Any:
+        return self.dead_zone
 
     @property
     def command_lag(self) -> ArrayLike:

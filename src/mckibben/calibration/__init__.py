@@ -9,9 +9,17 @@ from mckibben.calibration.experiment import (
     calibrated_scenario,
     expected,
     read_joint_recording,
+    run_parts,
     run_sweeps,
 )
 from mckibben.calibration.output_error import CommandedCalibration, SimulatedAngles, calibrate_from_commands
+from mckibben.calibration.valve_experiment import (
+    ValveExperiment,
+    calibrate_scenario_valves,
+    scenario_with_valves,
+    valve_statements,
+)
+from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 
 __all__ = [
     "CommandedCalibration",
@@ -21,12 +29,19 @@ __all__ = [
     "JointRecording",
     "SimulatedAngles",
     "Sweeps",
+    "ValveCalibration",
+    "ValveExperiment",
     "calibrate_from_commands",
     "calibrate_joint",
     "calibrate_scenario",
+    "calibrate_scenario_valves",
+    "calibrate_valves",
     "calibrated_model",
     "calibrated_scenario",
     "expected",
     "read_joint_recording",
+    "run_parts",
     "run_sweeps",
+    "scenario_with_valves",
+    "valve_statements",
 ]

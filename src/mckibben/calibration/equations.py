@@ -21,7 +21,7 @@ from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.numerics.compiled import compiled
-from mckibben.units import deg, mm
+from mckibben.units import deg, kPa, mm
 
 Floats = NDArray[np.float64]
 RATE = 50.0  # Hz, of the fitted samples
@@ -51,6 +51,8 @@ class JointRecording:
         A known weight [kg] on the limb, and its distance from the axis [m].
     commanded
         Whether `pressures` are commands instead of measurements.
+    commands
+        Commands [Pa] beside measured pressures, for `calibrate_valves`; shape (samples, 2).
     """
 
     time: Floats
@@ -60,6 +62,7 @@ class JointRecording:
     added_mass: float = 0.0
     distance: float = 0.0
     commanded: bool = False
+    commands: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,11 @@ class JointPrior:
         ms, and of the load's damping. `mass` then refers to the logarithms of inertia and gravity.
     joint_friction, joint_presliding
         For recordings of commands: logarithms of torque and presliding angle of the joint's own friction.
+    valve, supply, polytropic_index, critical_ratio
+        For `calibrate_valves`: logarithms of these quantities, and of all others of a valve.
+    volume, pressure_zero
+        For `calibrate_valves`: volume of the air in the muscles, relative; reading of the pressure sensors at 0 bar
+        [Pa].
     fits
         Fits behind the laws of muscles 1 and 2, if any: their covariance is added to `strength` and `offset`, which
         then describe the scatter between the tested muscles and those of the joint.
@@ -109,6 +117,12 @@ class JointPrior:
     damping: float = 1.0
     joint_friction: float = 1.0
     joint_presliding: float = 0.7
+    valve: float = 0.7
+    supply: float = 0.05
+    polytropic_index: float = 0.08
+    critical_ratio: float = 0.3
+    volume: float = 0.05
+    pressure_zero: float = 1 * kPa
     fits: tuple[Fit | None, Fit | None] = (None, None)
 
 
@@ -155,7 +169,7 @@ class _Corrected(NamedTuple):
 def check_recording(recording: JointRecording) -> None:
     """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short."""
     columns = [recording.time, recording.angle, recording.pressures]
-    columns += [] if recording.tensions is None else [recording.tensions]
+    columns += [one for one in (recording.tensions, recording.commands) if one is not None]
     if not all(np.all(np.isfinite(column)) for column in columns):
         raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
     time = recording.time

@@ -51,6 +51,7 @@ _NEGLIGIBLE = 1e-3  # ratio of residual to highest torque up to which that is ir
 _CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
+_WIDE = 1.96  # standard deviations to the bounds of a 95 % interval
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
 DETERMINED = 0.5
 """Ratio of posterior to prior standard deviation below which a quantity counts as determined by the recordings."""
@@ -58,12 +59,24 @@ DETERMINED = 0.5
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """An estimated quantity in SI, with posterior and prior standard deviation."""
+    """An estimated quantity in SI, with posterior and prior standard deviation.
+
+    With `logarithmic` its logarithm is estimated, and the deviations are those of the logarithm times the value.
+    """
 
     value: float
     deviation: float
     prior: float
     unit: str
+    logarithmic: bool = False
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Bounds of the 95 % interval."""
+        if not self.logarithmic:
+            return self.value - _WIDE * self.deviation, self.value + _WIDE * self.deviation
+        factor = math.exp(_WIDE * self.deviation / self.value)
+        return self.value / factor, self.value * factor
 
     @property
     def determined(self) -> bool:
@@ -335,7 +348,10 @@ def start(problem: CalibrationProblem, strength: float) -> Floats:
 
 
 def minimised(
-    terms: Callable[[Floats], tuple[float, Floats, Floats]], z: Floats, most: int = _ITERATIONS
+    terms: Callable[[Floats], tuple[float, Floats, Floats]],
+    z: Floats,
+    most: int = _ITERATIONS,
+    tolerance: float = _TOLERANCE,
 ) -> tuple[Floats, float]:
     """Levenberg-Marquardt minimum, and its value, of an objective with its gradient and second derivatives."""
     objective, gradient, curvature = terms(z)
@@ -345,7 +361,7 @@ def minimised(
         tried = terms(z - step)
         if tried[0] < objective:
             z, (objective, gradient, curvature), damping = z - step, tried, max(damping / 5, 1e-9)
-            if np.abs(step).max() < _TOLERANCE:
+            if np.abs(step).max() < tolerance:
                 break
         elif (damping := 4 * damping) > _MOST_DAMPING:
             break

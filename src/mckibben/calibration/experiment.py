@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ _FAST, _FAST_SHARE, _FASTEST = 1.0, 0.15, 1.0  # Hz; part of the amplitude; rad/
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
+_PRESSURES = ("pressure1", "pressure2")
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
 """
@@ -83,11 +84,11 @@ class Sweeps:
             Multisine(amplitudes, frequencies, offset=float(middle)),
             Sine(_BAND * (high - low) / 2, _COCONTRACTIONS / self.duration, offset=(low + high) / 2),
         )
-        control = _with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "valve_adaptation")))
+        control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "valve_adaptation")))
         parts = {}
         for mass in self.weights:
-            load = _field(control, "load")
-            known = control if load is None else _with_fields(control, {"load": self._weighted(load, mass)})
+            load = field_of(control, "load")
+            known = control if load is None else with_fields(control, {"load": self._weighted(load, mass)})
             parts[mass] = scenario.model_copy(
                 update={
                     "name": f"{scenario.name[:150]}, calibration with {mass:g} kg",
@@ -131,17 +132,23 @@ def _general(load: Load) -> GeneralLoad:
     )
 
 
-def _field(controller: Controller, name: str) -> Any:
+def field_of(controller: Controller, name: str) -> Any:
     """Field of a controller, or of the one that it wraps; None without."""
     own = getattr(controller, name, None)
-    return own if own is not None else next((_field(one, name) for one in _inner(controller).values()), None)
+    return own if own is not None else next((field_of(one, name) for one in _inner(controller).values()), None)
 
 
-def _with_fields(controller: Controller, fields: dict[str, Any]) -> Any:
+def holds(controller: Controller, name: str) -> bool:
+    """Whether a controller, or one that it wraps, has a field of its own, not inherited from the plant."""
+    own = name not in inherited_fields(controller) and vars(controller).get(name) is not None
+    return own or any(holds(one, name) for one in _inner(controller).values())
+
+
+def with_fields(controller: Controller, fields: dict[str, Any]) -> Any:
     """Controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
     kept = inherited_fields(controller)
     own = {name: one for name, one in fields.items() if name not in kept and vars(controller).get(name) is not None}
-    return replaced(controller, own | {name: _with_fields(one, fields) for name, one in _inner(controller).items()})
+    return replaced(controller, own | {name: with_fields(one, fields) for name, one in _inner(controller).items()})
 
 
 def _inner(controller: Controller) -> dict[str, Controller]:
@@ -150,7 +157,7 @@ def _inner(controller: Controller) -> dict[str, Controller]:
 
 def model_of(scenario: Scenario) -> AntagonisticJoint:
     """Return the controller's model of the joint, which a calibration corrects."""
-    model = _field(scenario.control(), "model") or scenario.joint
+    model = field_of(scenario.control(), "model") or scenario.joint
     if isinstance(model.geometry, ScaledArms) or model.muscle1.correction or model.muscle2.correction:
         raise ParameterError(
             "the controller's model has been calibrated already",
@@ -161,7 +168,7 @@ def model_of(scenario: Scenario) -> AntagonisticJoint:
 
 def load_of(scenario: Scenario) -> Load:
     """Return the controller's model of the load."""
-    return _field(scenario.control(), "load") or scenario.load
+    return field_of(scenario.control(), "load") or scenario.load
 
 
 def run_sweeps(
@@ -170,32 +177,49 @@ def run_sweeps(
     folder: str | os.PathLike[str],
     *,
     rig: JointRig | None = None,
-    ready: Callable[[float], None] | None = None,
+    ready: Callable[[str], None] | None = None,
     progress: Any = None,
 ) -> list[JointRecording]:
-    """Run all parts of an experiment on a joint rig (default: the simulated joint), and record them in a folder.
+    """Run both parts of an experiment, "bare" and "weighted"; see `run_parts`."""
+    parts = {"weighted" if mass else "bare": part for mass, part in sweeps.scenarios(scenario).items()}
+    results = run_parts(parts, folder, rig=rig, ready=ready, progress=progress)
+    masses = zip(results.values(), sweeps.weights, strict=True)
+    return [recording_of(one, added_mass=mass, distance=sweeps.distance) for one, mass in masses]
 
-    `ready` is called with the added mass [kg] before each part. Raises `StoppedError` if a limit or a fault stops a
-    part; the joint is then vented.
+
+def run_parts(
+    parts: Mapping[str, Scenario],
+    folder: str | os.PathLike[str],
+    *,
+    rig: JointRig | None = None,
+    ready: Callable[[str], None] | None = None,
+    progress: Any = None,
+) -> dict[str, Result]:
+    """Run the scenarios of an experiment on a joint rig (default: the simulated joint), each in a folder of its name.
+
+    `ready` is called with the name before each part. Raises `StoppedError` if a limit or a fault stops a part; the
+    joint is then vented.
     """
-    recordings = []
-    for mass, part in sweeps.scenarios(scenario).items():
+    results = {}
+    for name, part in parts.items():
         if ready is not None:
-            ready(mass)
+            ready(name)
         session = prepare(part, rig, paced=rig is not None and rig.physical)
-        kept = Path(folder) / ("weighted" if mass else "bare")
+        kept = Path(folder) / name
         ran: JointRunResult = session.run(kept, progress=progress)
         if ran.outcome.error is not None or ran.result is None:
             raise StoppedError(f"stopped: {ran.outcome.text}; {ran.outcome.venting}")
         ran.result.to_netcdf(kept / "result.nc")
-        recordings.append(recording_of(ran.result, added_mass=mass, distance=sweeps.distance))
-    return recordings
+        results[name] = ran.result
+    return results
 
 
 def recording_of(result: Result, *, added_mass: float = 0.0, distance: float = 0.0) -> JointRecording:
     """The recording of a run on a joint rig."""
-    pressures = np.stack([result["pressure1"], result["pressure2"]], axis=1)
-    return JointRecording(result.times, result["angle"], pressures, None, added_mass, distance)
+    pressures, commands = (
+        np.stack([result[f"{kind}1"], result[f"{kind}2"]], axis=1) for kind in ("pressure", "command")
+    )
+    return JointRecording(result.times, result["angle"], pressures, None, added_mass, distance, commands=commands)
 
 
 def read_joint_recording(
@@ -203,8 +227,8 @@ def read_joint_recording(
 ) -> JointRecording:
     """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
 
-    Columns ``command1_bar,command2_bar`` give commands instead of pressures, ``tension1_N,tension2_N`` the readings of
-    load cells. A ``result.nc`` of `mckibben rig control` is read as well.
+    Columns ``command1_bar,command2_bar`` give commands beside or instead of pressures, ``tension1_N,tension2_N`` the
+    readings of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
     """
     file = Path(path)
     if file.suffix == ".nc":
@@ -212,20 +236,26 @@ def read_joint_recording(
 
     def wanted(header: list[str]) -> dict[str, str]:
         begins = {title.partition("_")[0] for title in header}
-        kind = "command" if "command1" in begins and "pressure1" not in begins else "pressure"
-        cells = ("tension1", "tension2") if "tension1" in begins else ()
-        return {"angle": "rad", f"{kind}1": "Pa", f"{kind}2": "Pa", **dict.fromkeys(cells, "N")}
+        kinds = {"pressure": "Pa", "command": "Pa", "tension": "N"}
+        found = {f"{kind}{i}": unit for kind, unit in kinds.items() if f"{kind}1" in begins for i in (1, 2)}
+        return {"angle": "rad", **(found if {"pressure1", "command1"} & begins else dict.fromkeys(_PRESSURES, "Pa"))}
 
     times, columns = read_columns(file, wanted)
-    angle, first, second, *tensions = map(np.asarray, columns.values())
+
+    def pair(kind: str) -> Any:
+        return np.stack([columns[f"{kind}1"], columns[f"{kind}2"]], axis=1) if f"{kind}1" in columns else None
+
+    pressures, commands = pair("pressure"), pair("command")
+    commanded = pressures is None
     return JointRecording(
         np.asarray(times),
-        angle,
-        np.stack([first, second], axis=1),
-        np.stack(tensions, axis=1) if tensions else None,
+        np.asarray(columns["angle"]),
+        commands if commanded else pressures,
+        pair("tension"),
         added_mass,
         distance,
-        commanded="command1" in columns,
+        commanded,
+        None if commanded else commands,
     )
 
 
@@ -289,13 +319,13 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
         if found.friction is not None:
             rows = {name: float(getattr(found.friction, name)) for name in ("torque", "presliding")}
             update["friction"] = replaced(scenario.friction, rows)
-        update["controller"] = _with_fields(scenario.controller, {"load": load, "model": model})
+        update["controller"] = with_fields(scenario.controller, {"load": load, "model": model})
         return scenario.model_copy(update=update)
-    mass, load = found.load.adapted_mass, _field(control, "load")
+    mass, load = found.load.adapted_mass, field_of(control, "load")
     fields: dict[str, Any] = {"model": model}
     if mass and load is not None:
         fields["load"] = replaced(load, {mass: float(getattr(found.load, mass))})
-    return scenario.model_copy(update={"controller": _with_fields(independent(control), fields)})
+    return scenario.model_copy(update={"controller": with_fields(independent(control), fields)})
 
 
 def expected(
@@ -319,8 +349,8 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
     return before, after
 
 
-SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s"}
-SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
+SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
+SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad", "rad/s")}
 """Units of quantities in reports, by SI unit."""
 
 

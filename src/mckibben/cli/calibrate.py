@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,15 +29,19 @@ from mckibben.cli.options import (
 from mckibben.cli.rig import run_line
 from mckibben.errors import ParameterError, StoppedError, quoted
 from mckibben.storage.files import to_json, write_json
-from mckibben.units import show
+from mckibben.units import kPa, show
 
 if TYPE_CHECKING:
-    from mckibben.calibration import JointPrior, JointRecording, Sweeps
+    from mckibben.calibration import JointEstimate, JointPrior, JointRecording, Sweeps
     from mckibben.realtime import JointRig
     from mckibben.scenario import Scenario
 
 _KEPT = ("model.yaml", "scenario.yaml", "results.json", "calibration.png", "calibration.svg")
 _PLANNED_WEIGHTS, _PLANNED_DURATIONS = (0.0, 0.5, 1.0, 2.0), (1 / 3, 1.0)
+_VALVE_FILES = ("valve.yaml", *_KEPT[1:])
+_VALVE_HEAD = """\
+# Valves calibrated by `mckibben calibrate --valves`: `valve: valve.yaml`.
+"""
 _LEAST, _MOST = 20.0, 600.0  # s of an experiment
 
 
@@ -44,8 +50,13 @@ def calibrate(
     weight: Annotated[str, Option(metavar="MASS", help="A known weight to clip on, such as '0.5 kg'.")] = "",
     distance: Annotated[str, Option(metavar="LENGTH", help="Its distance from the axis, such as '200 mm'.")] = "",
     weight_error: Annotated[str, Option(metavar="PERCENT", help="Standard deviation of the weight.")] = "1 %",
-    angles: Annotated[str, Option(metavar="RANGE", help="Angles to sweep.")] = "-10..10 deg",
-    duration: Annotated[str, Option(metavar="TIME", help="Duration of all sweeps, 20 to 600 s.")] = "60 s",
+    valves: Annotated[
+        bool, Option("--valves", help="Identify the valves instead, by steps and a multisine of their commands.")
+    ] = False,
+    angles: Annotated[str, Option(metavar="RANGE", help="Angles to sweep, or to stay within.")] = "-10..10 deg",
+    duration: Annotated[
+        str, Option(metavar="TIME", help="Duration of all parts, 20 to 600 s (default: 60 s, of valves 120 s).")
+    ] = "",
     rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
     recording: Annotated[
         list[Path] | None,
@@ -61,6 +72,13 @@ def calibrate(
     strength_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the strength of the model's muscles.")
     ] = "10 %",
+    zero_error: Annotated[str, Option(metavar="ANGLE", help="Standard deviation of the encoder's zero.")] = "0.5 deg",
+    arm_error: Annotated[
+        str, Option(metavar="PERCENT", help="Standard deviation of the scale of the moment arms.")
+    ] = "2 %",
+    supply_error: Annotated[
+        str, Option(metavar="PERCENT", help="Standard deviation of the pressure of the supply.")
+    ] = "5 %",
     plan: Annotated[
         bool,
         Option("--plan", help="Show the expected accuracy for other weights and durations, without moving the joint."),
@@ -69,7 +87,7 @@ def calibrate(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Identify the controller's joint model on the joint, with a known weight, and report its stiffness.
+    """Identify the controller's joint model on the joint, with a known weight, or its valves.
 
     Exit codes: 0 done, 1 stopped (the joint is vented), 2 refused before anything moved.
     """
@@ -81,20 +99,33 @@ def calibrate(
         if text and not given > 0:
             raise ParameterError(f"{name} is {quoted(text)}", value=given, remedy="give a value above 0")
     low, high = parse_limits("--angles", angles, "rad")
+    duration = duration or ("120 s" if valves else "60 s")
     seconds = parse_quantity("--duration", duration, "s")
     if not _LEAST <= seconds <= _MOST:
         remedy = f"give {_LEAST:g} to {_MOST:g} s"
         raise ParameterError(f"--duration is {quoted(duration)}", value=seconds, unit="s", remedy=remedy)
     if weighted and not mass:
         raise ParameterError("--weighted without a weight", remedy="add --weight and --distance")
+    if valves and (weight or held_out):
+        raise ParameterError("--valves with a weight, or with --held-out", remedy="calibrate joint and valves in turn")
     if held_out and not (recording or weighted):
         raise ParameterError("--held-out without a recording", remedy="add --recording")
     from mckibben.calibration import JointPrior, Sweeps
     from mckibben.scenario import Scenario
 
     strength = parse_quantity("--strength-error", strength_error, "1")
-    prior = JointPrior(strength, strength / 2, added_mass=parse_quantity("--weight-error", weight_error, "1"))
+    prior = JointPrior(
+        strength,
+        strength / 2,
+        added_mass=parse_quantity("--weight-error", weight_error, "1"),
+        zero=parse_quantity("--zero-error", zero_error, "rad"),
+        arm_scale=parse_quantity("--arm-error", arm_error, "1"),
+        supply=parse_quantity("--supply-error", supply_error, "1"),
+    )
     read, count = Scenario.read(scenario), 2 if mass else 1
+    if valves:
+        _valves(read, (low, high, seconds), recording or [], prior, rig, plan, out, force, json)
+        return
     period = read.control_period
     sweeps = Sweeps(low, high, round(seconds / count / period) * period, mass, at)
     if plan:
@@ -124,25 +155,154 @@ def _measured(scenario: Scenario, sweeps: Sweeps, out: Path, rig: Path | None, q
     compute_in_this_thread()
     from mckibben.calibration import run_sweeps
     from mckibben.realtime import JointRig
-    from mckibben.rig.record import segments
 
     on: JointRig | None = None if rig is None else JointRig.read(rig)
-    names = ("bare", "weighted")
-    if any(segments(out / name) for name in names if (out / name).is_dir()):
-        remedy = f"use them with --recording {out}/bare/result.nc, or choose another folder"
+    what = {"bare": "no weight is on the limb", "weighted": f"the weight of {sweeps.added_mass:g} kg is clipped on"}
+    with _running(out, what, on, quiet) as options:
+        return run_sweeps(scenario, sweeps, out, **options)
+
+
+@contextmanager
+def _running(out: Path, parts: Mapping[str, str], rig: JointRig | None, quiet: bool) -> Iterator[dict[str, Any]]:
+    """Options of a run of the parts of an experiment, each with what to confirm before it."""
+    from mckibben.rig.record import segments
+
+    if kept := [name for name in parts if (out / name).is_dir() and segments(out / name)]:
+        remedy = f"use them with --recording {out}/{kept[0]}/result.nc, or choose another folder"
         raise ParameterError(f"{out} already contains records", remedy=remedy)
 
-    def ready(mass: float) -> None:
-        what = f"the weight of {mass:g} kg is clipped on" if mass else "no weight is on the limb"
-        if on is not None and on.physical:
-            typer.confirm(f"{what}, and nobody is within reach of the joint?", abort=True, err=True)
+    def ready(name: str) -> None:
+        if rig is not None and rig.physical:
+            typer.confirm(f"{parts[name]}, and nobody is within reach of the joint?", abort=True, err=True)
 
     try:
         with run_line(quiet=quiet) as line:
-            return run_sweeps(scenario, sweeps, out, rig=on, ready=ready, progress=line)
+            yield {"rig": rig, "ready": ready, "progress": line}
     except StoppedError as stopped:
         echo(str(stopped), err=True)
         raise typer.Exit(1) from None
+
+
+def _valves(
+    scenario: Scenario,
+    experiment: tuple[float, float, float],
+    recording: list[Path],
+    prior: JointPrior,
+    rig: Path | None,
+    plan: bool,
+    out: Path | None,
+    force: bool,
+    json: bool,
+) -> None:
+    from mckibben.realtime.compiled_step import compute_in_this_thread
+
+    compute_in_this_thread()
+    from mckibben.calibration import (
+        ValveExperiment,
+        calibrate_scenario_valves,
+        read_joint_recording,
+        run_parts,
+        scenario_with_valves,
+        valve_statements,
+    )
+    from mckibben.calibration.experiment import recording_of
+    from mckibben.component.schema import write_text
+    from mckibben.realtime import JointRig
+    from mckibben.report.joint import valve_calibration as draw
+    from mckibben.report.style import save
+    from mckibben.storage.files import atomic_write
+
+    on = None if rig is None else JointRig.read(rig)
+    parts = {} if recording and not plan else ValveExperiment(*experiment).scenarios(scenario)
+    if parts and not json:
+        _show_commands(_commands(parts))
+    if plan:
+        if json:
+            echo(to_json(_commands(parts)))
+        return
+    out = required_folder(out, "calibration")
+    results_folder(out, _VALVE_FILES, force)
+    if recording:
+        recordings = [read_joint_recording(path) for path in recording]
+    else:
+        what = dict.fromkeys(parts, "the joint moves freely with no weight on the limb")
+        with _running(out, what, on, json) as options:
+            recordings = [recording_of(one) for one in run_parts(parts, out, **options).values()]
+    found = calibrate_scenario_valves(scenario, recordings, prior)
+    numbers = {
+        "residual_Pa": found.residual,
+        "noise_Pa": found.noise,
+        "quantities": _quantities_json(found.quantities),
+    }
+    with keeping(out):
+        with atomic_write(out / "valve.yaml", overwrite=True) as part:
+            part.write_text(_VALVE_HEAD + write_text(found.valve, folder=out), encoding="utf-8")
+        scenario_with_valves(scenario, found).to_yaml(out / "scenario.yaml")
+        write_json(out / "results.json", numbers)
+        save(draw(found, recordings), out, "calibration")
+    if json:
+        echo(to_json(numbers))
+    else:
+        _show_quantities(found.quantities)
+        echo(f"residual {found.residual / kPa:.2g} kPa, noise {found.noise / kPa:.2g} kPa")
+        for line in valve_statements(found):
+            echo(line)
+    echo(f"wrote valve.yaml (for `valve: valve.yaml`), scenario.yaml and figure to {out}", err=json)
+
+
+def _commands(parts: Mapping[str, Scenario]) -> list[dict[str, Any]]:
+    """Name, duration [s] and commanded pressures [Pa] of each part."""
+    import numpy as np
+
+    rows = []
+    for name, part in parts.items():
+        control: Any = part.control()
+        time = np.arange(0.0, part.duration, part.control_period)
+        pairs = [np.asarray(signal(time)) for signal in (control.pressure1, control.pressure2)]
+        ranges = {f"command{i}_Pa": [float(one.min()), float(one.max())] for i, one in enumerate(pairs, 1)}
+        rows.append({"part": name, "duration_s": part.duration, **ranges})
+    return rows
+
+
+def _show_commands(rows: list[dict[str, Any]]) -> None:
+    def text(limits: list[float]) -> str:
+        return " to ".join(show(one, "bar", 3) for one in limits)
+
+    table(
+        "commands of the experiment",
+        ("part", "duration", "muscle 1", "muscle 2"),
+        [(r["part"], f"{r['duration_s']:g} s", text(r["command1_Pa"]), text(r["command2_Pa"])) for r in rows],
+    )
+
+
+def _quantities_json(found: Mapping[str, JointEstimate]) -> dict[str, Any]:
+    return {
+        name: {
+            "value": one.value,
+            "standard_deviation": one.deviation,
+            "interval": list(one.interval),
+            "before": one.prior,
+            "unit": one.unit,
+            "determined": one.determined,
+        }
+        for name, one in found.items()
+    }
+
+
+def _show_quantities(found: Mapping[str, JointEstimate]) -> None:
+    from mckibben.calibration.experiment import SHOWN
+
+    rows = [
+        (
+            name,
+            show(one.value, SHOWN[one.unit], 4),
+            show(one.deviation, SHOWN[one.unit], 2),
+            show(one.prior, SHOWN[one.unit], 2),
+            "yes" if one.determined else "no",
+        )
+        for name, one in found.items()
+    ]
+    table("calibration", ("quantity", "estimate", "standard deviation", "before", "determined"), rows)
 
 
 def _report(
@@ -155,7 +315,7 @@ def _report(
     json: bool,
 ) -> None:
     from mckibben.calibration import CommandedCalibration, calibrate_scenario, calibrated_scenario
-    from mckibben.calibration.experiment import SHOWN, deviations, statements, write_model
+    from mckibben.calibration.experiment import deviations, statements, write_model
     from mckibben.report.joint import calibration as draw
     from mckibben.report.style import save
 
@@ -177,16 +337,7 @@ def _report(
         **({} if commanded else {"noise_torque_Nm": found.noise}),
         "stiffness_deviation_before": before,
         "stiffness_deviation": after,
-        "quantities": {
-            name: {
-                "value": one.value,
-                "standard_deviation": one.deviation,
-                "before": one.prior,
-                "unit": one.unit,
-                "determined": one.determined,
-            }
-            for name, one in found.quantities.items()
-        },
+        "quantities": _quantities_json(found.quantities),
     }
     if simulated:
         numbers["simulated"] = simulated
@@ -198,17 +349,7 @@ def _report(
     if json:
         echo(to_json(numbers))
     else:
-        rows = [
-            (
-                name,
-                show(one.value, SHOWN[one.unit], 4),
-                show(one.deviation, SHOWN[one.unit], 2),
-                show(one.prior, SHOWN[one.unit], 2),
-                "yes" if one.determined else "no",
-            )
-            for name, one in found.quantities.items()
-        ]
-        table("calibration", ("quantity", "estimate", "standard deviation", "before", "determined"), rows)
+        _show_quantities(found.quantities)
         unit = "rad" if commanded else "N*m"
         echo(
             f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; "

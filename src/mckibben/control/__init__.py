@@ -18,6 +18,7 @@ from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode
 from mckibben.control.friction_compensation import FrictionCompensation
 from mckibben.control.inverse_model import InverseModelControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, VelocityObserver
+from mckibben.control.open_loop import OpenLoopControl
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.predictive import PredictiveControl
@@ -55,6 +56,7 @@ __all__ = [
     "Measurement",
     "Multisine",
     "Observer",
+    "OpenLoopControl",
     "PolePlacement",
     "PositionStiffnessControl",
     "PredictiveControl",

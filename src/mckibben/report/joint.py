@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
-from mckibben.calibration import JointCalibration, JointRecording
+from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
 from mckibben.control import Constant, Sine
 from mckibben.paper.identification import JointMap
 from mckibben.reachability import Design, Envelope, FeasibleReference, Preserved, StaticEnvelope
@@ -38,10 +38,11 @@ from mckibben.report.style import (
 )
 from mckibben.simulation import Result
 from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, StiffnessTests
-from mckibben.units import deg
+from mckibben.units import bar, deg, kPa
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _SAMPLES_APART = 100
+_FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of valves
 _REFERENCES = (
     {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.1},
     {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 1.5},
@@ -380,4 +381,30 @@ def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -
     over_angle.set(xlabel="joint angle [deg]", ylabel="difference [N·m/rad]")
     over_angle.axhline(0.0, color=BLACK, linewidth=0.6)
     legend_above(figure, over_time, columns=2)
+    return figure
+
+
+@styled
+def valve_calibration(found: ValveCalibration, recordings: Sequence[JointRecording]) -> Figure:
+    """Commands, measured and simulated pressures of both muscles over a few seconds of each recording, and errors."""
+    figure = blank(DOUBLE, 1.9 * len(recordings) + 0.8)
+    rows = figure.subplots(len(recordings), 2, squeeze=False, width_ratios=(2, 1))
+    number = 0
+    for (over_time, over_error), one in zip(rows, recordings, strict=True):
+        assert one.commands is not None
+        simulated, time = found.simulate(one), one.time - one.time[0]
+        shown = (time >= _FROM) & (time <= _FROM + _LENGTH)
+        for place, (column, colour) in enumerate(zip(found.muscles, (BLUE, VERMILLION), strict=False)):
+            name = f"muscle {column + 1}"
+            over_time.plot(time[shown], one.commands[shown, column] / bar, color=BLACK, linewidth=0.7)
+            over_time.plot(time[shown], one.pressures[shown, column] / bar, color=colour, linewidth=2.4, alpha=0.35)
+            over_time.plot(time[shown], simulated[shown, place] / bar, color=colour, linewidth=0.9, label=name)
+            error = (one.pressures[:, column] - simulated[:, place]) / kPa
+            over_error.plot(time[::_ERRORS_APART], error[::_ERRORS_APART], color=colour, linewidth=0.5)
+        letter(over_time, number, "commands (black), measured (pale) and simulated")
+        letter(over_error, number + 1, "measured less simulated")
+        over_time.set(xlabel="time [s]", ylabel="pressure [bar]")
+        over_error.set(xlabel="time [s]", ylabel="error [kPa]")
+        number += 2
+    legend_above(figure, rows[0][0], columns=2)
     return figure

@@ -1,0 +1,172 @@
+"""Experiment for the identification of valves: steps and a multisine of the commanded pressures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from mckibben.actuator import Actuator
+from mckibben.calibration.equations import JointPrior, JointRecording
+from mckibben.calibration.experiment import SHOWN, field_of, holds, load_of, model_of, with_fields
+from mckibben.calibration.valves import ValveCalibration, calibrate_valves
+from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
+from mckibben.errors import ParameterError
+from mckibben.plant import JointPlant
+from mckibben.rig.bench import JointLimits
+from mckibben.scenario import Scenario, Start
+from mckibben.simulation import simulate
+from mckibben.units import show
+
+_INSIDE = 0.05  # part of the stiffness range that is left out at both ends
+_DWELL = (0.4, 2.5)  # s, of the steps
+_FREQUENCIES = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3)  # Hz
+_DIFFERENCE = ((0.17, 0.41), 0.1)  # Hz, and amplitudes relative to the range: of opposite sign, to move the joint
+_SHRINK, _TRIES = 0.8, 10
+_APART = 2.0  # standard deviations, and
+_DIFFERENT = 1.1  # ratio, by which the valves differ
+
+
+@dataclass(frozen=True)
+class ValveExperiment:
+    """Steps of both commands, then a multisine, each for half of a duration [s].
+
+    By the model the joint stays between angles [rad], and the pressures within half of the deviation [Pa] from their
+    commands at which a joint rig stops (`JointLimits`).
+    """
+
+    lowest: float
+    highest: float
+    duration: float
+    pressure_error: float = JointLimits.pressure_error
+    following: float = JointLimits.following
+
+    def scenarios(self, scenario: Scenario) -> dict[str, Scenario]:
+        """Scenario of each part by its name.
+
+        The commands lie between those of the lowest and the highest stiffness in the middle of the angles, or with a
+        return spring, between those of both angles. The range is narrowed until the model stays within all limits.
+        Raises `ParameterError` if it does not.
+        """
+        model, middle = model_of(scenario), (self.lowest + self.highest) / 2
+        known = scenario.model_copy(update={"joint": model, "load": load_of(scenario)})
+        plant = known.plant()
+        ends, rest = self._ends(plant, middle), plant.equilibrium(middle)
+        signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
+        for _ in range(_TRIES):
+            parts = {
+                name: known.model_copy(
+                    update={
+                        "name": f"{scenario.name[:150]}, calibration of the valves, {name}",
+                        "controller": OpenLoopControl(*commands, model),
+                        "signals": signals,
+                        "start": Start(angle=middle),
+                        "duration": self._half(scenario),
+                    }
+                )
+                for name, commands in _commands(ends).items()
+            }
+            if all(map(self._stays, parts.values())):
+                true = {"joint": scenario.joint, "load": scenario.load}
+                return {name: part.model_copy(update=true) for name, part in parts.items()}
+            centre = ends.mean(axis=0)
+            ends = centre + _SHRINK * (ends - centre)
+        raise ParameterError(
+            "by the model, the commands move the joint beyond the angles, or the valves are too slow for them",
+            remedy="give wider --angles, or a valve closer to the real one",
+        )
+
+    def _half(self, scenario: Scenario) -> float:
+        return round(self.duration / 2 / scenario.control_period) * scenario.control_period
+
+    def _ends(self, plant: JointPlant, middle: float) -> Any:
+        """Lowest and highest pressures [Pa] of both muscles, shape (2, 2)."""
+        if any(plant.joint.springs):
+            states = [plant.equilibrium(angle) for angle in (self.lowest, self.highest)]
+        else:
+            torque = -plant.load.gravity_torque(middle)
+            low, high = (float(one) for one in plant.supplied_joint.attainable_stiffness(middle, torque))
+            inside = _INSIDE * (high - low)
+            states = [plant.equilibrium(middle, stiffness=one) for one in (low + inside, high - inside)]
+        return np.array([[float(one) for one in state.pressures] for state in states])
+
+    def _stays(self, part: Scenario) -> bool:
+        """Whether the joint stays within the limits in a simulation."""
+        plant = part.plant()
+        ran = simulate(
+            plant,
+            part.control(),
+            part.reference(),
+            initial=part.initial(plant),
+            duration=part.duration,
+            control_period=part.control_period,
+            substeps=part.substeps,
+        )
+        angle, share = ran["angle"], min(1.0, part.control_period / self.following)
+        errors = (ran[f"pressure{i}"] - ran[f"command{i}"] for i in (1, 2))
+        late = max(float(np.abs(lfilter([share], [1, share - 1], error)).max()) for error in errors)
+        inside = self.lowest <= angle.min() <= angle.max() <= self.highest
+        return not ran.outcome.diverged and bool(inside) and late <= self.pressure_error / 2
+
+
+def _commands(ends: Any) -> dict[str, tuple[Any, Any]]:
+    """Commands [Pa] of both muscles in both parts, between their ends."""
+    count, (pitches, share) = len(_FREQUENCIES), _DIFFERENCE
+    phases = tuple(math.pi * k * k / count % (2 * math.pi) for k in range(count))  # M. Schroeder, 1970: a low crest
+    steps, waves = [], []
+    for sign, (low, high) in zip((1.0, -1.0), ends.T.tolist(), strict=True):
+        dwell, longest = _DWELL
+        span = high - low
+        steps.append(RandomSteps(low, high, dwell, longest_dwell=longest))
+        waves.append(
+            Sum(
+                (
+                    Multisine((span / 2 / math.sqrt(2 * count),) * count, _FREQUENCIES, phases, (low + high) / 2),
+                    Multisine((sign * share * span,) * len(pitches), pitches),
+                )
+            )
+        )
+    return {"steps": (steps[0], steps[1]), "multisine": (waves[0], waves[1])}
+
+
+def valve_model_of(scenario: Scenario) -> Actuator:
+    """Return the controller's model of the valves, else the valve of the scenario."""
+    return field_of(scenario.control(), "valve") or scenario.valve
+
+
+def calibrate_scenario_valves(
+    scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
+) -> ValveCalibration:
+    """Identify the valves of a scenario from recordings of commanded and measured pressures."""
+    delay = field_of(scenario.control(), "command_delay") or scenario.command_delay
+    return calibrate_valves(model_of(scenario), valve_model_of(scenario), recordings, prior, delay=delay)
+
+
+def scenario_with_valves(scenario: Scenario, found: ValveCalibration) -> Scenario:
+    """Return the scenario with the estimates as the controller's own model of valve and delay.
+
+    Where the controller has none, or takes it from the plant, they become the plant's.
+    """
+    control, fields = scenario.controller, {"valve": found.valve, "command_delay": found.delay}
+    own = {name: one for name, one in fields.items() if holds(control, name)}
+    others = {name: one for name, one in fields.items() if name not in own}
+    return scenario.model_copy(update={**others, "controller": with_fields(control, own)})
+
+
+def valve_statements(found: ValveCalibration) -> list[str]:
+    """Return one sentence for each quantity in which the valves differ."""
+    names = [name.partition(".")[2] for name in found.quantities if name.startswith("valve1.")]
+    said = []
+    for name in names:
+        one, two = found.quantities[f"valve1.{name}"], found.quantities.get(f"valve2.{name}")
+        if two is None or not (one.determined and two.determined):
+            continue
+        wide = math.hypot(one.deviation, two.deviation)
+        low, high = sorted((one.value, two.value))
+        if high - low > _APART * wide and high > _DIFFERENT * low:
+            texts = (show(each.value, SHOWN[each.unit], 3) for each in (one, two))
+            said.append(f"the valves differ: {name} is {' and '.join(texts)}; the model has the mean of both")
+    return said

@@ -1,0 +1,444 @@
+"""Identification of valves: the simulated pressures are fitted to the measured ones, under the recorded commands."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+from scipy.signal import savgol_filter
+
+from mckibben.actuator import Actuator, AirState, AirVolume
+from mckibben.actuator.base import air_volumes
+from mckibben.calibration.equations import Floats, JointPrior, JointRecording, check_recording
+from mckibben.calibration.estimation import JointEstimate, minimised, variance_of
+from mckibben.component.base import field_quantities
+from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.joint import AntagonisticJoint, ScaledArms
+from mckibben.numerics.calculus import rk4
+from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.plant.base import STABILITY_LIMIT
+from mckibben.units import bar, cm, kPa, ms
+
+_LONGEST_PERIOD = 0.01  # s, between samples
+_START = 1.0  # s that are simulated but not fitted, until the state of the valves at the start is forgotten
+_START_ERROR = 10 * kPa  # prior standard deviation of the pressure at the start, about the first sample
+_WINDOW = 0.05  # s, of the local cubic fits of the angle
+_MARGIN = 2.0  # of the integration step to the stable one, as the estimates may be faster than the first model
+_FIRST_VARIANCE, _LEAST_VARIANCE = (5 * kPa) ** 2, (0.05 * kPa) ** 2
+_STAGES, _ITERATIONS, _TOLERANCE = 3, 25, 1e-4
+_UNEXPLAINED = 3.0  # ratio of residual to noise above which the model does not describe the recordings
+_NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure up to which that is irrelevant
+_KNOWN = frozenset({"period", "compensation", "reservoir_volume", "line_conductance"})  # not estimated
+_PRIORS = {"supply": "supply", "polytropic_index": "polytropic_index", "critical_ratio": "critical_ratio"}
+_SCALES = {"dead_volume": 10 * cm**3, "leak": 3e-11, "delay": 20 * ms, "opening_delay": 2 * ms}
+_DEAD_ZONE = {"1": 0.05, "Pa": 0.1 * bar}  # scale by unit
+_NUISANCES = ("pressure_zero", "zero", "arm_scale", "volume")
+_ZEROS = {"pressure_zero": "Pa", "zero": "rad"}  # units of those that are no factors
+_SHOWN = 2.0  # standard deviations from zero of what the first model lacks
+_BEGIN = 0.3  # scales, of what the first model lacks: its derivative is zero at zero
+
+
+class _Parameter(NamedTuple):
+    """Quantity with a normal prior of its logarithm about a median, or of its value about zero with a scale."""
+
+    name: str
+    unit: str
+    median: float  # or scale
+    deviation: float  # of the logarithm; 0 for a scale
+
+    def at(self, z: Any) -> Any:
+        """Value at a number of prior standard deviations."""
+        return self.median * (jnp.exp(self.deviation * z) if self.deviation else jnp.abs(z))
+
+    def estimate(self, z: float, deviation: float) -> JointEstimate:
+        value = float(self.at(z))
+        unit = value * self.deviation if self.deviation else self.median
+        return JointEstimate(value, unit * deviation, unit, self.unit, logarithmic=bool(self.deviation))
+
+
+class _Record(NamedTuple):
+    """Samples of a recording."""
+
+    angle: Any  # smoothed [rad], shape (samples,)
+    pressures: tuple[Any, Any]  # measured [Pa]
+    commands: tuple[Any, Any]  # [Pa]
+    period: Any  # [s]
+    number: Any  # of the recording
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ValveCalibration:
+    """Valves identified from commanded and measured pressures, by `calibrate_valves`.
+
+    Attributes
+    ----------
+    valves, delays
+        Valve of each muscle with the estimates (of one muscle beside a return spring), and the delays of their commands
+        [s].
+    quantities
+        Estimates by name, such as ``valve1.conductance`` and ``valve2.delay``, and those that are uncertain about the
+        joint: ``valve1.pressure_zero`` (reading of the pressure sensor at 0 bar), ``valve1.zero`` (encoder reading at
+        angle 0), ``valve1.arm_scale``, ``valve1.volume`` (relative to that of the specimen).
+    residual, noise
+        Root mean square of the error of the simulated pressures [Pa], and of the noise of the sensors.
+    """
+
+    valves: tuple[Actuator, ...]
+    delays: tuple[float, ...]
+    quantities: dict[str, JointEstimate]
+    residual: float
+    noise: float
+    _problem: _Problem
+    _estimates: Floats
+    _deviations: Floats
+
+    @property
+    def valve(self) -> Actuator:
+        """The valve between those of both muscles: the mean of the estimates, or of their logarithms."""
+        return _valve_of(self._problem, self._estimates.mean(axis=0), self._deviations.mean(axis=0))
+
+    @property
+    def muscles(self) -> tuple[int, ...]:
+        """Index of the muscle of each valve: 0 and 1, or one of them beside a return spring."""
+        return self._problem.muscles
+
+    @property
+    def delay(self) -> float:
+        """Mean delay of the commands [s]."""
+        return float(np.mean(self.delays))
+
+    def simulate(self, recording: JointRecording) -> Floats:
+        """Return the pressures [Pa] simulated from the commands and angles of a recording, shape (samples, valves)."""
+        record = _record_of(recording)
+        estimates = np.concatenate([self._estimates[:, : self._problem.size], np.zeros((len(self.valves), 1))], axis=1)
+        substeps = _substeps(self._problem, self.valves, [record])
+        return np.asarray(_pressures(_traced(self._problem), estimates, numeric(record), substeps)[0]).T
+
+    def __repr__(self) -> str:
+        found = [name for name, one in self.quantities.items() if one.determined]
+        return f"<ValveCalibration: residual {self.residual:.3g} Pa, determined: {', '.join(found) or 'nothing'}>"
+
+
+class _Problem(NamedTuple):
+    """First model, its uncertain fields, delay, and what is uncertain about the joint."""
+
+    joint: AntagonisticJoint
+    valve: Actuator
+    parameters: tuple[_Parameter, ...]  # fields of the valve, and last the delay
+    nuisances: tuple[float, ...]  # standard deviations of `_NUISANCES`; the first alone of valves that know no volume
+    muscles: tuple[int, ...]  # 0 and 1; one beside a return spring
+
+    @property
+    def size(self) -> int:
+        return len(self.parameters) + len(self.nuisances)
+
+
+def calibrate_valves(
+    joint: AntagonisticJoint,
+    valve: Actuator,
+    recordings: Sequence[JointRecording],
+    prior: JointPrior | None = None,
+    *,
+    delay: float | None = None,
+) -> ValveCalibration:
+    r"""Identify the valve of each muscle from commanded and measured pressures (output-error method).
+
+    Every number of the valve that has a unit and is not given by construction (a period of modulation, a compensation)
+    is estimated, for each muscle: with air conductance both ways, critical ratio, supply, `band`, lag or dead zone,
+    dead volume and leak, else time constants and rates; and the delay of the commands. The pressure of a valve is
+    simulated from the commands, and with air from the volume of its muscle along the measured motion:
+
+    .. math:: \sum_k \frac{(p_k - \hat p_k(z))^2}{\sigma^2} + z^T z
+
+    sigma^2 is the variance of the residuals times their correlation time; the first second is not fitted, and the
+    pressure at the start is estimated, because the commands before it are unknown. The logarithms of the quantities
+    have normal priors about the first model. What this lacks or sets to zero (leak, dead zone, dead volume) has a
+    half-normal prior with a scale of what is usual. A conductance is known no better than the volume, whose uncertainty
+    is included: the encoder's zero, the moment arms, and a scale.
+
+    Parameters
+    ----------
+    joint
+        Model of the joint, for the volumes of the muscles.
+    valve
+        The first model, such as that of a data sheet.
+    recordings
+        At least one, with `commands`, at 100 Hz or more. Steps and a multisine that both fill and vent the muscles are
+        most informative; see `ValveExperiment`.
+    prior
+        Prior standard deviations.
+    delay
+        Delay of the commands in the first model [s]; half-normal with 20 ms unless given.
+
+    Raises
+    ------
+    IdentificationError
+        If there is no recording, or one without commands, too short, with gaps, or with constant commands; for valves
+        that take openings, or share a reservoir.
+
+    Warns
+    -----
+    McKibbenWarning
+        If the residual is above three times the noise and 0.2 % of the highest pressure: the intervals are too narrow.
+
+    References
+    ----------
+    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models, Gauss-Newton search); the
+    procedure is this project's, docs/calibrate.md.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mckibben as mk
+    >>> time = np.arange(0.0, 6.0, 2e-3)
+    >>> command = np.where(time % 2 < 1, 3e5, 1e5)
+    >>> pressure, lag = np.full(time.size, 3e5), np.exp(-2e-3 / 0.04)
+    >>> for k in range(time.size - 1):
+    ...     pressure[k + 1] = command[k] + (pressure[k] - command[k]) * lag
+    >>> pair = lambda column: np.stack([column, column], axis=1)
+    >>> one = JointRecording(time, 0 * time, pair(pressure), commands=pair(command))
+    >>> found = calibrate_valves(mk.catalog.joint("knee-table-2"), mk.FirstOrderValve(0.1), [one])
+    >>> round(found.quantities["valve1.time_constant"].value, 4), round(found.delay, 4)
+    (0.04, 0.0)
+    """
+    prior = prior or JointPrior()
+    if not recordings:
+        raise IdentificationError("there is no recording", remedy="give at least one")
+    if valve.direct or valve.reservoir_volume is not None:
+        what = "takes openings in place of pressures" if valve.direct else "has a reservoir that all valves share"
+        raise IdentificationError(f"the valve {what}, and cannot be identified", remedy="leave that out of its model")
+    problem = _problem_of(joint, valve, prior, delay)
+    records = list(map(_record_of, recordings, range(len(recordings))))
+    substeps = _substeps(problem, [valve], records)
+    while True:
+        z, deviations, residual, noise = _solve(problem, records, substeps)
+        valves = tuple(_valve_of(problem, *one) for one in zip(z, deviations, strict=True))
+        if (needed := _substeps(problem, valves, records)) <= substeps:
+            break
+        substeps = needed
+    highest = max(float(np.max(one)) for record in records for one in record.pressures)
+    if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
+        text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensors, {noise / kPa:.2g} kPa"
+        remedy = "the intervals are too narrow; check the class of the valve, the units, and which muscle is which"
+        warnings.warn(f"{text}: the model does not describe the valves; {remedy}", McKibbenWarning, stacklevel=2)
+    delays = tuple(float(problem.parameters[-1].at(one[len(problem.parameters) - 1])) for one in z)
+    quantities = _quantities(problem, z, deviations)
+    return ValveCalibration(valves, delays, quantities, residual, noise, problem, z, deviations)
+
+
+def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, delay: float | None) -> _Problem:
+    parameters = []
+    for name, quantity in field_quantities(type(valve)).items():
+        value, unit = getattr(valve, name), quantity.unit
+        if name in _KNOWN or not (value is None or isinstance(value, Real)):
+            continue
+        if value is None and name == "exhaust_conductance":
+            value = valve.conductance  # type: ignore[attr-defined]
+        scale = _DEAD_ZONE[unit] if name == "dead_zone" else _SCALES.get(name)
+        if value:
+            deviation = getattr(prior, _PRIORS.get(name, "valve"))
+            parameters.append(_Parameter(name, unit, float(value), deviation))
+        elif scale is not None:
+            parameters.append(_Parameter(name, unit, scale, 0.0))
+    parameters.append(_Parameter("delay", "s", delay or _SCALES["delay"], prior.delay if delay else 0.0))
+    nuisances = tuple(getattr(prior, name) for name in (_NUISANCES if valve.holds_air else _NUISANCES[:1]))
+    muscles = tuple(index for index, spring in enumerate(joint.springs) if not spring)
+    return _Problem(joint, valve, tuple(parameters), nuisances, muscles)
+
+
+def _record_of(recording: JointRecording, number: int = 0) -> _Record:
+    if recording.commands is None:
+        raise IdentificationError(
+            "a recording has no commands beside its pressures",
+            remedy="give columns command1_bar,command2_bar, and pressure1_bar,pressure2_bar",
+        )
+    check_recording(recording)
+    time = recording.time
+    period = float(time[-1] - time[0]) / (time.size - 1)
+    if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:
+        raise IdentificationError(
+            f"the samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced",
+            value=period,
+            unit="s",
+            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more",
+        )
+    if not np.ptp(recording.commands, axis=0).any():
+        raise IdentificationError("the commands of a recording are constant", remedy="record steps of the pressures")
+    angle = np.asarray(savgol_filter(recording.angle, max(2 * int(_WINDOW / (2 * period)) + 1, 5), 3))
+    pressures, commands = recording.pressures.T, recording.commands.T
+    return _Record(angle, (pressures[0], pressures[1]), (commands[0], commands[1]), np.float64(period), number)
+
+
+def _substeps(problem: _Problem, valves: Sequence[Actuator], records: Sequence[_Record]) -> int:
+    """Integration steps per sample that resolve the valves at the smallest volume of a muscle, with a margin."""
+    if not problem.valve.holds_air:
+        return 1
+    angle = np.concatenate([one.angle for one in records])
+    room = min(
+        float(np.min(one.volume))
+        for index, one in enumerate(air_volumes(problem.joint, angle, 0.0, _mean_pressures(records)))
+        if index in problem.muscles
+    )
+    fastest = max(one.fastest_rate_in(room) for one in valves)
+    return math.ceil(_MARGIN * fastest * max(float(one.period) for one in records) / STABILITY_LIMIT)
+
+
+def _mean_pressures(records: Sequence[_Record]) -> tuple[Any, Any]:
+    one, two = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
+    return one, two
+
+
+def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
+    """Valve with the estimates; what the first model lacks and the recordings do not show, stays away."""
+    own, ranges = {}, field_quantities(type(problem.valve))
+    for one, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
+        if one.deviation or abs(at) > _SHOWN * wide:
+            lower, upper = ranges[one.name].limits
+            own[one.name] = float(np.clip(float(one.at(at)), lower, upper))
+    return dataclasses.replace(problem.valve, **own)
+
+
+def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, substeps: int) -> Array:
+    """Pressure [Pa] of a muscle at the samples, for parameters in prior standard deviations."""
+    own = [one.at(z[number]) for number, one in enumerate(problem.parameters)]
+    names = [one.name for one in problem.parameters[:-1]]
+    valve = dataclasses.replace(problem.valve, **dict(zip(names, own[:-1], strict=True)))
+    steps = jnp.arange(record.angle.shape[0])
+    late = steps - own[-1] / record.period  # between two samples a valve gets their mean over the period
+    commands = jnp.interp(late, steps, jnp.asarray(record.commands[muscle]))
+    offset, start = problem.nuisances[0] * z[len(own)], _START_ERROR * z[problem.size + record.number]
+    pressure = jnp.asarray(record.pressures[muscle])[0] - offset + start
+    step = record.period / substeps
+    if not valve.holds_air:
+
+        def follow(carry: Any, command: Array) -> tuple[Any, Array]:
+            (after,), states = valve.all_after((carry[0],), carry[1], (command,), record.period)  # type: ignore[attr-defined]
+            return (after, states), carry[0] + offset
+
+        return lax.scan(follow, (pressure, valve.init_states((pressure,))), commands)[1]
+
+    _, zero, arms, volume = (deviation * at for deviation, at in zip(problem.nuisances, z[len(own) :], strict=False))
+    joint = dataclasses.replace(problem.joint, geometry=ScaledArms(problem.joint.geometry, 1 + arms))
+    pressures = tuple(map(jnp.asarray, record.pressures))
+    air = air_volumes(joint, record.angle - zero, 0.0, pressures)[muscle]  # type: ignore[arg-type]
+    room = air.volume * (1 + volume) + valve.dead_volume
+    rate = jnp.diff(room, append=room[-1:]) / record.period  # exactly the changes of the volume: errors do not add up
+    air = AirVolume(room, rate, air.by_pressure)
+
+    def follow_air(carry: tuple[Array, AirState], given: tuple[Array, AirVolume]) -> tuple[Any, Array]:
+        command, at = given
+
+        def one_step(number: Array, carry: tuple[Array, AirState]) -> tuple[Array, AirState]:
+            pressure, state = carry
+            state = state._replace(valves=(valve.before_step(state.valves[0], command, pressure, step),))  # type: ignore[attr-defined]
+
+            def rate(carry: tuple[Array, AirState], passed: Array) -> tuple[Array, AirState]:
+                moved = at._replace(volume=at.volume + at.rate * passed)
+                (slope,), rates = valve.rates((carry[0],), carry[1], (command,), lambda: (moved,))
+                return slope, rates  # type: ignore[return-value]
+
+            times = tuple(((number + part) * step,) for part in (0.0, 0.5, 1.0))
+            return rk4(rate, (pressure, state), step, times)  # type: ignore[arg-type]
+
+        return lax.fori_loop(0, substeps, one_step, carry), carry[0] + offset
+
+    return lax.scan(follow_air, (pressure, valve.init_states((pressure,))), (commands, air))[1]  # type: ignore[arg-type]
+
+
+@compiled_as_given
+def _pressures(problem: _Problem, z: Any, record: _Record, substeps: int) -> tuple[Array, Array]:
+    """Pressures [Pa], shape (valves, samples), and their derivatives, shape (valves, samples, parameters)."""
+    found, slopes = [], []
+    for row, muscle in enumerate(problem.muscles):
+
+        def simulated(z: Array, muscle: int = muscle) -> tuple[Array, Array]:
+            pressures = _simulated(problem, z, record, muscle, substeps)
+            return pressures, pressures
+
+        slope, pressures = jax.jacfwd(simulated, has_aux=True)(z[row])
+        found, slopes = [*found, pressures], [*slopes, slope]
+    return jnp.stack(found), jnp.stack(slopes)
+
+
+def _traced(problem: _Problem) -> _Problem:
+    """The problem with the numbers of joint and valve as arrays; the others are part of the program."""
+    joint, valve = numeric((problem.joint, problem.valve))
+    return problem._replace(joint=joint, valve=valve)
+
+
+def _solve(problem: _Problem, records: Sequence[_Record], substeps: int) -> tuple[Floats, Floats, float, float]:
+    """Estimates and standard deviations of the parameters, shape (valves, parameters); residual and noise [Pa].
+
+    Parameters are those of the problem, and the pressure at the start of each recording.
+    """
+    begins = [round(_START / float(one.period)) for one in records]
+    measured = [
+        np.stack([one.pressures[muscle][begin:] for muscle in problem.muscles])
+        for one, begin in zip(records, begins, strict=True)
+    ]
+    model, given = _traced(problem), list(map(numeric, records))
+
+    def errors(z: Floats) -> tuple[Floats, Floats]:
+        """Errors, shape (valves, samples), and derivatives, of all recordings."""
+        found = [_pressures(model, z, record, substeps) for record in given]
+        parts = [
+            (np.asarray(pressures)[:, begin:] - one, np.asarray(slope)[:, begin:])
+            for (pressures, slope), one, begin in zip(found, measured, begins, strict=True)
+        ]
+        error, slope = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+        return error, slope
+
+    shape = len(problem.muscles), problem.size + len(records)
+    z = np.zeros(shape)
+    z[:, [number for number, one in enumerate(problem.parameters) if not one.deviation]] = _BEGIN
+    variance = np.full(shape[0], _FIRST_VARIANCE)
+
+    def terms(flat: Floats) -> tuple[float, Floats, Floats]:
+        """Objective, its gradient, and its Gauss-Newton Hessian."""
+        at = flat.reshape(shape)
+        error, slope = errors(at)
+        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+            return math.inf, np.zeros(z.size), np.eye(z.size)
+        gradient = np.einsum("vs,vsp->vp", error, slope) / variance[:, None] + at
+        curvature = np.zeros((z.size, z.size))
+        for row, (one, scale) in enumerate(zip(slope, variance, strict=True)):
+            place = slice(row * shape[1], (row + 1) * shape[1])
+            curvature[place, place] = one.T @ one / scale + np.eye(shape[1])
+        objective = float(np.sum(error**2 / variance[:, None]) + flat @ flat) / 2
+        return objective, gradient.ravel(), curvature
+
+    error = np.zeros((shape[0], 1))
+    for _ in range(_STAGES):
+        flat, objective = minimised(terms, z.ravel(), _ITERATIONS, _TOLERANCE)
+        if not math.isfinite(objective):
+            raise IdentificationError("the simulated valve diverges", remedy="give a model closer to the valve")
+        z = flat.reshape(shape)
+        error = errors(z)[0]
+        ends = np.cumsum([one.shape[1] for one in measured])[:-1]
+        variance = np.array([max(variance_of(np.split(row, ends)), _LEAST_VARIANCE) for row in error])
+    deviations = np.sqrt(np.diag(np.linalg.inv(terms(z.ravel())[2]))).reshape(shape)
+    noise = float(np.sqrt(np.mean(np.diff(error, axis=1) ** 2) / 2))
+    return z, deviations, float(np.sqrt(np.mean(error**2))), noise
+
+
+def _quantities(problem: _Problem, z: Floats, deviations: Floats) -> dict[str, JointEstimate]:
+    found = {}
+    for muscle, row, wide in zip(problem.muscles, z, deviations, strict=True):
+        for number, one in enumerate(problem.parameters):
+            found[f"valve{muscle + 1}.{one.name}"] = one.estimate(float(row[number]), float(wide[number]))
+        for number, (name, scale) in enumerate(
+            zip(_NUISANCES, problem.nuisances, strict=False), len(problem.parameters)
+        ):
+            value, unit = scale * float(row[number]) + (name not in _ZEROS), _ZEROS.get(name, "1")
+            found[f"valve{muscle + 1}.{name}"] = JointEstimate(value, scale * float(wide[number]), scale, unit)
+    return found
