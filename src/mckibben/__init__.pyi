@@ -10,6 +10,7 @@ from .control import (
     InverseModelControl as InverseModelControl,
     Jacobian as Jacobian,
     Multisine as Multisine,
+    OpenLoopControl as OpenLoopControl,
     PolePlacement as PolePlacement,
     PositionStiffnessControl as PositionStiffnessControl,
     PredictiveControl as PredictiveControl,

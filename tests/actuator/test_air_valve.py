@@ -19,6 +19,7 @@ RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 0.2e-8}
 VALVES = {
     "flow": FlowValve(C, 7e5, exhaust_conductance=0.6e-8, dead_volume=3e-6, dead_zone=0.05, **RESERVOIR),
     "regulator": PressureRegulator(C, 7e5, time_constant=0.02),
+    "leaking": PressureRegulator(C, 7e5, time_constant=0.02, leak=0.05e-8, dead_zone=0.3e5),
 }
 advance = compiled(lambda plant, state, commands, time: plant.advance(state, commands, time, 100))
 
@@ -78,6 +79,8 @@ def independent(paper, valve, commands, start, time):
         contractions = paper.contractions(angle)
         for i, (pressure, state, command) in enumerate(zip(pressures, (state1, state2), commands, strict=True)):
             error = (command if is_flow else state) - pressure
+            shut = 0.0 if is_flow else valve.dead_zone or 0.0
+            error = math.copysign(max(abs(error) - shut, 0.0), error)
             wanted = min(max(error / 1e5, -1.0), 1.0)
             zone = valve.dead_zone if is_flow else 0.0
             if is_flow:  # nine tenths of the dead zone are skipped
@@ -87,6 +90,7 @@ def independent(paper, valve, commands, start, time):
             source = (C * opening, inlet) if opening > 0 else ((valve.exhaust_conductance or C) * -opening, 101325)
             mass = flow(*source, pressure + 101325)
             drawn += max(mass, 0.0)
+            mass -= flow(valve.leak or 0.0, pressure + 101325, 101325)
             volume = braid_volume(contractions[i]) + dead
             slope = (braid_volume(contractions[i] + 1e-5) - braid_volume(contractions[i] - 1e-5)) / 2e-5
             growth = slope * (-arms[0], arms[1])[i] * velocity / 0.18

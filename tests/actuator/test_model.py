@@ -1,5 +1,6 @@
 """Actuators as the model of a controller: prediction, attainable pressures, and commands."""
 
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mckibben.actuator import (
+    AirState,
     AirVolume,
     FirstOrderValve,
     FlowValve,
@@ -22,6 +24,7 @@ from mckibben.units import bar, ms
 ATMOSPHERE, ENERGY, DENSITY = 1.01325e5, 288.0 * 293.15, 1.185
 C, SUPPLY, LAG, BAND, INDEX = 0.05e-8, 8 * bar, 20 * ms, 0.5 * bar, 1.2
 REGULATOR = PressureRegulator(C, SUPPLY, time_constant=LAG, band=BAND, polytropic_index=INDEX)
+LEAKING = dataclasses.replace(REGULATOR, leak=0.1 * C, dead_zone=0.1 * bar)
 VOLUME, GROWTH = 20e-6, 7e-6  # m^3, m^3/s
 AIR = AirVolume(jnp.asarray(VOLUME), jnp.asarray(GROWTH))
 LIMITS = (0.0, 6 * bar)
@@ -36,25 +39,29 @@ def flow(opening, pressure):
     return opening * C * DENSITY * (inlet + ATMOSPHERE) * share
 
 
-def true_response(pressure, lagged, command, time):
+def true_response(pressure, lagged, command, time, valve=REGULATOR):
     def rate(t, y):
-        opening = min(max((y[1] - y[0]) / BAND, -1.0), 1.0)
+        error = y[1] - y[0]
+        error = math.copysign(max(abs(error) - (valve.dead_zone or 0.0), 0.0), error)
+        opening = min(max(error / BAND, -1.0), 1.0)
         volume = VOLUME + GROWTH * t
-        inflow = ENERGY * flow(opening, y[0]) - (y[0] + ATMOSPHERE) * GROWTH
+        leak = (valve.leak or 0.0) / C * flow(-1.0, y[0])
+        inflow = ENERGY * (flow(opening, y[0]) + leak) - (y[0] + ATMOSPHERE) * GROWTH
         return [INDEX / volume * inflow, (command - y[1]) / LAG]
 
     return solve_ivp(rate, (0, time), [pressure, lagged], rtol=1e-9, atol=1e-3, max_step=1e-4).y[:, -1]
 
 
+@pytest.mark.parametrize("valve", [REGULATOR, LEAKING], ids=["tight", "leaking"])
 @pytest.mark.parametrize("command", [1.0 * bar, 2.7 * bar, 5.0 * bar])
-def test_a_regulator_is_predicted_at_small_and_at_large_errors(command):
+def test_a_regulator_is_predicted_at_small_and_at_large_errors(command, valve):
     """Against the differential equations: venting and filling, choked and not, with a muscle that grows."""
     start = 2.5 * bar
-    pressure, state = jnp.asarray(start), REGULATOR.init_model(jnp.asarray(start))
+    pressure, state = jnp.asarray(start), valve.init_model(jnp.asarray(start))
     for k in range(40):
         air = AirVolume(jnp.asarray(VOLUME + GROWTH * k * PERIOD), AIR.rate)
-        pressure, state = REGULATOR.predict(pressure, state, command, air, PERIOD)
-        true, lagged = true_response(start, start, command, (k + 1) * PERIOD)
+        pressure, state = valve.predict(pressure, state, command, air, PERIOD)
+        true, lagged = true_response(start, start, command, (k + 1) * PERIOD, valve)
         assert float(pressure) == pytest.approx(true, abs=0.02 * abs(command - start))
         assert float(state) == pytest.approx(lagged, rel=1e-6)
 
@@ -65,6 +72,16 @@ def test_the_attainable_pressures_are_those_of_the_open_valve(pressure):
     for opening, limit in zip((-1.0, 1.0), reach(pressure), strict=True):
         rate = INDEX / VOLUME * (ENERGY * flow(opening, pressure) - (pressure + ATMOSPHERE) * GROWTH)
         assert float(limit) == pytest.approx(pressure + PERIOD * rate, rel=1e-9)
+
+
+@pytest.mark.parametrize(("pressure", "rate"), [(2.5 * bar, 8 * bar), (2.5 * bar, -9 * bar), (5 * bar, 7 * bar)])
+def test_the_command_for_a_rate_gives_that_rate(pressure, rate):
+    """Where the error is above the dead zone."""
+    command = float(LEAKING.command_for(pressure, rate, AIR))
+    lagged = command - LAG * rate  # that of a ramp
+    state = AirState((jnp.asarray(lagged),), ())
+    ((found,), _) = LEAKING.rates((jnp.asarray(pressure),), state, (command,), lambda: (AIR,))
+    assert float(found) == pytest.approx(rate, rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize("target", [2.45 * bar, 2.5 * bar, 2.53 * bar])

@@ -192,3 +192,68 @@ def test_mixed_recordings_and_other_valves_are_refused(cli, stepped, tmp_path, c
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     files = (one.format(stepped[0], measured) for one in arguments)
     assert cli("calibrate", str(tmp_path / "s.yaml"), *files, "--out", "x").code == 2
+
+
+VALVES = ("--valves", "--duration", "20 s", "--angles", "-8..12 deg")
+
+
+@pytest.mark.slow
+def test_valves_are_calibrated_and_their_recordings_give_the_same(cli, tmp_path):
+    """The scenario's valve has 20 ms, and the controller's model 30 ms."""
+    text = EXAMPLE.read_text(encoding="utf-8").replace("../comparison", str(EXAMPLE.parents[1] / "comparison"))
+    text = text.replace("class: decoupling", "class: decoupling\n  valve: {time_constant: 30 ms}")
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    done = cli("calibrate", "s.yaml", *VALVES, "--out", "valves", "--json")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)["quantities"]
+    for number in (1, 2):
+        lag = found[f"valve{number}.time_constant"]
+        assert lag["determined"]
+        assert abs(lag["value"] - 0.02) < 4 * lag["standard_deviation"]
+    after = Scenario.read(tmp_path / "valves" / "scenario.yaml")
+    assert after.controller.valve.time_constant == pytest.approx(0.02, rel=0.05)
+    assert after.valve.time_constant == 0.02
+    assert after.command_delay == pytest.approx(0.0, abs=1e-3)
+    assert (tmp_path / "valves" / "calibration.png").stat().st_size > 10_000
+    assert "time_constant" in (tmp_path / "valves" / "valve.yaml").read_text(encoding="utf-8")
+    recordings = [f"valves/{part}/result.nc" for part in ("steps", "multisine")]
+    files = [one for path in recordings for one in ("--recording", path)]
+    again = cli("calibrate", "s.yaml", "--valves", *files, "--out", "again", "--json")
+    assert again.code == 0, again.err
+    assert json.loads(again.out)["quantities"] == found
+
+
+def test_valves_from_a_csv_file(cli, tmp_path):
+    time = np.arange(0, 8, 0.005)
+    command, pressure, lag = np.where(time % 2 < 1, 3.0, 1.0), np.full(time.size, 3.0), np.exp(-5e-3 / 0.04)
+    for k in range(time.size - 1):
+        pressure[k + 1] = command[k] + (pressure[k] - command[k]) * lag
+    head = "time_s,angle_deg,command1_bar,command2_bar,pressure1_bar,pressure2_bar"
+    path = written(tmp_path, "one.csv", (head, time, 0 * time, command, command, pressure, pressure))
+    done = cli("calibrate", str(EXAMPLE), "--valves", "--recording", path, "--out", "x", "--json")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)["quantities"]
+    assert found["valve2.time_constant"]["value"] == pytest.approx(0.04, rel=0.01)
+
+
+@pytest.mark.slow
+def test_the_plan_of_the_valves_moves_nothing(cli, tmp_path):
+    done = cli("calibrate", str(EXAMPLE), *VALVES, "--plan", "--json")
+    assert done.code == 0, done.err
+    parts = json.loads(done.out)
+    assert [one["part"] for one in parts] == ["steps", "multisine"]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--weight", "0.5 kg", "--distance", "200 mm"),
+        ("--held-out", "x.csv"),
+        ("--duration", "5 s"),
+        ("--zero-error", "3"),
+        (),
+    ],
+)
+def test_mistakes_with_valves_are_refused(cli, arguments):
+    assert cli("calibrate", str(EXAMPLE), "--valves", *arguments).code == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -13,8 +14,11 @@ from mckibben.actuator import Actuator
 from mckibben.calibration.equations import JointPrior, JointRecording
 from mckibben.calibration.experiment import SHOWN, field_of, holds, load_of, model_of, with_fields
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
+from mckibben.component.base import field_quantities
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import ParameterError
+from mckibben.joint import AntagonisticJoint
+from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant
 from mckibben.rig.bench import JointLimits
 from mckibben.scenario import Scenario, Start
@@ -34,8 +38,9 @@ _DIFFERENT = 1.1  # ratio, by which the valves differ
 class ValveExperiment:
     """Steps of both commands, then a multisine, each for half of a duration [s].
 
-    By the model the joint stays between angles [rad], and the pressures within half of the deviation [Pa] from their
-    commands at which a joint rig stops (`JointLimits`).
+    By the model the joint stays between angles [rad], also if one muscle is stronger and the other weaker by the
+    standard deviation `strength`; and the pressures stay within half of the deviation [Pa] from their commands at which
+    a joint rig stops (`JointLimits`).
     """
 
     lowest: float
@@ -43,6 +48,7 @@ class ValveExperiment:
     duration: float
     pressure_error: float = JointLimits.pressure_error
     following: float = JointLimits.following
+    strength: float = JointPrior.strength
 
     def scenarios(self, scenario: Scenario) -> dict[str, Scenario]:
         """Scenario of each part by its name.
@@ -52,13 +58,12 @@ class ValveExperiment:
         Raises `ParameterError` if it does not.
         """
         model, middle = model_of(scenario), (self.lowest + self.highest) / 2
-        known = scenario.model_copy(update={"joint": model, "load": load_of(scenario)})
-        plant = known.plant()
+        plant = scenario.model_copy(update={"joint": model, "load": load_of(scenario)}).plant()
         ends, rest = self._ends(plant, middle), plant.equilibrium(middle)
         signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
         for _ in range(_TRIES):
             parts = {
-                name: known.model_copy(
+                name: scenario.model_copy(
                     update={
                         "name": f"{scenario.name[:150]}, calibration of the valves, {name}",
                         "controller": OpenLoopControl(*commands, model),
@@ -69,9 +74,8 @@ class ValveExperiment:
                 )
                 for name, commands in _commands(ends).items()
             }
-            if all(map(self._stays, parts.values())):
-                true = {"joint": scenario.joint, "load": scenario.load}
-                return {name: part.model_copy(update=true) for name, part in parts.items()}
+            if all(self._stays(part, joint) for joint in self._joints(model) for part in parts.values()):
+                return parts
             centre = ends.mean(axis=0)
             ends = centre + _SHRINK * (ends - centre)
         raise ParameterError(
@@ -93,9 +97,22 @@ class ValveExperiment:
             states = [plant.equilibrium(middle, stiffness=one) for one in (low + inside, high - inside)]
         return np.array([[float(one) for one in state.pressures] for state in states])
 
-    def _stays(self, part: Scenario) -> bool:
-        """Whether the joint stays within the limits in a simulation."""
-        plant = part.plant()
+    def _joints(self, model: AntagonisticJoint) -> list[AntagonisticJoint]:
+        """The model, and those in which one muscle is stronger and the other weaker."""
+
+        def scaled(muscle: Muscle, by: float) -> Muscle:
+            return dataclasses.replace(muscle, strength=(muscle.strength or 1.0) * by)
+
+        return [
+            dataclasses.replace(
+                model, muscle1=scaled(model.muscle1, 1 + error), muscle2=scaled(model.muscle2, 1 - error)
+            )
+            for error in (0.0, self.strength, -self.strength)
+        ]
+
+    def _stays(self, part: Scenario, model: AntagonisticJoint) -> bool:
+        """Whether a joint stays within the limits in a simulation."""
+        plant = part.model_copy(update={"joint": model, "load": load_of(part)}).plant()
         ran = simulate(
             plant,
             part.control(),
@@ -157,12 +174,11 @@ def scenario_with_valves(scenario: Scenario, found: ValveCalibration) -> Scenari
 
 
 def valve_statements(found: ValveCalibration) -> list[str]:
-    """Return one sentence for each quantity in which the valves differ."""
-    names = [name.partition(".")[2] for name in found.quantities if name.startswith("valve1.")]
+    """Return one sentence for each quantity of the model in which the valves differ."""
     said = []
-    for name in names:
-        one, two = found.quantities[f"valve1.{name}"], found.quantities.get(f"valve2.{name}")
-        if two is None or not (one.determined and two.determined):
+    for name in (*field_quantities(type(found.valve)), "delay"):
+        one, two = (found.quantities.get(f"valve{number}.{name}") for number in (1, 2))
+        if one is None or two is None or not (one.determined and two.determined):
             continue
         wide = math.hypot(one.deviation, two.deviation)
         low, high = sorted((one.value, two.value))

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -122,7 +123,11 @@ class ValveCalibration:
         record = _record_of(recording)
         estimates = np.concatenate([self._estimates[:, : self._problem.size], np.zeros((len(self.valves), 1))], axis=1)
         substeps = _substeps(self._problem, self.valves, [record])
-        return np.asarray(_pressures(_traced(self._problem), estimates, numeric(record), substeps)[0]).T
+        found = [
+            np.asarray(_pressures(_traced(self._problem), z, numeric(record), muscle, substeps))
+            for z, muscle in zip(estimates, self.muscles, strict=True)
+        ]
+        return np.stack(found, axis=1)
 
     def __repr__(self) -> str:
         found = [name for name, one in self.quantities.items() if one.determined]
@@ -221,11 +226,15 @@ def calibrate_valves(
     records = list(map(_record_of, recordings, range(len(recordings))))
     substeps = _substeps(problem, [valve], records)
     while True:
-        z, deviations, residual, noise = _solve(problem, records, substeps)
+        solved = [_solve(problem, records, one, substeps) for one in problem.muscles]
+        z, deviations = (np.stack([one[place] for one in solved]) for place in (0, 1))
         valves = tuple(_valve_of(problem, *one) for one in zip(z, deviations, strict=True))
         if (needed := _substeps(problem, valves, records)) <= substeps:
             break
         substeps = needed
+    errors = [error for one in solved for error in one[2]]
+    residual = _rms(errors)
+    noise = _rms([np.diff(one) for one in errors]) / math.sqrt(2)
     highest = max(float(np.max(one)) for record in records for one in record.pressures)
     if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
         text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensors, {noise / kPa:.2g} kPa"
@@ -234,6 +243,10 @@ def calibrate_valves(
     delays = tuple(float(problem.parameters[-1].at(one[len(problem.parameters) - 1])) for one in z)
     quantities = _quantities(problem, z, deviations)
     return ValveCalibration(valves, delays, quantities, residual, noise, problem, z, deviations)
+
+
+def _rms(errors: list[Floats]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
 def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, delay: float | None) -> _Problem:
@@ -356,18 +369,21 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
 
 
 @compiled_as_given
-def _pressures(problem: _Problem, z: Any, record: _Record, substeps: int) -> tuple[Array, Array]:
-    """Pressures [Pa], shape (valves, samples), and their derivatives, shape (valves, samples, parameters)."""
-    found, slopes = [], []
-    for row, muscle in enumerate(problem.muscles):
+def _pressures(problem: _Problem, z: Any, record: _Record, muscle: int, substeps: int) -> Array:
+    """Pressures [Pa] of a muscle, shape (samples,)."""
+    return _simulated(problem, z, record, muscle, substeps)
 
-        def simulated(z: Array, muscle: int = muscle) -> tuple[Array, Array]:
-            pressures = _simulated(problem, z, record, muscle, substeps)
-            return pressures, pressures
 
-        slope, pressures = jax.jacfwd(simulated, has_aux=True)(z[row])
-        found, slopes = [*found, pressures], [*slopes, slope]
-    return jnp.stack(found), jnp.stack(slopes)
+@compiled_as_given
+def _sensitivities(problem: _Problem, z: Any, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
+    """Pressures [Pa] of a muscle, shape (samples,), and their derivatives, shape (samples, parameters)."""
+
+    def simulated(z: Array) -> tuple[Array, Array]:
+        pressures = _simulated(problem, z, record, muscle, substeps)
+        return pressures, pressures
+
+    slope, pressures = jax.jacfwd(simulated, has_aux=True)(z)
+    return pressures, slope
 
 
 def _traced(problem: _Problem) -> _Problem:
@@ -376,59 +392,51 @@ def _traced(problem: _Problem) -> _Problem:
     return problem._replace(joint=joint, valve=valve)
 
 
-def _solve(problem: _Problem, records: Sequence[_Record], substeps: int) -> tuple[Floats, Floats, float, float]:
-    """Estimates and standard deviations of the parameters, shape (valves, parameters); residual and noise [Pa].
+def _solve(
+    problem: _Problem, records: list[_Record], muscle: int, substeps: int
+) -> tuple[Floats, Floats, list[Floats]]:
+    """Estimates and standard deviations of a valve's parameters, and the errors [Pa] of each recording's pressures.
 
     Parameters are those of the problem, and the pressure at the start of each recording.
     """
     begins = [round(_START / float(one.period)) for one in records]
-    measured = [
-        np.stack([one.pressures[muscle][begin:] for muscle in problem.muscles])
-        for one, begin in zip(records, begins, strict=True)
-    ]
+    measured = [one.pressures[muscle][begin:] for one, begin in zip(records, begins, strict=True)]
     model, given = _traced(problem), list(map(numeric, records))
+    variance, others = _FIRST_VARIANCE, problem.size + len(records) - len(problem.parameters)
+    lacking = np.array([not one.deviation for one in problem.parameters] + [False] * others)
 
-    def errors(z: Floats) -> tuple[Floats, Floats]:
-        """Errors, shape (valves, samples), and derivatives, of all recordings."""
-        found = [_pressures(model, z, record, substeps) for record in given]
-        parts = [
-            (np.asarray(pressures)[:, begin:] - one, np.asarray(slope)[:, begin:])
-            for (pressures, slope), one, begin in zip(found, measured, begins, strict=True)
-        ]
-        error, slope = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
-        return error, slope
+    def fitted(of: Any, z: Floats) -> list[Any]:
+        """Results of a compiled function for the fitted samples of all recordings."""
+        found = [jax.tree.map(np.asarray, of(model, z, record, muscle, substeps)) for record in given]
+        return [jax.tree.map(itemgetter(slice(begin, None)), one) for one, begin in zip(found, begins, strict=True)]
 
-    shape = len(problem.muscles), problem.size + len(records)
-    z = np.zeros(shape)
-    z[:, [number for number, one in enumerate(problem.parameters) if not one.deviation]] = _BEGIN
-    variance = np.full(shape[0], _FIRST_VARIANCE)
-
-    def terms(flat: Floats) -> tuple[float, Floats, Floats]:
+    def terms(z: Floats) -> tuple[float, Floats, Floats]:
         """Objective, its gradient, and its Gauss-Newton Hessian."""
-        at = flat.reshape(shape)
-        error, slope = errors(at)
+        found, slopes = zip(*fitted(_sensitivities, z), strict=True)
+        error, slope = np.concatenate(found) - np.concatenate(measured), np.concatenate(slopes)
         if not (np.isfinite(error).all() and np.isfinite(slope).all()):
             return math.inf, np.zeros(z.size), np.eye(z.size)
-        gradient = np.einsum("vs,vsp->vp", error, slope) / variance[:, None] + at
-        curvature = np.zeros((z.size, z.size))
-        for row, (one, scale) in enumerate(zip(slope, variance, strict=True)):
-            place = slice(row * shape[1], (row + 1) * shape[1])
-            curvature[place, place] = one.T @ one / scale + np.eye(shape[1])
-        objective = float(np.sum(error**2 / variance[:, None]) + flat @ flat) / 2
-        return objective, gradient.ravel(), curvature
+        objective = float(error @ error / variance + z @ z) / 2
+        return objective, error @ slope / variance + z, slope.T @ slope / variance + np.eye(z.size)
 
-    error = np.zeros((shape[0], 1))
-    for _ in range(_STAGES):
-        flat, objective = minimised(terms, z.ravel(), _ITERATIONS, _TOLERANCE)
-        if not math.isfinite(objective):
-            raise IdentificationError("the simulated valve diverges", remedy="give a model closer to the valve")
-        z = flat.reshape(shape)
-        error = errors(z)[0]
-        ends = np.cumsum([one.shape[1] for one in measured])[:-1]
-        variance = np.array([max(variance_of(np.split(row, ends)), _LEAST_VARIANCE) for row in error])
-    deviations = np.sqrt(np.diag(np.linalg.inv(terms(z.ravel())[2]))).reshape(shape)
-    noise = float(np.sqrt(np.mean(np.diff(error, axis=1) ** 2) / 2))
-    return z, deviations, float(np.sqrt(np.mean(error**2))), noise
+    def search(z: Floats, restart: bool = False) -> tuple[Floats, float]:
+        if restart:
+            z = np.where(lacking, _BEGIN, z)
+        return minimised(terms, z, _ITERATIONS, _TOLERANCE)
+
+    z, objective = search(np.zeros(lacking.size), restart=True)
+    # Of what the first model lacks, zero may be a local minimum.
+    z, objective = min((z, objective), search(z, restart=True), key=itemgetter(1))
+    if not math.isfinite(objective):
+        raise IdentificationError("the simulated valve diverges", remedy="give a model closer to the valve")
+    errors = measured
+    for stage in range(_STAGES):
+        if stage:
+            z, _ = search(z)
+        errors = [one - other for one, other in zip(fitted(_pressures, z), measured, strict=True)]
+        variance = max(variance_of(errors), _LEAST_VARIANCE)
+    z = np.where(lacking, np.abs(z), z)
+    return z, np.sqrt(np.diag(np.linalg.inv(terms(z)[2]))), errors
 
 
 def _quantities(problem: _Problem, z: Floats, deviations: Floats) -> dict[str, JointEstimate]:

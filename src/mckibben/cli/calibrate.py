@@ -32,7 +32,7 @@ from mckibben.storage.files import to_json, write_json
 from mckibben.units import kPa, show
 
 if TYPE_CHECKING:
-    from mckibben.calibration import JointEstimate, JointPrior, JointRecording, Sweeps
+    from mckibben.calibration import JointEstimate, JointPrior, JointRecording, Sweeps, ValveExperiment
     from mckibben.realtime import JointRig
     from mckibben.scenario import Scenario
 
@@ -110,7 +110,7 @@ def calibrate(
         raise ParameterError("--valves with a weight, or with --held-out", remedy="calibrate joint and valves in turn")
     if held_out and not (recording or weighted):
         raise ParameterError("--held-out without a recording", remedy="add --recording")
-    from mckibben.calibration import JointPrior, Sweeps
+    from mckibben.calibration import JointPrior, Sweeps, ValveExperiment
     from mckibben.scenario import Scenario
 
     strength = parse_quantity("--strength-error", strength_error, "1")
@@ -124,7 +124,9 @@ def calibrate(
     )
     read, count = Scenario.read(scenario), 2 if mass else 1
     if valves:
-        _valves(read, (low, high, seconds), recording or [], prior, rig, plan, out, force, json)
+        experiment = ValveExperiment(low, high, seconds, strength=strength)
+        folder = None if plan else required_folder(out, "calibration")
+        _valves(read, experiment, recording or [], prior, rig, folder, force, json)
         return
     period = read.control_period
     sweeps = Sweeps(low, high, round(seconds / count / period) * period, mass, at)
@@ -185,11 +187,10 @@ def _running(out: Path, parts: Mapping[str, str], rig: JointRig | None, quiet: b
 
 def _valves(
     scenario: Scenario,
-    experiment: tuple[float, float, float],
+    experiment: ValveExperiment,
     recording: list[Path],
     prior: JointPrior,
     rig: Path | None,
-    plan: bool,
     out: Path | None,
     force: bool,
     json: bool,
@@ -198,7 +199,6 @@ def _valves(
 
     compute_in_this_thread()
     from mckibben.calibration import (
-        ValveExperiment,
         calibrate_scenario_valves,
         read_joint_recording,
         run_parts,
@@ -213,15 +213,15 @@ def _valves(
     from mckibben.storage.files import atomic_write
 
     on = None if rig is None else JointRig.read(rig)
-    parts = {} if recording and not plan else ValveExperiment(*experiment).scenarios(scenario)
+    if out is not None:
+        results_folder(out, _VALVE_FILES, force)
+    parts = {} if recording and out is not None else experiment.scenarios(scenario)
     if parts and not json:
         _show_commands(_commands(parts))
-    if plan:
+    if out is None:
         if json:
             echo(to_json(_commands(parts)))
         return
-    out = required_folder(out, "calibration")
-    results_folder(out, _VALVE_FILES, force)
     if recording:
         recordings = [read_joint_recording(path) for path in recording]
     else:

@@ -1,0 +1,188 @@
+"""Identification of valves, against pressures that SciPy computes from the flow equations written anew."""
+
+import dataclasses
+import functools
+import math
+import warnings
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mckibben import catalog
+from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve, PressureRegulator
+from mckibben.calibration import JointPrior, JointRecording, calibrate_valves
+from mckibben.calibration.valve_experiment import valve_statements
+from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.joint import AntagonisticJoint
+from mckibben.muscle import return_spring
+from mckibben.muscle.air import L_PER_S_BAR
+from mckibben.units import bar, cm, kPa, ms
+
+PERIOD, NOISE, OFFSET = 8 * ms, 1 * kPa, (0.6 * kPa, -0.9 * kPa)
+ATMOSPHERE, ENERGY, DENSITY = 1.01325e5, 288.0 * 293.15, 1.185
+DATA_SHEET = PressureRegulator(
+    0.05 * L_PER_S_BAR, 7 * bar, time_constant=15 * ms, band=0.5 * bar, dead_volume=4 * cm**3
+)
+TRUE = dataclasses.replace(
+    DATA_SHEET,
+    conductance=0.036 * L_PER_S_BAR,
+    exhaust_conductance=0.028 * L_PER_S_BAR,
+    supply=6.2 * bar,
+    time_constant=24 * ms,
+    band=0.35 * bar,
+    leak=2e-4 * L_PER_S_BAR,
+    dead_zone=0.04 * bar,
+)
+DELAY = 3 * PERIOD
+
+
+def commands(seconds, seed=0):
+    """Steps of both pressures every 0.6 s, shape (samples, 2)."""
+    count = round(seconds / PERIOD)
+    levels = np.random.default_rng(seed).uniform(1.0, 5.5, (count, 2)) * bar
+    return levels[(np.arange(count) * PERIOD / 0.6).astype(int)]
+
+
+def sampled(rate, first, sent):
+    """Samples of an integration during which each command acts for a period, `DELAY` later."""
+    late, state, found = round(DELAY / PERIOD), np.asarray(first), []
+    for k in range(sent.size):
+        found.append(state)
+        command = sent[max(k - late, 0)]
+        state = solve_ivp(rate, (0, PERIOD), state, args=(command,), rtol=1e-8, atol=1e-2).y[:, -1]
+    return np.array(found)
+
+
+def regulated(sent, volume):
+    """Pressures [Pa] of a regulator at a constant volume [m^3]."""
+
+    def flow(conductance, inlet, outlet):
+        share = math.sqrt(1 - (max(outlet / inlet - 0.3, 0.0) / 0.7) ** 2)
+        return conductance * DENSITY * inlet * share
+
+    def rate(_, y, command):
+        pressure, lagged = y[0] + ATMOSPHERE, y[1]
+        error = lagged - y[0]
+        error = math.copysign(max(abs(error) - TRUE.dead_zone, 0.0), error)
+        opening = min(max(error / TRUE.band, -1.0), 1.0)
+        if opening > 0:
+            mass = opening * flow(TRUE.conductance, TRUE.supply + ATMOSPHERE, pressure)
+        else:
+            mass = opening * flow(TRUE.exhaust_conductance, pressure, ATMOSPHERE)
+        mass -= flow(TRUE.leak, pressure, ATMOSPHERE)
+        return [1.2 / volume * ENERGY * mass, (command - lagged) / TRUE.time_constant]
+
+    return sampled(rate, [sent[0], sent[0]], sent)[:, 0]
+
+
+def recording(sent, pressures, seed=1):
+    noise = NOISE * np.random.default_rng(seed).standard_normal(sent.shape)
+    return JointRecording(np.arange(len(sent)) * PERIOD, np.zeros(len(sent)), pressures + noise + OFFSET, commands=sent)
+
+
+@pytest.fixture(scope="module")
+def regulators():
+    """The valves of the knee at rest at angle 0."""
+    joint, sent = catalog.joint("knee-table-2"), commands(20.0)
+    contractions = [float(one) for one in joint.contractions(0.0, (0.0, 0.0))]
+    muscles = (joint.muscle1, joint.muscle2)
+    volumes = [
+        float(one.specimen.volume(contraction)) + TRUE.dead_volume
+        for one, contraction in zip(muscles, contractions, strict=True)
+    ]
+    true = [regulated(sent[:, i], volumes[i]) for i in (0, 1)]
+    one = recording(sent, np.stack(true, axis=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", McKibbenWarning)
+        return calibrate_valves(joint, DATA_SHEET, [one], delay=10 * ms), one, np.stack(true, axis=1)
+
+
+@pytest.mark.slow
+def test_a_regulator_is_found_within_the_intervals(regulators):
+    found = regulators[0]
+    for name, value in {**{one: getattr(TRUE, one) for one in NAMES}, "delay": DELAY, "pressure_zero": None}.items():
+        for number in (1, 2):
+            one = found.quantities[f"valve{number}.{name}"]
+            true = OFFSET[number - 1] if value is None else value
+            assert abs(one.value - true) < 3 * one.deviation
+            assert one.determined
+    assert found.residual == pytest.approx(NOISE, rel=0.05)
+    assert found.noise == pytest.approx(NOISE, rel=0.05)
+    assert valve_statements(found) == []
+
+
+NAMES = ("conductance", "exhaust_conductance", "band", "time_constant", "dead_zone", "leak")
+
+
+@pytest.mark.slow
+def test_it_simulates_the_pressures_without_their_noise(regulators):
+    found, one, true = regulators
+    after = round(1 / PERIOD)
+    assert np.abs(found.simulate(one) - true - OFFSET)[after:].max() < 2 * NOISE
+
+
+@functools.cache
+def first_order(lags, seconds=8.0):
+    sent = commands(seconds)
+    rates = [lambda _, y, command, lag=lag: (command - y) / lag for lag in lags]
+    true = [sampled(rate, sent[:1, i], sent[:, i])[:, 0] for i, rate in enumerate(rates)]
+    return recording(sent, np.stack(true, axis=1))
+
+
+def test_unequal_valves_are_told_apart():
+    one = first_order((40 * ms, 55 * ms))
+    found = calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(0.1), [one])
+    for valve, delay, lag in zip(found.valves, found.delays, (40 * ms, 55 * ms), strict=True):
+        assert valve.time_constant == pytest.approx(lag, rel=0.02)
+        assert delay == pytest.approx(DELAY, rel=0.02)
+    assert found.valve.time_constant == pytest.approx(math.sqrt(40 * 55) * ms, rel=0.02)
+    assert any("time_constant" in one for one in valve_statements(found))
+
+
+def test_pressures_that_do_not_follow_their_commands_are_warned_of():
+    one = first_order((40 * ms, 55 * ms))
+    swapped = dataclasses.replace(one, commands=one.commands[:, ::-1])
+    with pytest.warns(McKibbenWarning):
+        calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(0.1), [swapped])
+
+
+def test_a_spring_in_place_of_a_muscle_has_no_valve():
+    knee = catalog.joint("knee-table-2")
+    joint = AntagonisticJoint(knee.geometry, return_spring(4e3, 0.13), knee.muscle2)
+    found = calibrate_valves(joint, FirstOrderValve(0.1), [first_order((40 * ms, 55 * ms))])
+    assert found.muscles == (1,)
+    assert {name.partition(".")[0] for name in found.quantities} == {"valve2"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"commands": None},
+        {"commands": np.full((1000, 2), 3e5)},
+        {"time": np.arange(1000) * 0.02},
+        {"time": np.cumsum(np.where(np.arange(1000) == 800, 0.1, PERIOD))},
+    ],
+    ids=["no commands", "constant", "sparse", "gap"],
+)
+def test_recordings_that_cannot_identify_a_valve_are_refused(change):
+    one = dataclasses.replace(first_order((40 * ms, 55 * ms)), **change)
+    with pytest.raises(IdentificationError):
+        calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(0.1), [one])
+
+
+@pytest.mark.parametrize(
+    "valve",
+    [
+        FlowValve(5e-9, 7e5, direct=True),
+        FlowValve(5e-9, 7e5, reservoir_volume=1e-3, line_conductance=5e-9),
+    ],
+)
+def test_valves_that_cannot_be_identified_are_refused(valve):
+    with pytest.raises(IdentificationError):
+        calibrate_valves(catalog.joint("knee-table-2"), valve, [first_order((40 * ms, 55 * ms))])
+
+
+def test_there_must_be_a_recording():
+    with pytest.raises(IdentificationError):
+        calibrate_valves(catalog.joint("knee-table-2"), IdealValve(), [], JointPrior())
