@@ -219,6 +219,14 @@ class TestTuning:
         points = [[trial.point for trial in trials(tmp_path / name)] for name in ("all", "own")]
         assert points[0] == points[1]
 
+    def test_a_search_starts_at_the_best_of_its_candidates(self, tmp_path):
+        compare(changed(*ALONE, ("starts: 2", "starts: 1, candidates: 40")), folder=tmp_path)
+        found = trials(tmp_path)
+        best = min(found[:40], key=lambda trial: trial.cost)
+        assert best.cost < found[0].cost, "better than the gains of the file"
+        assert len({trial.point for trial in found[:40]}) == 40
+        assert np.mean([trial.point for trial in found[40:44]]) == pytest.approx(best.point[0], abs=0.35)
+
     def test_progress_goes_from_controller_to_controller(self, suite, contest, told):
         parts = [part for _, part in told]
         assert parts == sorted(parts)

@@ -284,6 +284,7 @@ class ControllerTuning:
             "cost": tuning.cost,
             "population": tuning.population,
             "starts": self._starts,
+            "candidates": tuning.candidates,
         }
 
     def run(
@@ -297,8 +298,9 @@ class ControllerTuning:
             costs = Evaluator(space, past, tuning.population, self.evaluate).costs
             first = space.point(space.nominal)
             costs(first[None])
-            starts = np.random.default_rng(tuning.seed).random((self._starts, len(space)))
-            starts[0] = first
+            size = self._starts, max(tuning.candidates, 1), len(space)
+            candidates = np.random.default_rng(tuning.seed).random(size)
+            candidates[0, 0] = first
             searched: list[Trial] = []  # by cost: a continued history may contain others
 
             def trials(points: Vector) -> list[Trial]:
@@ -312,7 +314,8 @@ class ControllerTuning:
             def report(part: float, number: int) -> None:
                 progress((number + part) / (self._starts + 1))
 
-            for number, start in enumerate(starts):
+            for number, points in enumerate(candidates):
+                start = points[np.argmin(searched_costs(points))] if tuning.candidates else points[0]
                 self._search(searched_costs, start, tuning.seed + number, partial(report, number=number))
             air, stiffness = air_of(searched) if self.air is None else self.air, stiffness_limit(searched)
             if np.isfinite(air) and (found := front(searched)):

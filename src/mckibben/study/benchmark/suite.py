@@ -222,6 +222,7 @@ class TuningSettings(ConfigModel):
     seed: _Seed = 99
     starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
     starts_of: dict[str, Annotated[int, BoundedInt(1, 1000)]] = Field(default_factory=dict)  # of individual controllers
+    candidates: Annotated[int, BoundedInt(0, 10_000)] = 0  # random gains, of which a search starts at the best
     generations: Annotated[int, BoundedInt(1, 100_000)] = 40
     population: Annotated[int, BoundedInt(4, 10_000)] = 16
     decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains in the file
