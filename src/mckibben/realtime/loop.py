@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedError
 from mckibben.realtime.compiled_step import ControlProgram
-from mckibben.realtime.config import Connected, JointReading, Wiring
 from mckibben.realtime.record import Phase, RowBuffer
+from mckibben.realtime.wiring import Connected, JointReading, Wiring
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
