@@ -7,7 +7,7 @@ import pytest
 
 from mckibben.errors import ScenarioError
 from mckibben.realtime import JointRig, RunConditions, Wiring
-from mckibben.realtime.wiring import read_wiring
+from mckibben.realtime.config import JointCardSettings
 from mckibben.units import bar, deg, kPa, ms
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig" / "joint-rig.yaml"
@@ -24,7 +24,7 @@ def test_the_example_says_what_the_defaults_are_but_for_the_angles():
 def test_calibrations_come_back_from_their_file(tmp_path):
     path = tmp_path / "knee.json"
     path.write_text(json.dumps(Wiring().to_json()), encoding="utf-8")
-    assert read_wiring(path) == Wiring()
+    assert Wiring.of(JointCardSettings(calibration=path).calibrations()) == Wiring()
 
 
 def test_all_that_is_wrong_with_calibrations_is_said_at_once(tmp_path):
@@ -36,7 +36,7 @@ def test_all_that_is_wrong_with_calibrations_is_said_at_once(tmp_path):
     path = tmp_path / "knee.json"
     path.write_text(json.dumps(form), encoding="utf-8")
     with pytest.raises(ScenarioError) as error:
-        read_wiring(path)
+        JointCardSettings(calibration=path).calibrations()
     assert {problem.field for problem in error.value.problems} == {"valve2", "angle", "force", "pressure1"}
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import abc
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field
@@ -17,9 +18,10 @@ from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, parse_model, read_text
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
-from mckibben.realtime.wiring import read_wiring
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
+from mckibben.rig.ni import NiBackend
+from mckibben.rig.ni.settings import CardSettings
 from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitTime
 
 
@@ -80,40 +82,27 @@ class SimulatedJointSettings(JointHardware):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointCardSettings(JointHardware):
-    """A card of National Instruments: its terminals, and the file of the five calibrations."""
+class JointCardSettings(CardSettings, JointHardware):
+    """A card of National Instruments, see `NiBackend`, which samples once per control period."""
 
     short_name = "nidaqmx"
+    sensors = MappingProxyType({"angle": "rad", "pressure1": "Pa", "pressure2": "Pa"})
+    valves = MappingProxyType({"valve1": "Pa", "valve2": "Pa"})
 
-    device: str
     angle: str = "ai0"
     pressure1: str = "ai1"
     pressure2: str = "ai2"
     valve1: str = "ao0"
     valve2: str = "ao1"
-    heartbeat: str = "port0/line0"
-    hold: str = "port0/line1"
-    server: str = ""
-    calibration: Path
 
     def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
-        """Return the card, which samples once per control period."""
-        from mckibben.rig.ni import NiBackend, Terminals
-
-        at = {field.name: f"{self.device}/{getattr(self, field.name)}" for field in fields(self)}
-        terminals = Terminals(
-            inputs={name: at[name] for name in ("angle", "pressure1", "pressure2")},
-            outputs={name: at[name] for name in ("valve1", "valve2")},
-            heartbeat=at["heartbeat"],
-            hold=at["hold"],
-            counter="",
-        )
+        """Return the card."""
         return NiBackend(
-            terminals,
+            self.terminals(),
             rate=1 / run.period,
             patience=run.patience,
             server=self.server,
-            calibrations=vars(read_wiring(self.calibration)),
+            calibrations=self.calibrations(),
         )
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any, NamedTuple
 
-from mckibben.errors import Problem, RigError, ScenarioError
+from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
-from mckibben.rig.calibration import Calibration, read_calibrations
+from mckibben.rig.calibration import Calibration
 from mckibben.units import bar, deg
 
 
@@ -146,18 +144,3 @@ def _line(calibration: Calibration, column: int, inputs: Sequence[AnalogChannel]
     low, high = calibration.limits
     low, high = max(low, inputs[column].low), min(high, inputs[column].high)
     return _Line(calibration.name, column, calibration.gain, calibration.offset, calibration.tare, low, high)
-
-
-def read_wiring(path: str | os.PathLike[str]) -> Wiring:
-    """The five calibrations of a JSON file, by the names of their channels; `ScenarioError` with all problems."""
-    names = [field.name for field in fields(Wiring)]
-    remedy = f"it needs {', '.join(names)}"
-    found, problems = read_calibrations(Path(path), names, remedy)
-    problems += [Problem("is no channel of a joint", field=name, remedy=remedy) for name in found if name not in names]
-    for name, one in found.items():
-        unit = "rad" if name == "angle" else "Pa"
-        if (one.name, one.unit) != (name, unit):
-            problems.append(Problem(f"is of {one.name!r} in {one.unit}, not in {unit}", field=name))
-    if problems:
-        raise ScenarioError(str(path), problems)
-    return Wiring(**found)
