@@ -126,7 +126,7 @@ def test_ctrl_c_vents_keeps_the_record_and_has_the_code_of_shells(cli, short, tm
     monkeypatch.setattr(RowBuffer, "flush", flush)
     found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
     assert found.code == 128 + signal.SIGINT
-    assert "stopped: stopped by SIGINT (Ctrl-C); both muscles were below 0.2 bar" in found.err
+    assert "stopped: interrupted by SIGINT (Ctrl-C); both muscles were below 0.2 bar" in found.err
     kept = read_record(tmp_path / "run")
     assert [event.kind for event in kept.events] == ["opened", "signal", "vented"]
     sample = kept.columns["sample"]

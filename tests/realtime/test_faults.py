@@ -9,9 +9,9 @@ import pytest
 
 from mckibben.errors import RigError, StoppedError
 from mckibben.realtime import JointSession, Wiring, loop
-from mckibben.realtime.loop import StopFlag
 from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.rig.recorder import Recorder
+from mckibben.rig.safety import StopFlag
 from mckibben.rig.simulated.faults import (
     HostDelayed,
     SamplesDelayed,

@@ -17,6 +17,7 @@ from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
+from mckibben.rig.safety import StopFlag
 from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
 from mckibben.rig.steps import (
     Acquire,
@@ -113,12 +114,12 @@ class Interrupting:
     """Counts cycles, and interrupts a test after so many."""
 
     def __init__(self, after=0):
-        self.after, self.cycles, self.runner = after, 0, None
+        self.after, self.cycles, self.stop_flag = after, 0, StopFlag()
 
     def __call__(self, progress):
         self.cycles += 1
         if self.cycles == self.after:
-            self.runner.interrupt(signal.SIGINT, "SIGINT")
+            self.stop_flag.signal = signal.SIGINT
 
 
 def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
@@ -142,8 +143,8 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
         with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
             interrupting = Interrupting(after)
-            runner = interrupting.runner = Runner(twin, bench, recorder, report=interrupting)
-            with pytest.raises(SignalledError, match=r"interrupted \(SIGINT\); the muscle is vented") as stopped:
+            runner = Runner(twin, bench, recorder, report=interrupting, stop_flag=interrupting.stop_flag)
+            with pytest.raises(SignalledError, match=r"by SIGINT \(Ctrl-C\); the muscle is vented") as stopped:
                 runner.run(steps)
         assert stopped.value.signal == signal.SIGINT
         assert twin.truth.pressure < 0.2 * bar

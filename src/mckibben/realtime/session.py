@@ -23,7 +23,6 @@ from mckibben.realtime.loop import (
     RunProgress,
     control,
     realtime_process_settings,
-    stop_on_signals,
 )
 from mckibben.realtime.record import Timing, columns, measured_result
 from mckibben.realtime.wiring import Wiring
@@ -31,6 +30,7 @@ from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder
+from mckibben.rig.safety import stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder

@@ -13,6 +13,7 @@ from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Column, Point
 from mckibben.rig.recorder import Recorder
+from mckibben.rig.safety import StopFlag
 from mckibben.rig.session import ProgressCallback, RigSession
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
 from mckibben.units import bar, mm, percent
@@ -141,45 +142,32 @@ class Runner(StepInterpreter):
         origin: int = 0,
         since: float = 0.0,
         report: ProgressCallback | None = None,
+        stop_flag: StopFlag | None = None,
     ) -> None:
         super().__init__(bench)
         self.backend = backend
         self.recorder = recorder
-        self._rig = RigSession(backend, bench, recorder, origin=origin, since=since, report=report)
+        self._rig = RigSession(backend, bench, recorder, origin=origin, since=since, report=report, stop_flag=stop_flag)
         self._done = done
         self._target = _Target()
         self._live = not done
         self._number = 0
         self._speed = bench.drive.fastest / bench.drive.pulses_per_metre / 4  # unless a step has set one
 
-    def interrupt(self, signal: int, name: str) -> None:
-        """Stop after the running cycle; may be called from a signal handler."""
-        self._rig.interrupt(signal, name)
-
     def run(self, steps: Sequence[ProtocolStep]) -> None:
         """Open the backend, do the steps, vent, close; `StoppedError` (of a signal `SignalledError`) after a stop."""
-        backend = self.backend
-        try:
-            backend.open()
-        except BaseException:
-            backend.close()
-            raise
-        try:
-            with self._rig.monitor.guard():
-                self._rig.begin()
-                if self._live:  # the steps begin where the muscle was mounted
-                    self._rig.move_to(0, self._speed)
-                self._do(steps)
-                self._vent()
-                for _ in range(2):  # a chunk that is damaged later must not let a finished test move again
-                    self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
-        except BaseException as error:
-            raise self._rig.record_stop(error) from error
-        finally:
+        with self.backend.opened():
             try:
-                backend.vent()
-            finally:  # even where another signal comes in between
-                backend.close()
+                with self._rig.monitor.guard():
+                    self._rig.begin()
+                    if self._live:  # the steps begin where the muscle was mounted
+                        self._rig.move_to(0, self._speed)
+                    self._do(steps)
+                    self._vent()
+                    for _ in range(2):  # a chunk that is damaged later must not let a finished test move again
+                        self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
+            except BaseException as error:
+                raise self._rig.record_stop(error) from error
 
     def _begin(self, step: ProtocolStep, place: str) -> None:
         return

@@ -6,7 +6,6 @@ import os
 import platform
 import re
 import shutil
-import signal
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -25,9 +24,10 @@ from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
+from mckibben.rig.safety import stop_on_signals
 from mckibben.rig.session import VENTED, ProgressCallback
 from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
-from mckibben.storage.files import check_free, file_lock, handle_signals, make_folder
+from mckibben.storage.files import check_free, file_lock, make_folder
 from mckibben.study.rig.document import (
     RigTest,
     Setup,
@@ -271,11 +271,13 @@ def _run_session(
     origin = _origin(checked, folder, past, standing_at)
     columns = columns_of([channel.name for channel in backend.inputs])
     begin = Recorder.resume if segments(folder) else Recorder.create
-    with begin(folder, _header(checked, folder), columns) as recorder:
-        runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
-        stop_on_signals = handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name))
-        with backend.host_watchdog(), stop_on_signals:
-            runner.run(checked.steps)
+    with (
+        begin(folder, _header(checked, folder), columns) as recorder,
+        backend.host_watchdog(),
+        stop_on_signals() as stop_flag,
+    ):
+        given = {"done": past.done, "origin": origin, "since": past.since, "report": report}
+        Runner(backend, bench, recorder, stop_flag=stop_flag, **given).run(checked.steps)
 
 
 def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> int:
