@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RigError, StoppedError
-from mckibben.realtime import JointSession, Wiring, loop
+from mckibben.realtime import JointSession, loop
 from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import StopFlag
@@ -190,7 +190,7 @@ def test_a_host_that_dies_is_found_by_the_rig_itself(stiff):
 def session(stiff, joint, plan):
     """A run without reference and result: it is about the record."""
     header = {"what": "joint rig"}
-    return JointSession(stiff.scenario, stiff.plant, None, joint, Wiring(), LIMITS, plan, stiff.control, header)
+    return JointSession(stiff.scenario, stiff.plant, None, joint, LIMITS, plan, stiff.control, header)
 
 
 def test_a_folder_that_vanishes_stops_the_run_at_once(stiff, watched, tmp_path):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.realtime.compiled_step import ControlProgram
 from mckibben.realtime.record import Phase, RowBuffer
-from mckibben.realtime.wiring import Connected, JointReading, Wiring
+from mckibben.realtime.wiring import Connected, JointReading
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
@@ -167,7 +167,6 @@ def control(
     limits: JointLimits,
     recorder: Recorder,
     *,
-    wiring: Wiring | None = None,
     stop_flag: StopFlag | None = None,
     progress: Callable[[RunProgress], None] | None = None,
 ) -> RunOutcome:
@@ -182,7 +181,7 @@ def control(
     RigError
         If the backend does not fit, before anything moves.
     """
-    connected = (wiring or Wiring()).connected(backend)
+    connected = Connected(backend)
     _check(backend, plan, connected)
     rows = RowBuffer(recorder, program.telemetry)
     monitor = JointMonitor(backend, limits, connected.wiring.sensors, plan.period)

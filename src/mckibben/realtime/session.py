@@ -68,7 +68,6 @@ class JointSession:
     plant: JointPlant
     reach: Feasibility
     backend: Backend
-    wiring: Wiring
     limits: JointLimits
     plan: RunPlan
     program: ControlProgram
@@ -105,7 +104,6 @@ class JointSession:
                         self.plan,
                         self.limits,
                         recorder,
-                        wiring=self.wiring,
                         stop_flag=stop_flag,
                         progress=progress,
                     )
@@ -184,13 +182,12 @@ def prepare(
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
     conditions = RunConditions(period, rig.patience, scenario.substeps, paced, start if ideal else None)
     backend = rig.rig.backend(plant, conditions)
-    wiring = Wiring.of(backend.calibrations)
     header = {
         "what": "joint rig",
         "scenario": scenario.dumps(),
         "rig": rig.to_json(),
         "backend": dict(backend.description),
-        "calibrations": wiring.to_json(),
+        "calibrations": Wiring.of(backend.calibrations).to_json(),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
         "plan": {"raising": plan.raising, "settling": plan.settling, "run": len(references), "period": period},
         "versions": {
@@ -201,7 +198,7 @@ def prepare(
             "system": platform.platform(),
         },
     }
-    return JointSession(scenario, plant, reach, backend, wiring, limits, plan, program, header)
+    return JointSession(scenario, plant, reach, backend, limits, plan, program, header)
 
 
 def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 from mckibben.errors import Problem, RigError
-from mckibben.rig.backend import AnalogChannel, Backend
+from mckibben.rig.backend import Backend
 from mckibben.rig.calibration import Calibration
 from mckibben.units import bar, deg
 
@@ -19,18 +19,6 @@ class JointReading(NamedTuple):
     angle: float
     pressure1: float
     pressure2: float
-
-
-class _Line(NamedTuple):
-    """Column and calibration of a sensor, and its working range [V]."""
-
-    name: str
-    column: int
-    gain: float
-    offset: float
-    tare: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,69 +66,50 @@ class Wiring:
         """As a JSON object, by channel."""
         return {field.name: getattr(self, field.name).to_json() for field in fields(self)}
 
-    def connected(self, backend: Backend) -> Connected:
-        """Calibrations on the channels of a backend; `RigError` if channels are missing."""
-        inputs, outputs = [one.name for one in backend.inputs], [one.name for one in backend.outputs]
-        missing = [c.name for c in self.sensors if c.name not in inputs]
-        missing += [c.name for c in self.valves if c.name not in outputs]
+
+class Connected:
+    """Calibrations of a backend on its channels, for the real-time loop; `RigError` if channels are missing."""
+
+    def __init__(self, backend: Backend) -> None:
+        self.wiring = wiring = Wiring.of(backend.calibrations)
+        inputs, outputs = ({one.name: one for one in channels} for channels in (backend.inputs, backend.outputs))
+        missing = [c.name for c in wiring.sensors if c.name not in inputs]
+        missing += [c.name for c in wiring.valves if c.name not in outputs]
         if missing:
             raise RigError(
                 f"the rig has no {', '.join(missing)}: its inputs are {', '.join(inputs)}, its outputs "
                 f"{', '.join(outputs)}",
                 remedy="connect them, and name the channels so",
             )
-        return Connected(self, backend.inputs, backend.outputs)
-
-
-class Connected:
-    """Calibrations on the channels of a backend, as plain floats for the real-time loop."""
-
-    def __init__(self, wiring: Wiring, inputs: Sequence[AnalogChannel], outputs: Sequence[AnalogChannel]) -> None:
-        self.wiring = wiring
-        names = [one.name for one in inputs]
-        self._lines = [_line(c, names.index(c.name), inputs) for c in wiring.sensors]
-        names = [one.name for one in outputs]
-        at = [names.index(c.name) for c in wiring.valves]
-        self._order = [at.index(i) for i in range(len(names))] if sorted(at) == list(range(len(names))) else None
-        if self._order is None:
+        if len(outputs) != len(wiring.valves):
             raise RigError(
-                f"a joint rig has two valves, and this one {len(names)} outputs ({', '.join(names)})",
+                f"a joint rig has two valves, and this one {len(outputs)} outputs ({', '.join(outputs)})",
                 remedy="leave the others out",
             )
+        columns = [*inputs]
+        self._sensors = [
+            (columns.index(c.name), c.gain, c.offset, c.tare, *c.working_volts(inputs[c.name])) for c in wiring.sensors
+        ]
+        self._valves = sorted(enumerate(wiring.valves), key=lambda one: [*outputs].index(one[1].name))
         self._outputs = outputs
 
     def picked(self, volts: Sequence[float]) -> list[float]:
         """Volts of angle and pressures, of those of all inputs."""
-        return [volts[line.column] for line in self._lines]
+        return [volts[sensor[0]] for sensor in self._sensors]
 
     def reading(self, volts: Sequence[float]) -> JointReading:
         """Reading of one sample; NaN for a lost sensor."""
         return JointReading(
             *(
-                (volts[line.column] - line.offset) * line.gain - line.tare
-                if line.low < volts[line.column] < line.high
-                else math.nan
-                for line in self._lines
+                (volts[column] - offset) * gain - tare if low <= volts[column] <= high else math.nan
+                for column, gain, offset, tare, low, high in self._sensors
             )
         )
 
     def volts(self, commands: Sequence[float]) -> list[float]:
         """Signals of the outputs [V] for commands of muscles 1 and 2 [Pa]."""
-        signals = [
-            (command + valve.tare) / valve.gain + valve.offset
-            for command, valve in zip(commands, self.wiring.valves, strict=True)
-        ]
-        assert self._order is not None
-        return [signals[i] for i in self._order]
+        return [(commands[i] + valve.tare) / valve.gain + valve.offset for i, valve in self._valves]
 
     def check(self, low: float, high: float) -> list[Problem]:
         """Violations of commands from low to high [Pa]."""
-        assert self._order is not None
-        channels = {channel.name: channel for channel in self._outputs}
-        return [problem for c in self.wiring.valves for problem in c.check(low, high, channels[c.name])]
-
-
-def _line(calibration: Calibration, column: int, inputs: Sequence[AnalogChannel]) -> _Line:
-    low, high = calibration.limits
-    low, high = max(low, inputs[column].low), min(high, inputs[column].high)
-    return _Line(calibration.name, column, calibration.gain, calibration.offset, calibration.tare, low, high)
+        return [problem for c in self.wiring.valves for problem in c.check(low, high, self._outputs[c.name])]
