@@ -206,6 +206,17 @@ def test_a_folder_that_vanishes_stops_the_run_at_once(stiff, watched, tmp_path):
     assert joint.vented_at < 1.5
 
 
+def test_a_rig_that_is_not_there_leaves_no_record(stiff, tmp_path, monkeypatch):
+    def missing():
+        raise RigError("no device Dev1")
+
+    joint = stiff.joint()
+    monkeypatch.setattr(joint, "open", missing)
+    with pytest.raises(RigError, match="no device Dev1"):
+        session(stiff, joint, stiff.plan(5)).run(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_record_whose_end_is_not_written_is_no_completed_run(stiff, watched, tmp_path, monkeypatch):
     from mckibben.realtime import session as module
 

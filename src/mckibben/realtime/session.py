@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import platform
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
 
-import mckibben
 from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
@@ -29,7 +26,7 @@ from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.record import read_record, segments
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.safety import stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
@@ -95,9 +92,8 @@ class JointSession:
             realtime_process_settings() as priority,
         ):
             header = {**self.header, "priority": priority}
-            recorder = Recorder.create(folder, header, columns(self.program.telemetry))
             try:
-                with recorder:
+                with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
                     outcome = control(
                         self.backend,
                         self.program,
@@ -109,8 +105,6 @@ class JointSession:
                     )
             except RigError as error:
                 if outcome is None:
-                    if recorder.rows == 0:  # nothing has moved: the folder may be used again
-                        recorder.path.unlink()
                     raise
                 if outcome.completed:  # the end of the record was not written
                     outcome = RunOutcome("rig", str(error), error, outcome.vented_after)
@@ -190,13 +184,7 @@ def prepare(
         "calibrations": Wiring.of(backend.calibrations).to_json(),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
         "plan": {"raising": plan.raising, "settling": plan.settling, "run": len(references), "period": period},
-        "versions": {
-            "mckibben": mckibben.__version__,
-            "python": platform.python_version(),
-            "jax": version("jax"),
-            "numpy": version("numpy"),
-            "system": platform.platform(),
-        },
+        "versions": software_versions("jax", "numpy"),
     }
     return JointSession(scenario, plant, reach, backend, limits, plan, program, header)
 
