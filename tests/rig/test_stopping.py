@@ -14,6 +14,7 @@ from mckibben.rig.record import read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
+from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import Regulator, SamplesStopped, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Walk
 from mckibben.units import bar, mm, percent
@@ -52,7 +53,7 @@ def start(folder, rig, steps, **given):
     bench = Bench(of=MUSCLE, drive=rig.drive, calibrations=rig.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
         stop_flag = getattr(given.get("report"), "stop_flag", None)
-        Runner(rig, bench, recorder, stop_flag=stop_flag, **given).run(steps)
+        Runner(RigSession(rig, bench, recorder, stop_flag=stop_flag, **given)).run(steps)
 
 
 def twin(**given):
@@ -213,9 +214,8 @@ def resumed(folder, steps, stop_at, *, again=None, origin=0):
     again = again or twin()
     bench = Bench(of=MUSCLE, drive=again.drive, calibrations=again.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
-        Runner(again, bench, recorder, done=done, origin=origin, since=read_record(folder).columns["time"][-1]).run(
-            steps
-        )
+        since = read_record(folder).columns["time"][-1]
+        Runner(RigSession(again, bench, recorder, origin=origin, since=since), done=done).run(steps)
     return recorded_points(folder)
 
 

@@ -73,7 +73,7 @@ class RigSession:
         self._names = [channel.name for channel in backend.inputs]
         self._expected = 0
         self._latest: BlockMeans | None = None
-        self.stop_flag = stop_flag or StopFlag()
+        self._stop_flag = stop_flag or StopFlag()
         self._set_pressure = 0.0
         self._points = 0
 
@@ -230,7 +230,7 @@ class RigSession:
             raise
         self.pulses = int(block.pulses[-1]) + self._origin
         self._record(block, 1 if plateau >= 0 else bench.decimation, plateau)
-        self.stop_flag.check()
+        self._stop_flag.check()
         if self._report is not None:
             self._report(
                 Progress(latest.time, latest, bench.contraction_at(self.pulses), self._set_pressure, self._points)
@@ -256,8 +256,8 @@ class RigSession:
 
     def record_stop(self, error: BaseException) -> StoppedError:
         """Record the reason of a stop, observe the venting, and return both as an error."""
-        if isinstance(error, KeyboardInterrupt) and self.stop_flag.signal:  # a second signal
-            error = self.stop_flag.error()
+        if isinstance(error, KeyboardInterrupt) and self._stop_flag.signal:  # a second signal
+            error = self._stop_flag.error()
         reason = str(error) if isinstance(error, McKibbenError) else f"{type(error).__name__}: {error}".rstrip(": ")
         said: list[str] = []
         bench = self.bench

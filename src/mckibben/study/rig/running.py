@@ -21,7 +21,7 @@ from mckibben.rig.record import Event, Point, assemble, header_of, passages, poi
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
-from mckibben.rig.session import VENTED, ProgressCallback
+from mckibben.rig.session import VENTED, ProgressCallback, RigSession
 from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
 from mckibben.storage.files import check_free, file_lock, make_folder
 from mckibben.study.rig.document import (
@@ -271,8 +271,8 @@ def _run_session(
         backend.host_watchdog(),
         stop_on_signals() as stop_flag,
     ):
-        given = {"done": past.done, "origin": origin, "since": past.since, "report": report}
-        Runner(backend, bench, recorder, stop_flag=stop_flag, **given).run(checked.steps)
+        given = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}
+        Runner(RigSession(backend, bench, recorder, **given), done=past.done).run(checked.steps)
 
 
 def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> int:
