@@ -104,8 +104,8 @@ class SimulatedRigSettings(Checked, MuscleRig):
                 "force_sensor": replace(FORCE_SENSOR, noise=0.0),
                 "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
             }
-        rig = SimulatedRig(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
-        return RealTimeRig(rig) if self.paced else rig
+        kind = RealTimeRig if self.paced else SimulatedRig
+        return kind(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
 
 
 @dataclass(frozen=True, kw_only=True)
