@@ -27,7 +27,7 @@ from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.session import STOPPED
+from mckibben.rig.session import STOPPED, RigSession
 from mckibben.rig.simulated import (
     Burst,
     Fault,
@@ -116,7 +116,7 @@ def broken(fault: Fault, seed: int, folder: Path) -> str:
     bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
         try:
-            Runner(rig, bench, recorder).run(STEPS)  # type: ignore[arg-type]
+            Runner(RigSession(rig, bench, recorder)).run(STEPS)  # type: ignore[arg-type]
         except StoppedError as error:
             reason = str(error)
     twin.pass_time(1.5)

@@ -30,6 +30,7 @@ from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import Event, assemble, passages, points, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
+from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, SimulatedRig
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Vent, Walk
 from mckibben.units import bar, mm, percent
@@ -93,7 +94,7 @@ def go_on(folder: Path, told: int = -1) -> None:
             if told >= 0:
                 os.write(told, _REPORT.pack(record.rows))
 
-        Runner(twin, bench, record, done=points(events), since=since, report=report).run(STEPS)
+        Runner(RigSession(twin, bench, record, since=since, report=report), done=points(events)).run(STEPS)
 
 
 def killed(folder: Path, after: float) -> tuple[bool, int]:

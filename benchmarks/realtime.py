@@ -132,7 +132,7 @@ def print_runs(duration, period):
     print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for name, controller in (("PID", None), ("decoupling, 80 rad/s", DECOUPLING)):
-        session = prepare(scenario(duration, period, controller), JointRig(simulated={}))
+        session = prepare(scenario(duration, period, controller), JointRig.parse("rig: simulated"))
         with tempfile.TemporaryDirectory() as folder, Load() as load:
             ran = session.run(folder)
         timing = ran.timing

@@ -71,18 +71,46 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
         (("short.yaml", "--out", "run", "--duration", "3 bar"), "--duration"),
         (
             ("short.yaml", "--out", "run", "--rig", "wrong.yaml"),
-            "line 2, simulated.angle_step: unit 'bar'",
+            "line 2, rig.simulated.angle_step: unit 'bar'",
         ),
-        (("short.yaml", "--out", "run", "--rig", "both.yaml"), "has no rig; give one of simulated, nidaqmx"),
+        (("short.yaml", "--out", "run", "--rig", "none.yaml"), "rig: is missing; add it, such as `rig: simulated`"),
         (("short.yaml", "--out", "short.yaml"), "it is a file"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_moves(cli, short, tmp_path, arguments, text):
-    (tmp_path / "wrong.yaml").write_text("simulated:\n  angle_step: 5 bar\n", encoding="utf-8")
-    (tmp_path / "both.yaml").write_text("name: none\n", encoding="utf-8")
+    (tmp_path / "wrong.yaml").write_text("rig:\n  simulated: {angle_step: 5 bar}\n", encoding="utf-8")
+    (tmp_path / "none.yaml").write_text("name: none\n", encoding="utf-8")
     found = cli("rig", "control", *arguments)
     assert found.code == 2 and text in found.err, found.err
     assert not list(tmp_path.glob("run/record*"))
+
+
+_OWN = """from dataclasses import dataclass
+from mckibben.realtime import JointHardware, SimulatedJoint
+
+class LentBackend(SimulatedJoint):
+    physical = True
+    description = {"kind": "lent"}
+
+@dataclass(frozen=True)
+class LentJoint(JointHardware):
+    def backend(self, plant, run):
+        return LentBackend(plant, period=run.period, patience=run.patience)
+"""
+
+
+def test_hardware_of_an_extension_runs_and_its_missing_watchdog_is_reported(cli, short, tmp_path):
+    (tmp_path / "own_joint.py").write_text(_OWN, encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text("rig: {class: own_joint:LentJoint}\n", encoding="utf-8")
+    arguments = ("rig", "control", "short.yaml", "--rig", "rig.yaml", "--out", "run")
+    unknown = cli(*arguments)
+    assert unknown.code == 2 and "own_joint:LentJoint" in unknown.err and "--extension" in unknown.err
+    found = cli("--extension", "own_joint.py", *arguments)
+    assert found.code == 0, found.err
+    assert "the lent rig is vented by its own watchdog alone" in found.err
+    assert read_record(tmp_path / "run").header["backend"] == {"kind": "lent"}
+    refused = cli("--extension", "own_joint.py", *arguments[:-1], "other", "--unpaced")
+    assert refused.code == 2 and "--unpaced" in refused.err
 
 
 @pytest.mark.slow
@@ -98,7 +126,7 @@ def test_ctrl_c_vents_keeps_the_record_and_has_the_code_of_shells(cli, short, tm
     monkeypatch.setattr(RowBuffer, "flush", flush)
     found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
     assert found.code == 128 + signal.SIGINT
-    assert "stopped: stopped by SIGINT (Ctrl-C); both muscles were below 0.2 bar" in found.err
+    assert "stopped: interrupted by SIGINT (Ctrl-C); both muscles were below 0.2 bar" in found.err
     kept = read_record(tmp_path / "run")
     assert [event.kind for event in kept.events] == ["opened", "signal", "vented"]
     sample = kept.columns["sample"]

@@ -13,7 +13,7 @@ from mckibben.identification import Fit, read_law
 from mckibben.realtime.config import JointRig
 from mckibben.scenario import Scenario
 from mckibben.study.benchmark.suite import Suite
-from mckibben.study.rig.document import RigTest, rig_calibrations
+from mckibben.study.rig.document import MuscleCardSettings, RigTest
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -74,7 +74,7 @@ def test_hostile_calibrations_are_an_error_of_moderate_length(text, line, tmp_pa
     path = tmp_path / "calibration.json"
     path.write_text(text)
     with pytest.raises(ScenarioError) as caught:
-        rig_calibrations(path)
+        MuscleCardSettings(calibration=path).calibrations()
     assert len(str(caught.value)) < 5000
     assert line in [problem.line for problem in caught.value.problems]
 

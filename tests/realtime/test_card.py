@@ -68,7 +68,8 @@ def on_card():
             outputs={"valve1": "Dev1/ao0", "valve2": "Dev1/ao1"},
             counter="",
         )
-        return NiBackend(terminals, rate=1 / PERIOD, patience=5.0, server=address)
+        given = {"rate": 1 / PERIOD, "patience": 5.0, "server": address}
+        return NiBackend(terminals, calibrations=joint.calibrations, **given)
 
     yield make
     for server in servers:

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from mckibben.errors import ScenarioError
-from mckibben.realtime import JointRig, Wiring
-from mckibben.realtime.session import read_wiring
+from mckibben.realtime import JointRig, RunConditions, Wiring
+from mckibben.realtime.config import JointCardSettings
 from mckibben.units import bar, deg, kPa, ms
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig" / "joint-rig.yaml"
@@ -15,7 +15,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "rig" / "joint-rig.yaml"
 
 def test_the_example_says_what_the_defaults_are_but_for_the_angles():
     rig = JointRig.read(EXAMPLE)
-    assert rig.simulated.angle_step == pytest.approx(0.022 * deg) and rig.simulated.pressure_noise == 4 * kPa
+    assert rig.rig.angle_step == pytest.approx(0.022 * deg) and rig.rig.pressure_noise == 4 * kPa
     assert rig.limits.lowest_angle == -30 * deg and rig.limits.pressure == pytest.approx(8.4 * bar)
     assert rig.limits.silence == 20 * ms and rig.limits.late == 50 * ms
     assert (rig.approach.raising, rig.approach.settling, rig.patience) == (2.0, 2.0, 0.1)
@@ -24,7 +24,7 @@ def test_the_example_says_what_the_defaults_are_but_for_the_angles():
 def test_calibrations_come_back_from_their_file(tmp_path):
     path = tmp_path / "knee.json"
     path.write_text(json.dumps(Wiring().to_json()), encoding="utf-8")
-    assert read_wiring(path) == Wiring()
+    assert Wiring.of(JointCardSettings(calibration=path).calibrations()) == Wiring()
 
 
 def test_all_that_is_wrong_with_calibrations_is_said_at_once(tmp_path):
@@ -36,18 +36,16 @@ def test_all_that_is_wrong_with_calibrations_is_said_at_once(tmp_path):
     path = tmp_path / "knee.json"
     path.write_text(json.dumps(form), encoding="utf-8")
     with pytest.raises(ScenarioError) as error:
-        read_wiring(path)
+        JointCardSettings(calibration=path).calibrations()
     assert {problem.field for problem in error.value.problems} == {"valve2", "angle", "force", "pressure1"}
 
 
-def test_a_card_is_wired_as_it_is_said(tmp_path):
-    from mckibben.realtime.session import _card
-
+def test_a_card_is_wired_as_it_is_said(tmp_path, stiff):
     (tmp_path / "knee.json").write_text(json.dumps(Wiring().to_json()), encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(
-        "nidaqmx: {device: Dev2, pressure2: ai5, calibration: knee.json}\n", encoding="utf-8"
+        "rig: {nidaqmx: {device: Dev2, pressure2: ai5, calibration: knee.json}}\n", encoding="utf-8"
     )
-    card = _card(JointRig.read(tmp_path / "rig.yaml").nidaqmx, 2 * ms, 0.5)
+    card = JointRig.read(tmp_path / "rig.yaml").rig.backend(stiff.plant, RunConditions(2 * ms, 0.5))
     assert Wiring(**card.calibrations) == Wiring() and (card.rate, card.patience) == (500.0, 0.5)
     assert {channel.name: channel.where for channel in (*card.inputs, *card.outputs)} == {
         "angle": "Dev2/ai0",
@@ -56,3 +54,11 @@ def test_a_card_is_wired_as_it_is_said(tmp_path):
         "valve1": "Dev2/ao0",
         "valve2": "Dev2/ao1",
     }
+
+
+@pytest.mark.parametrize("key", ["virtual", "simulated", "nidaqmx"])
+def test_a_former_key_of_the_hardware_names_the_present_one(key):
+    with pytest.raises(ScenarioError) as error:
+        JointRig.parse(f"name: knee\n{key}: {{}}\n")
+    (problem,) = error.value.problems
+    assert (problem.line, problem.field) == (2, key) and "rig: {" in problem.remedy

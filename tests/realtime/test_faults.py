@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RigError, StoppedError
-from mckibben.realtime import JointSession, Wiring, loop
-from mckibben.realtime.loop import StopFlag
+from mckibben.realtime import JointSession, loop
 from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.rig.recorder import Recorder
+from mckibben.rig.safety import StopFlag
 from mckibben.rig.simulated.faults import (
     HostDelayed,
     SamplesDelayed,
@@ -190,7 +190,7 @@ def test_a_host_that_dies_is_found_by_the_rig_itself(stiff):
 def session(stiff, joint, plan):
     """A run without reference and result: it is about the record."""
     header = {"what": "joint rig"}
-    return JointSession(stiff.scenario, stiff.plant, None, joint, Wiring(), LIMITS, plan, stiff.control, header)
+    return JointSession(stiff.scenario, stiff.plant, None, joint, LIMITS, plan, stiff.control, header)
 
 
 def test_a_folder_that_vanishes_stops_the_run_at_once(stiff, watched, tmp_path):
@@ -204,6 +204,17 @@ def test_a_folder_that_vanishes_stops_the_run_at_once(stiff, watched, tmp_path):
     with pytest.raises(StoppedError, match=f"nothing is kept at {folder};.*; both muscles were below 0.2 bar"):
         session(stiff, joint, stiff.plan(5000)).run(folder, progress=progress)
     assert joint.vented_at < 1.5
+
+
+def test_a_rig_that_is_not_there_leaves_no_record(stiff, tmp_path, monkeypatch):
+    def missing():
+        raise RigError("no device Dev1")
+
+    joint = stiff.joint()
+    monkeypatch.setattr(joint, "open", missing)
+    with pytest.raises(RigError, match="no device Dev1"):
+        session(stiff, joint, stiff.plan(5)).run(tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_record_whose_end_is_not_written_is_no_completed_run(stiff, watched, tmp_path, monkeypatch):

@@ -11,9 +11,9 @@ from mckibben.errors import ExportError, RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.realtime import ControlProgram, JointLimits, Sensing, Timing, compiled_step
 from mckibben.realtime.compiled_step import FlatTree, vented_angle
-from mckibben.realtime.config import Wiring
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Phase, RowBuffer
+from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import Backend
 from mckibben.rig.safety import JointMonitor
 from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped

@@ -324,3 +324,12 @@ def test_something_else_is_no_record(tmp_path):
 def test_it_is_read_a_chunk_at_a_time(filled):
     kinds = [isinstance(one, Event) for one in passages(filled)]
     assert kinds == [False, True] * 50
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_record_that_an_error_ended_is_left_if_anything_was_recorded(tmp_path, kept):
+    with pytest.raises(RigError, match="no device"), Recorder.create(tmp_path, {}, [Column("x", "V")]) as recorder:
+        if kept:
+            recorder.event("opened")
+        raise RigError("no device")
+    assert len(segments(tmp_path)) == kept

@@ -17,6 +17,8 @@ from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
+from mckibben.rig.safety import StopFlag
+from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
 from mckibben.rig.steps import (
     Acquire,
@@ -49,7 +51,7 @@ def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **
     twin = twin or SimulatedRig(muscle, seed=3, regulator=EXACT)
     bench = Bench(of=of, drive=twin.drive, calibrations=twin.calibrations, limits=limits, steady=0.3)
     with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
-        Runner(twin, bench, recorder, **given).run(steps)
+        Runner(RigSession(twin, bench, recorder, **given)).run(steps)
     twin.pass_time(1.5)
     assert twin.truth.pressure < 0.2 * bar
     return bench
@@ -113,12 +115,12 @@ class Interrupting:
     """Counts cycles, and interrupts a test after so many."""
 
     def __init__(self, after=0):
-        self.after, self.cycles, self.runner = after, 0, None
+        self.after, self.cycles, self.stop_flag = after, 0, StopFlag()
 
     def __call__(self, progress):
         self.cycles += 1
         if self.cycles == self.after:
-            self.runner.interrupt(signal.SIGINT, "SIGINT")
+            self.stop_flag.signal = signal.SIGINT
 
 
 def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
@@ -142,8 +144,9 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
         with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
             interrupting = Interrupting(after)
-            runner = interrupting.runner = Runner(twin, bench, recorder, report=interrupting)
-            with pytest.raises(SignalledError, match=r"interrupted \(SIGINT\); the muscle is vented") as stopped:
+            flag = interrupting.stop_flag
+            runner = Runner(RigSession(twin, bench, recorder, report=interrupting, stop_flag=flag))
+            with pytest.raises(SignalledError, match=r"by SIGINT \(Ctrl-C\); the muscle is vented") as stopped:
                 runner.run(steps)
         assert stopped.value.signal == signal.SIGINT
         assert twin.truth.pressure < 0.2 * bar
@@ -155,7 +158,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
             again = SimulatedRig(slow, seed=4, regulator=EXACT)
             since = float(record.columns["time"][-1]) + 1e-3
-            Runner(again, bench, recorder, done=done, since=since).run(steps)
+            Runner(RigSession(again, bench, recorder, since=since), done=done).run(steps)
         data = assemble(folder, bench)
         np.testing.assert_allclose(data.contraction, whole.contraction, atol=1e-9)
         np.testing.assert_array_equal(data.table["repeat"], whole.table["repeat"])
@@ -172,7 +175,7 @@ def test_it_goes_on_from_where_the_motor_stands(tmp_path):
     bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.create(tmp_path, {}, columns_of(["force", "pressure"])) as recorder:
         steps = [Pressurise(pressure=2 * bar), Move(to=3 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
-        Runner(twin, bench, recorder, origin=bench.pulses_at(4 * percent)).run(steps)
+        Runner(RigSession(twin, bench, recorder, origin=bench.pulses_at(4 * percent))).run(steps)
     data = assemble(tmp_path, bench)
     assert data.contraction == pytest.approx(0.03)
     assert data.force == pytest.approx(forces(MUSCLE, 0.03, data.pressure), abs=0.5)

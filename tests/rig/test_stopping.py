@@ -8,11 +8,13 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
 from mckibben.muscle import Muscle
-from mckibben.rig.backend import Block
+from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
+from mckibben.rig.safety import StopFlag
+from mckibben.rig.session import RigSession
 from mckibben.rig.simulated import Regulator, SamplesStopped, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Walk
 from mckibben.units import bar, mm, percent
@@ -24,6 +26,8 @@ UNDER_PRESSURE = [Pressurise(pressure=2 * bar), Dwell(duration=5.0)]
 
 class Around:
     """A twin whose methods do something else from some reading on."""
+
+    opened = Backend.opened
 
     def __init__(self, twin, after, **instead):
         self._twin, self._after, self._instead, self.reads = twin, after, instead, 0
@@ -48,10 +52,8 @@ class Around:
 def start(folder, rig, steps, **given):
     bench = Bench(of=MUSCLE, drive=rig.drive, calibrations=rig.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
-        runner = Runner(rig, bench, recorder, **given)
-        if hasattr(given.get("report"), "runner"):
-            given["report"].runner = runner
-        runner.run(steps)
+        stop_flag = getattr(given.get("report"), "stop_flag", None)
+        Runner(RigSession(rig, bench, recorder, stop_flag=stop_flag, **given)).run(steps)
 
 
 def twin(**given):
@@ -66,15 +68,13 @@ def empty(rig):
 class Signalling:
     """Interrupts a test after so many cycles."""
 
-    runner = None
-
     def __init__(self, after):
-        self.left = after
+        self.left, self.stop_flag = after, StopFlag()
 
     def __call__(self, progress):
         self.left -= 1
         if self.left == 0:
-            self.runner.interrupt(signal.SIGINT, "SIGINT")
+            self.stop_flag.signal = signal.SIGINT
 
 
 def test_a_signal_that_comes_again_while_it_stops_cuts_the_watching_short(tmp_path):
@@ -96,7 +96,7 @@ def test_a_signal_that_comes_again_at_once_is_told_as_that_signal(tmp_path):
                 raise KeyboardInterrupt
 
     rig = twin()
-    with pytest.raises(SignalledError, match=r"interrupted \(SIGINT\); the muscle is vented") as stopped:
+    with pytest.raises(SignalledError, match=r"interrupted by SIGINT \(Ctrl-C\); the muscle is vented") as stopped:
         start(tmp_path, rig, UNDER_PRESSURE, report=Twice(20))
     assert stopped.value.signal == signal.SIGINT and empty(rig)
 
@@ -204,9 +204,9 @@ def resumed(folder, steps, stop_at, *, again=None, origin=0):
 
     def report(progress):
         if progress.points >= stop_at:
-            report.runner.interrupt(signal.SIGINT, "SIGINT")
+            report.stop_flag.signal = signal.SIGINT
 
-    report.runner = None
+    report.stop_flag = StopFlag()
     rig = twin()
     with pytest.raises(SignalledError):
         start(folder, rig, steps, report=report)
@@ -214,9 +214,8 @@ def resumed(folder, steps, stop_at, *, again=None, origin=0):
     again = again or twin()
     bench = Bench(of=MUSCLE, drive=again.drive, calibrations=again.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
-        Runner(again, bench, recorder, done=done, origin=origin, since=read_record(folder).columns["time"][-1]).run(
-            steps
-        )
+        since = read_record(folder).columns["time"][-1]
+        Runner(RigSession(again, bench, recorder, origin=origin, since=since), done=done).run(steps)
     return recorded_points(folder)
 
 

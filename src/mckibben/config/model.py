@@ -270,7 +270,7 @@ class _Diagnosis:
         """The key that an unknown one may stand for, of those not given yet, or else an empty text; and a remedy."""
         around, key = self.model_at(place[:-1]), str(place[-1])
         if around is not None and issubclass(around, ConfigModel) and (present := around.former(key)):
-            return present, f"write `{present}`"
+            return present.partition(":")[0], f"write `{present}`"
         keys = _keys_of(around)
         free = [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
         return closest(key, free), suggest(key, free)

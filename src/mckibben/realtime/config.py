@@ -1,180 +1,109 @@
-"""Configuration file of a joint rig: terminals, calibrations, limits."""
+"""Configuration file of a joint rig: hardware, limits, approach."""
 
 from __future__ import annotations
 
-import math
+import abc
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, NamedTuple
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field
 
-from mckibben.component.schema import section_of
-from mckibben.config.fields import FilePath, Title
-from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
-from mckibben.errors import Problem, RigError
-from mckibben.rig.backend import AnalogChannel, Backend
+from mckibben.component.base import Checked
+from mckibben.component.classes import Keyed
+from mckibben.component.schema import Part, section_of
+from mckibben.config.fields import Title
+from mckibben.config.model import ConfigModel, parse_model, read_text
+from mckibben.plant import JointPlant, PlantState
+from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
+from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
-from mckibben.rig.calibration import Calibration
-from mckibben.units import (
-    BoundedInt,
-    Duration,
-    Quantity,
-    WaitTime,
-    bar,
-    deg,
-)
+from mckibben.rig.ni import NiBackend
+from mckibben.rig.ni.settings import CardSettings
+from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitTime
 
 
-class JointReading(NamedTuple):
-    """Measured angle [rad] and gauge pressures [Pa]."""
+class RunConditions(NamedTuple):
+    """Conditions of a run, for the hardware of a joint rig.
 
-    angle: float
-    pressure1: float
-    pressure2: float
+    Attributes
+    ----------
+    period, patience
+        Control period, which is the sampling period, and timeout of the watchdog [s].
+    substeps, paced
+        Of a simulated joint: integration steps per period, and whether it runs in real time.
+    start
+        Of a simulated joint: state at which it starts, with ideal sensors; vented, with its own sensors, if None.
+    """
+
+    period: float
+    patience: float
+    substeps: int = 4
+    paced: bool = True
+    start: PlantState | None = None
 
 
-class _Line(NamedTuple):
-    """Column and calibration of a sensor, and its working range [V]."""
+class JointHardware(Keyed, Checked, abc.ABC):
+    """Hardware of a joint rig, in its file: a backend, or the settings of one."""
 
-    name: str
-    column: int
-    gain: float
-    offset: float
-    tare: float
-    low: float
-    high: float
+    physical: ClassVar[bool] = True
+    """Whether it moves a real joint."""
+
+    @abc.abstractmethod
+    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+        """Return the backend, closed; `plant` is that of the scenario."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wiring:
-    """Calibrations of the three sensors and two valves of a joint, by channel.
+class SimulatedJointSettings(JointHardware):
+    """The plant of the scenario, with these sensors, see `Sensing`."""
 
-    Defaults are those of common devices: a potentiometer of 340 deg on 10 V, pressure sensors with 1 to 5 V
-    for 0 to 10 bar, and regulators (ITV0050 class) that give 9 bar at 10 V.
-    """
+    short_name = "simulated"
+    physical = False
 
-    angle: Calibration = Calibration(
-        name="angle", unit="rad", gain=36 * deg, offset=5.0, low=-170 * deg, high=170 * deg
-    )
-    pressure1: Calibration = Calibration(
-        name="pressure1", unit="Pa", gain=2.5 * bar, offset=1.0, low=-0.3 * bar, high=10 * bar
-    )
-    pressure2: Calibration = Calibration(
-        name="pressure2", unit="Pa", gain=2.5 * bar, offset=1.0, low=-0.3 * bar, high=10 * bar
-    )
-    valve1: Calibration = Calibration(name="valve1", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar)
-    valve2: Calibration = Calibration(name="valve2", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar)
-
-    @property
-    def sensors(self) -> tuple[Calibration, Calibration, Calibration]:
-        """Calibrations of angle and pressures."""
-        return self.angle, self.pressure1, self.pressure2
-
-    @property
-    def valves(self) -> tuple[Calibration, Calibration]:
-        """Calibrations of both valves."""
-        return self.valve1, self.valve2
-
-    def to_json(self) -> dict[str, Any]:
-        """As a JSON object, by channel."""
-        return {field.name: getattr(self, field.name).to_json() for field in fields(self)}
-
-    def connected(self, backend: Backend) -> Connected:
-        """Calibrations on the channels of a backend; `RigError` if channels are missing."""
-        inputs, outputs = [one.name for one in backend.inputs], [one.name for one in backend.outputs]
-        missing = [c.name for c in self.sensors if c.name not in inputs]
-        missing += [c.name for c in self.valves if c.name not in outputs]
-        if missing:
-            raise RigError(
-                f"the rig has no {', '.join(missing)}: its inputs are {', '.join(inputs)}, its outputs "
-                f"{', '.join(outputs)}",
-                remedy="connect them, and name the channels so",
-            )
-        return Connected(self, backend.inputs, backend.outputs)
-
-
-class Connected:
-    """Calibrations on the channels of a backend, as plain floats for the real-time loop."""
-
-    def __init__(self, wiring: Wiring, inputs: Sequence[AnalogChannel], outputs: Sequence[AnalogChannel]) -> None:
-        self.wiring = wiring
-        names = [one.name for one in inputs]
-        self._lines = [_line(c, names.index(c.name), inputs) for c in wiring.sensors]
-        names = [one.name for one in outputs]
-        at = [names.index(c.name) for c in wiring.valves]
-        self._order = [at.index(i) for i in range(len(names))] if sorted(at) == list(range(len(names))) else None
-        if self._order is None:
-            raise RigError(
-                f"a joint rig has two valves, and this one {len(names)} outputs ({', '.join(names)})",
-                remedy="leave the others out",
-            )
-        self._outputs = outputs
-
-    def picked(self, volts: Sequence[float]) -> list[float]:
-        """Volts of angle and pressures, of those of all inputs."""
-        return [volts[line.column] for line in self._lines]
-
-    def reading(self, volts: Sequence[float]) -> JointReading:
-        """Reading of one sample; NaN for a lost sensor."""
-        return JointReading(
-            *(
-                (volts[line.column] - line.offset) * line.gain - line.tare
-                if line.low < volts[line.column] < line.high
-                else math.nan
-                for line in self._lines
-            )
-        )
-
-    def volts(self, commands: Sequence[float]) -> list[float]:
-        """Signals of the outputs [V] for commands of muscles 1 and 2 [Pa]."""
-        signals = [
-            (command + valve.tare) / valve.gain + valve.offset
-            for command, valve in zip(commands, self.wiring.valves, strict=True)
-        ]
-        assert self._order is not None
-        return [signals[i] for i in self._order]
-
-    def check(self, low: float, high: float) -> list[Problem]:
-        """Violations of commands from low to high [Pa]."""
-        assert self._order is not None
-        channels = {channel.name: channel for channel in self._outputs}
-        return [problem for c in self.wiring.valves for problem in c.check(low, high, channels[c.name])]
-
-
-def _line(calibration: Calibration, column: int, inputs: Sequence[AnalogChannel]) -> _Line:
-    low, high = calibration.limits
-    low, high = max(low, inputs[column].low), min(high, inputs[column].high)
-    return _Line(calibration.name, column, calibration.gain, calibration.offset, calibration.tare, low, high)
-
-
-_Step = Annotated[float, Quantity("rad", "deg", 0, 10)]
-_Noise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3)]
-
-
-class SimulatedJointSettings(ConfigModel):
-    """Sensors of the simulated joint, see `Sensing`; the joint is the scenario's own plant."""
-
-    angle_step: _Step | None = None
-    pressure_noise: _Noise | None = None
+    angle_step: AngleStep = Sensing.angle_step
+    pressure_noise: PressureNoise = Sensing.pressure_noise
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
+    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+        """Return the simulated joint."""
+        return SimulatedJoint(
+            plant,
+            period=run.period,
+            substeps=run.substeps,
+            start=run.start,
+            sensing=Sensing(self.angle_step, self.pressure_noise) if run.start is None else PERFECT,
+            patience=run.patience,
+            paced=run.paced,
+            seed=self.seed,
+        )
 
-class JointCardSettings(ConfigModel):
-    """Terminals of an NI card, and the file of the five calibrations."""
 
-    device: str
+@dataclass(frozen=True, kw_only=True)
+class JointCardSettings(CardSettings, JointHardware):
+    """A card of National Instruments, see `NiBackend`, which samples once per control period."""
+
+    short_name = "nidaqmx"
+    sensors = MappingProxyType({"angle": "rad", "pressure1": "Pa", "pressure2": "Pa"})
+    valves = MappingProxyType({"valve1": "Pa", "valve2": "Pa"})
+
     angle: str = "ai0"
     pressure1: str = "ai1"
     pressure2: str = "ai2"
     valve1: str = "ao0"
     valve2: str = "ao1"
-    heartbeat: str = "port0/line0"
-    hold: str = "port0/line1"
-    server: str = ""
-    calibration: FilePath
+
+    def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
+        """Return the card."""
+        return NiBackend(
+            self.terminals(),
+            rate=1 / run.period,
+            patience=run.patience,
+            server=self.server,
+            calibrations=self.calibrations(),
+        )
 
 
 class JointLimitsSettings(section_of(JointLimits, partial=True)):
@@ -198,39 +127,33 @@ class JointRig(ConfigModel):
     (2.0, 0.1)
     """
 
-    renamed: ClassVar = {"virtual": "simulated"}
+    renamed: ClassVar = {
+        "virtual": "rig: {simulated: ...}",
+        "simulated": "rig: {simulated: ...}",
+        "nidaqmx": "rig: {nidaqmx: ...}",
+    }
 
     name: Title = Field("simulated joint", examples=["knee on the bench"])
-    simulated: SimulatedJointSettings | None = None
-    nidaqmx: JointCardSettings | None = Field(None, validate_default=True)
+    rig: Annotated[JointHardware, Part(JointHardware)] = Field(examples=["simulated"])
     limits: JointLimitsSettings = JointLimitsSettings()
     approach: ApproachSettings = ApproachSettings()
     patience: Duration = 0.1
-
-    @field_validator("simulated", mode="before")
-    @classmethod
-    def _word_alone(cls, value: Any) -> Any:
-        return {} if value == "" else value
-
-    @field_validator("nidaqmx", mode="after")
-    @classmethod
-    def _one(cls, value: Any, info: ValidationInfo) -> Any:
-        simulated = info.data.get("simulated", "wrong")
-        if (simulated is None) == (value is None):
-            what = "is simulated and nidaqmx at once" if value is not None else "has no rig"
-            fail_validation(what, "give one of simulated, nidaqmx", parent=True)
-        return value
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> JointRig:
         """Read a file; `ScenarioError` with all problems: line, field, value, allowed range and remedy."""
         text = read_text(path, "a joint rig", "examples/rig/joint-rig.yaml")
-        return parse_model(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
+        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "joint rig", folder: str | os.PathLike[str] = ".") -> JointRig:
+        """Read a joint rig from text, in which paths are relative to a folder; as `read`."""
+        return parse_model(cls, text, source=source, folder=folder)[0]
 
     @property
     def physical(self) -> bool:
         """Whether it moves a real joint."""
-        return self.simulated is None
+        return self.rig.physical
 
     def to_json(self) -> dict[str, Any]:
         """Explicit fields with units, for the record."""

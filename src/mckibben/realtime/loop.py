@@ -7,7 +7,6 @@ import ctypes
 import gc
 import math
 import os
-import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,15 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedError
+from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.realtime.compiled_step import ControlProgram
-from mckibben.realtime.config import Connected, JointReading, Wiring
 from mckibben.realtime.record import Phase, RowBuffer
+from mckibben.realtime.wiring import Connected, JointReading
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import JointMonitor
-from mckibben.storage.files import handle_signals
+from mckibben.rig.safety import JointMonitor, StopFlag
 from mckibben.units import bar
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
@@ -117,25 +115,6 @@ class RunOutcome:
         return f"both muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
 
 
-class StopFlag:
-    """Number of the signal that was received; 0 for none. Checked once a period."""
-
-    def __init__(self) -> None:
-        self.signal = 0
-
-
-@contextlib.contextmanager
-def stop_on_signals() -> Iterator[StopFlag]:
-    """Set a flag on the signals that `handle_signals` handles."""
-    flag = StopFlag()
-
-    def note(number: int) -> None:
-        flag.signal = number
-
-    with handle_signals(note):
-        yield flag
-
-
 @contextlib.contextmanager
 def realtime_process_settings() -> Iterator[str]:
     """Reduce the jitter of this process; yields "real-time" or, without the permission, "ordinary" priority."""
@@ -188,7 +167,6 @@ def control(
     limits: JointLimits,
     recorder: Recorder,
     *,
-    wiring: Wiring | None = None,
     stop_flag: StopFlag | None = None,
     progress: Callable[[RunProgress], None] | None = None,
 ) -> RunOutcome:
@@ -203,18 +181,13 @@ def control(
     RigError
         If the backend does not fit, before anything moves.
     """
-    connected = (wiring or Wiring()).connected(backend)
+    connected = Connected(backend)
     _check(backend, plan, connected)
     rows = RowBuffer(recorder, program.telemetry)
     monitor = JointMonitor(backend, limits, connected.wiring.sensors, plan.period)
     loop = ControlLoop(backend, program, plan, monitor, rows, connected, stop_flag or StopFlag(), progress)
-    try:
-        backend.open()
-    except BaseException:
-        backend.close()
-        raise
     error: McKibbenError | None = None
-    try:
+    with backend.opened():
         try:
             with monitor.guard():
                 rows.event("opened", "", backend=dict(backend.description))
@@ -237,8 +210,6 @@ def control(
         outcome = RunOutcome(kind, text, error, found.duration)
         _note(rows, "vented" if found.duration is not None else "not vented", outcome.venting)
         return outcome
-    finally:
-        backend.close()
 
 
 _KINDS = {"SignalledError": "signal", "SilentError": "silent", "StoppedError": "stopped", "RigError": "rig"}
@@ -303,10 +274,7 @@ class ControlLoop:
         total, backend, plan = self._plan.periods, self._backend, self._plan
         silence = self._monitor.limits.silence
         while self._next < total:
-            if self._stop_flag.signal:
-                number = self._stop_flag.signal
-                text = f"stopped by {signal.Signals(number).name}" + (" (Ctrl-C)" if number == signal.SIGINT else "")
-                raise SignalledError(text, signal=number)
+            self._stop_flag.check()
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
             self._step(block.first, block.time.tolist(), block.volts.tolist(), backend.clock())
         end = self._next * plan.period

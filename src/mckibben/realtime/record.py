@@ -14,7 +14,7 @@ from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.config import JointReading
+from mckibben.realtime.wiring import JointReading
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Feasibility, Result, compiled_trajectory

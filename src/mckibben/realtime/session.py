@@ -4,35 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import platform
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-import mckibben
 from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError, StoppedError
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import JointPlant
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
-from mckibben.realtime.config import JointCardSettings, JointRig, Wiring
+from mckibben.realtime.config import JointRig, RunConditions
 from mckibben.realtime.loop import (
     RunOutcome,
     RunPlan,
     RunProgress,
     control,
     realtime_process_settings,
-    stop_on_signals,
 )
 from mckibben.realtime.record import Timing, columns, measured_result
-from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
+from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
-from mckibben.rig.calibration import read_calibrations
 from mckibben.rig.record import read_record, segments
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.recorder import Recorder, software_versions
+from mckibben.rig.safety import stop_on_signals
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
@@ -70,7 +65,6 @@ class JointSession:
     plant: JointPlant
     reach: Feasibility
     backend: Backend
-    wiring: Wiring
     limits: JointLimits
     plan: RunPlan
     program: ControlProgram
@@ -98,23 +92,19 @@ class JointSession:
             realtime_process_settings() as priority,
         ):
             header = {**self.header, "priority": priority}
-            recorder = Recorder.create(folder, header, columns(self.program.telemetry))
             try:
-                with recorder:
+                with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
                     outcome = control(
                         self.backend,
                         self.program,
                         self.plan,
                         self.limits,
                         recorder,
-                        wiring=self.wiring,
                         stop_flag=stop_flag,
                         progress=progress,
                     )
             except RigError as error:
                 if outcome is None:
-                    if recorder.rows == 0:  # nothing has moved: the folder may be used again
-                        recorder.path.unlink()
                     raise
                 if outcome.completed:  # the end of the record was not written
                     outcome = RunOutcome("rig", str(error), error, outcome.vented_after)
@@ -154,7 +144,7 @@ def prepare(
     ScenarioError
         If parts of the scenario make no sense together, or a calibration cannot be read.
     """
-    rig = rig or JointRig.model_validate({"simulated": {}})
+    rig = rig or JointRig.parse("rig: simulated")
     if ideal and rig.physical:
         raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
@@ -184,25 +174,19 @@ def prepare(
         command_limits=_rated(plant),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
-    backend = _backend(rig, plant, scenario, start if ideal else None, paced, ideal)
-    wiring = Wiring(**backend.calibrations)
+    conditions = RunConditions(period, rig.patience, scenario.substeps, paced, start if ideal else None)
+    backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",
         "scenario": scenario.dumps(),
         "rig": rig.to_json(),
         "backend": dict(backend.description),
-        "calibrations": wiring.to_json(),
+        "calibrations": Wiring.of(backend.calibrations).to_json(),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
         "plan": {"raising": plan.raising, "settling": plan.settling, "run": len(references), "period": period},
-        "versions": {
-            "mckibben": mckibben.__version__,
-            "python": platform.python_version(),
-            "jax": version("jax"),
-            "numpy": version("numpy"),
-            "system": platform.platform(),
-        },
+        "versions": software_versions("jax", "numpy"),
     }
-    return JointSession(scenario, plant, reach, backend, wiring, limits, plan, program, header)
+    return JointSession(scenario, plant, reach, backend, limits, plan, program, header)
 
 
 def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -223,59 +207,6 @@ def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[
         "pressure": _ABOVE * max(high for _, high in _rated(plant)),
     }
     return JointLimits(**defaults | given)
-
-
-def _backend(
-    rig: JointRig, plant: JointPlant, scenario: Scenario, start: PlantState | None, paced: bool, ideal: bool
-) -> Backend:
-    period = scenario.control_period
-    if rig.nidaqmx is not None:
-        return _card(rig.nidaqmx, period, rig.patience)
-    spec = rig.simulated
-    assert spec is not None  # the model of the rig sees to it
-    given = {name: value for name, value in spec if value is not None and name != "seed"}
-    return SimulatedJoint(
-        plant,
-        period=period,
-        substeps=scenario.substeps,
-        start=start,
-        sensing=PERFECT if ideal else Sensing(**given),
-        patience=rig.patience,
-        paced=paced,
-        seed=spec.seed,
-    )
-
-
-def _card(spec: JointCardSettings, period: float, patience: float) -> Backend:
-    from mckibben.rig import ni
-
-    def terminal(name: str) -> str:
-        return f"{spec.device}/{name}"
-
-    terminals = ni.Terminals(
-        inputs={name: terminal(getattr(spec, name)) for name in ("angle", "pressure1", "pressure2")},
-        outputs={name: terminal(getattr(spec, name)) for name in ("valve1", "valve2")},
-        heartbeat=terminal(spec.heartbeat),
-        hold=terminal(spec.hold),
-        counter="",
-    )
-    calibrations = vars(read_wiring(spec.calibration))
-    return ni.NiBackend(terminals, rate=1 / period, patience=patience, server=spec.server, calibrations=calibrations)
-
-
-def read_wiring(path: str | os.PathLike[str]) -> Wiring:
-    """The five calibrations of a JSON file, by the names of their channels; `ScenarioError` with all problems."""
-    names = [field.name for field in dataclasses.fields(Wiring)]
-    remedy = f"it needs {', '.join(names)}"
-    found, problems = read_calibrations(Path(path), names, remedy)
-    problems += [Problem("is no channel of a joint", field=name, remedy=remedy) for name in found if name not in names]
-    for name, one in found.items():
-        unit = "rad" if name == "angle" else "Pa"
-        if (one.name, one.unit) != (name, unit):
-            problems.append(Problem(f"is of {one.name!r} in {one.unit}, not in {unit}", field=name))
-    if problems:
-        raise ScenarioError(str(path), problems)
-    return Wiring(**found)
 
 
 @contextmanager

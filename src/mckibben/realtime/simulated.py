@@ -14,7 +14,7 @@ from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
-from mckibben.realtime.config import Wiring
+from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import (

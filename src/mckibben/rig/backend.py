@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from numpy import float64, int64
@@ -105,6 +105,22 @@ class Backend(abc.ABC):
     def close(self) -> None:
         """Vent, stop, and close the devices. Never raises."""
 
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """Context in which it is open; closed if it cannot be opened, and vented and closed at the end."""
+        try:
+            self.open()
+        except BaseException:
+            self.close()
+            raise
+        try:
+            yield
+        finally:
+            try:
+                self.vent()
+            finally:  # even where another signal comes in between
+                self.close()
+
     def host_watchdog(self) -> AbstractContextManager[None]:
         """Context in which the rig is vented if this process dies; unless overridden there is none, and a warning."""
         if self.physical:
@@ -116,11 +132,8 @@ class Backend(abc.ABC):
         """Status of its channels, vented and at rest; each sensor is read for 0.1 s unless overridden."""
         kind = self.description["kind"]
         yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
-        self.open()
-        try:
+        with self.opened():
             volts = self.read(max(1, round(0.1 * self.rate))).volts
-        finally:
-            self.close()
         for channel, read in zip(self.inputs, volts.T, strict=True):
             calibration, mean = self.calibrations[channel.name], f"{read.mean():.4f} V"
             problem = f"{mean}, lost: check its plug and its supply" if calibration.lost(read, channel).any() else ""

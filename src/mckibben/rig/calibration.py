@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -228,8 +228,9 @@ def calibrate(
     )
 
 
-def read_calibrations(path: Path, needed: Iterable[str], remedy: str) -> tuple[dict[str, Calibration], list[Problem]]:
-    """Calibrations of a JSON file by channel, and the problems of others; `remedy` is for those that are missing."""
+def read_calibrations(path: Path, units: Mapping[str, str]) -> dict[str, Calibration]:
+    """Calibrations of a JSON file by channel; `units` are those of the channels. `ScenarioError` with all problems."""
+    remedy = f"it needs {', '.join(units)}, see docs/rig-hardware.md"
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
@@ -238,10 +239,18 @@ def read_calibrations(path: Path, needed: Iterable[str], remedy: str) -> tuple[d
     if not isinstance(content, dict):
         raise ScenarioError(str(path), [Problem("is no mapping of calibrations", remedy=remedy)])
     found: dict[str, Calibration] = {}
-    problems = [Problem("is missing", field=name, remedy=remedy) for name in needed if name not in content]
+    problems = [Problem("is missing", field=name, remedy=remedy) for name in units if name not in content]
     for name, form in content.items():
+        if name not in units:
+            problems.append(Problem("is not a channel of this rig", field=name, remedy=remedy))
+            continue
         try:
-            found[name] = Calibration.from_json(form)
+            one = found[name] = Calibration.from_json(form)
         except (McKibbenError, TypeError, AttributeError) as error:
             problems.append(Problem(str(error), field=name))
-    return found, problems
+            continue
+        if (one.name, one.unit) != (name, units[name]):
+            problems.append(Problem(f"is of {one.name!r} in {one.unit}, not in {units[name]}", field=name))
+    if problems:
+        raise ScenarioError(str(path), problems)
+    return found

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+import mckibben
 from mckibben.errors import FileError, Problem, RangeError, RigError
 from mckibben.rig.record import EVENT, SAMPLES, VERSION, Column, pack_rows, read_header, rows_in, segments
 from mckibben.storage.files import make_folder
@@ -29,13 +32,17 @@ _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class Recorder:
-    """Appends samples and events to a record; a thread writes and syncs them, into a reserve if the disk is full."""
+    """Appends samples and events to a record; a thread writes and syncs them, into a reserve if the disk is full.
+
+    As a context it is closed at the end; after an error before the first sample or event, nothing is left of it.
+    """
 
     def __init__(self, path: Path, header: Mapping[str, Any], columns: Sequence[Column], first: int) -> None:
         self.path = path
         self.columns = tuple(columns)
         self._row_size = sum(column.stored.itemsize for column in self.columns)
         self._rows = first  # appended
+        self._is_empty = True
         self._written = first  # of those, in the file
         self._pending: list[list[np.ndarray] | bytes] = []
         self._bytes = 0
@@ -105,6 +112,7 @@ class Recorder:
                 self._change.wait(PERIOD)
             self._raise_failure()
             self._pending.append(arrays)
+            self._is_empty = False
             self._bytes += count * self._row_size
             self._rows += count
 
@@ -116,6 +124,7 @@ class Recorder:
             self._raise_closed()
             self._raise_failure(but_full=True)
             self._pending.append(chunk)
+            self._is_empty = False
 
     def flush(self) -> None:
         """Return when everything is on the disk that was appended before."""
@@ -147,6 +156,8 @@ class Recorder:
         except RigError:
             if error is None:  # what went wrong first says more
                 raise
+        if error is not None and self._is_empty:
+            self.path.unlink(missing_ok=True)
 
     def _raise_closed(self) -> None:
         if self._closing:
@@ -210,6 +221,12 @@ class Recorder:
             self._journal.append(content)
             with self._change:
                 self._failure = error  # it is kept, but nothing more should come
+
+
+def software_versions(*packages: str) -> dict[str, str]:
+    """Versions of mckibben, other packages, Python and the system, for the header of a record."""
+    others = {"python": platform.python_version(), "platform": platform.platform()}
+    return {"mckibben": mckibben.__version__} | {name: version(name) for name in packages} | others
 
 
 def _keep_free(path: Path) -> None:

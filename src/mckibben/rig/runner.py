@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 from mckibben.errors import StoppedError
 from mckibben.muscle import Muscle, forces
-from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Column, Point
-from mckibben.rig.recorder import Recorder
-from mckibben.rig.session import ProgressCallback, RigSession
+from mckibben.rig.session import RigSession
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Vent, Walk
 from mckibben.units import bar, mm, percent
 
@@ -129,57 +127,32 @@ class _Target:
 
 
 class Runner(StepInterpreter):
-    """Runs steps on a rig, vented at the end; otherwise it vents, records the reason and raises."""
+    """Runs steps in a session, vented at the end; otherwise it vents, records the reason and raises."""
 
-    def __init__(
-        self,
-        backend: MovingBackend,
-        bench: Bench,
-        recorder: Recorder,
-        *,
-        done: Sequence[Point] = (),
-        origin: int = 0,
-        since: float = 0.0,
-        report: ProgressCallback | None = None,
-    ) -> None:
-        super().__init__(bench)
-        self.backend = backend
-        self.recorder = recorder
-        self._rig = RigSession(backend, bench, recorder, origin=origin, since=since, report=report)
+    def __init__(self, session: RigSession, *, done: Sequence[Point] = ()) -> None:
+        super().__init__(session.bench)
+        self._rig = session
         self._done = done
         self._target = _Target()
         self._live = not done
         self._number = 0
-        self._speed = bench.drive.fastest / bench.drive.pulses_per_metre / 4  # unless a step has set one
-
-    def interrupt(self, signal: int, name: str) -> None:
-        """Stop after the running cycle; may be called from a signal handler."""
-        self._rig.interrupt(signal, name)
+        self._speed = self.bench.drive.fastest / self.bench.drive.pulses_per_metre / 4  # unless a step has set one
 
     def run(self, steps: Sequence[ProtocolStep]) -> None:
         """Open the backend, do the steps, vent, close; `StoppedError` (of a signal `SignalledError`) after a stop."""
-        backend = self.backend
-        try:
-            backend.open()
-        except BaseException:
-            backend.close()
-            raise
-        try:
-            with self._rig.monitor.guard():
-                self._rig.begin()
-                if self._live:  # the steps begin where the muscle was mounted
-                    self._rig.move_to(0, self._speed)
-                self._do(steps)
-                self._vent()
-                for _ in range(2):  # a chunk that is damaged later must not let a finished test move again
-                    self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
-        except BaseException as error:
-            raise self._rig.record_stop(error) from error
-        finally:
+        rig = self._rig
+        with rig.backend.opened():
             try:
-                backend.vent()
-            finally:  # even where another signal comes in between
-                backend.close()
+                with rig.monitor.guard():
+                    rig.begin()
+                    if self._live:  # the steps begin where the muscle was mounted
+                        rig.move_to(0, self._speed)
+                    self._do(steps)
+                    self._vent()
+                    for _ in range(2):  # a chunk that is damaged later must not let a finished test move again
+                        rig.recorder.event(DONE, "all steps are done", points=self._number, pulses=rig.pulses)
+            except BaseException as error:
+                raise rig.record_stop(error) from error
 
     def _begin(self, step: ProtocolStep, place: str) -> None:
         return
@@ -193,7 +166,7 @@ class Runner(StepInterpreter):
             self.position = point.pulses
             return point.force
         self._go_live()
-        bench, recorder = self.bench, self.recorder
+        bench, recorder = self.bench, self._rig.recorder
         every = max(1, round(bench.rate * acquire.duration / acquire.samples))
         rows = (acquire.samples - 1) * every + 1
         first, pulses = recorder.rows, self._rig.pulses
@@ -269,7 +242,7 @@ class Runner(StepInterpreter):
         if not self._live:
             return
         deadline = self._rig.now + step.longest
-        while abs(self._rig.read_cycle().force - step.force) > step.tolerance or self.backend.moving:
+        while abs(self._rig.read_cycle().force - step.force) > step.tolerance or self._rig.backend.moving:
             self._rig.step_towards(step.force, step.speed)
             if self._rig.now > deadline:
                 raise StoppedError(
@@ -286,7 +259,7 @@ class Runner(StepInterpreter):
         target = self._target
         rest = target.rest
         speed = target.speed or self._speed
-        self.recorder.event(RESUMED, f"at point {self._number - 1}", point=self._number - 1)
+        self._rig.recorder.event(RESUMED, f"at point {self._number - 1}", point=self._number - 1)
         self._rig.vent_and_wait()
         self._rig.move_to(target.pressed, speed)
         if target.via > 0:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import math
+import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.errors import StoppedError
+from mckibben.errors import SignalledError, StoppedError
 from mckibben.rig.backend import AnalogChannel, Backend, Block, MovingBackend
 from mckibben.rig.bench import JointLimits, RigLimits
 from mckibben.rig.calibration import Calibration
+from mckibben.storage.files import handle_signals
 from mckibben.units import bar, deg, mm, ms
 
 _BUSY = "find out what kept the device or the host busy"
@@ -51,6 +53,35 @@ class SignalLimits(NamedTuple):
         zero = float(calibration.si(0.0))
         name = calibration.name.replace("pressure1", "pressure 1").replace("pressure2", "pressure 2")
         return cls(name, column, calibration.gain, zero, low, high, calibration.unit, lower, upper, rate)
+
+
+class StopFlag:
+    """Number of the signal that was received; 0 for none. Checked once per period or cycle."""
+
+    def __init__(self) -> None:
+        self.signal = 0
+
+    def check(self) -> None:
+        """Raise `SignalledError` after a signal."""
+        if self.signal:
+            raise self.error()
+
+    def error(self) -> SignalledError:
+        """Return the error of the signal."""
+        name = signal.Signals(self.signal).name + (" (Ctrl-C)" if self.signal == signal.SIGINT else "")
+        return SignalledError(f"interrupted by {name}", signal=self.signal)
+
+
+@contextlib.contextmanager
+def stop_on_signals() -> Iterator[StopFlag]:
+    """Set a flag on the signals that `handle_signals` handles."""
+    flag = StopFlag()
+
+    def note(number: int) -> None:
+        flag.signal = number
+
+    with handle_signals(note):
+        yield flag
 
 
 class VentResult(NamedTuple):

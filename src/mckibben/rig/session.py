@@ -14,7 +14,7 @@ from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedErro
 from mckibben.rig.backend import Block, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import BlockMeans, RigMonitor
+from mckibben.rig.safety import BlockMeans, RigMonitor, StopFlag
 from mckibben.units import bar, mm
 
 STOPPED, VENTED, DROPPED = "stopped", "vented", "dropped"
@@ -60,6 +60,7 @@ class RigSession:
         origin: int = 0,
         since: float = 0.0,
         report: ProgressCallback | None = None,
+        stop_flag: StopFlag | None = None,
     ) -> None:
         self.backend = backend
         self.bench = bench
@@ -72,13 +73,9 @@ class RigSession:
         self._names = [channel.name for channel in backend.inputs]
         self._expected = 0
         self._latest: BlockMeans | None = None
-        self._signal: tuple[int, str] | None = None
+        self._stop_flag = stop_flag or StopFlag()
         self._set_pressure = 0.0
         self._points = 0
-
-    def interrupt(self, signal: int, name: str) -> None:
-        """Stop after the running cycle; may be called from a signal handler."""
-        self._signal = (signal, name)
 
     def begin(self) -> None:
         """Vent and wait: no pressure is set and nothing is moved before the muscle is measured to be empty."""
@@ -233,8 +230,7 @@ class RigSession:
             raise
         self.pulses = int(block.pulses[-1]) + self._origin
         self._record(block, 1 if plateau >= 0 else bench.decimation, plateau)
-        if self._signal is not None:
-            raise _interrupted(*self._signal)
+        self._stop_flag.check()
         if self._report is not None:
             self._report(
                 Progress(latest.time, latest, bench.contraction_at(self.pulses), self._set_pressure, self._points)
@@ -260,8 +256,8 @@ class RigSession:
 
     def record_stop(self, error: BaseException) -> StoppedError:
         """Record the reason of a stop, observe the venting, and return both as an error."""
-        if isinstance(error, KeyboardInterrupt) and self._signal is not None:  # a second signal
-            error = _interrupted(*self._signal)
+        if isinstance(error, KeyboardInterrupt) and self._stop_flag.signal:  # a second signal
+            error = self._stop_flag.error()
         reason = str(error) if isinstance(error, McKibbenError) else f"{type(error).__name__}: {error}".rstrip(": ")
         said: list[str] = []
         bench = self.bench
@@ -296,7 +292,3 @@ class RigSession:
         except Exception as error:
             if str(error) not in said:
                 said.append(str(error))
-
-
-def _interrupted(number: int, name: str) -> SignalledError:
-    return SignalledError(f"it was interrupted ({name})", signal=number)

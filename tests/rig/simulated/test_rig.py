@@ -71,7 +71,7 @@ def columns(rig, kept):
 
 
 def test_it_is_a_backend():
-    for rig in (SimulatedRig(PLAIN), RealTimeRig(SimulatedRig(PLAIN))):
+    for rig in (SimulatedRig(PLAIN), RealTimeRig(PLAIN)):
         assert isinstance(rig, MovingBackend)
         assert [channel.name for channel in rig.inputs] == ["force", "pressure"]
         assert [channel.name for channel in rig.outputs] == ["valve"]
@@ -448,7 +448,7 @@ class Wall:
 
 def test_paced_rig_waits_for_the_wall():
     wall = Wall()
-    rig = RealTimeRig(SimulatedRig(PLAIN), wall=wall, sleep=wall.sleep)
+    rig = RealTimeRig(PLAIN, wall=wall, sleep=wall.sleep)
     rig.open()
     for k in range(5):
         assert rig.read(100).first == 100 * k
@@ -462,22 +462,22 @@ def test_paced_rig_waits_for_the_wall():
 
 def test_paced_rig_vents_while_the_host_is_away():
     wall = Wall()
-    rig = RealTimeRig(SimulatedRig(PLAIN), wall=wall, sleep=wall.sleep)
+    rig = RealTimeRig(PLAIN, wall=wall, sleep=wall.sleep)
     rig.open()
-    press(rig.rig, 6 * bar)
+    press(rig, 6 * bar)
     for _ in range(30):
         rig.read(100)
         rig.heartbeat()
-    assert rig.rig.truth.pressure > 5 * bar
+    assert rig.truth.pressure > 5 * bar
     wall.now += 2.5
-    assert not rig.moving and rig.rig.truth.pressure < SAFE
+    assert not rig.moving and rig.truth.pressure < SAFE
     with pytest.raises(RigError, match="without a heartbeat"):
         rig.set_valves([1.0])
 
 
 def test_paced_rig_that_is_silent_takes_its_timeout():
     wall = Wall()
-    rig = RealTimeRig(SimulatedRig(PLAIN, faults=[SamplesStopped(0.05)]), wall=wall, sleep=wall.sleep)
+    rig = RealTimeRig(PLAIN, faults=[SamplesStopped(0.05)], wall=wall, sleep=wall.sleep)
     rig.open()
     with pytest.raises(SilentError):
         rig.read(100, timeout=0.5)

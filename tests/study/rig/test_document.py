@@ -10,7 +10,7 @@ from mckibben import catalog
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
-from mckibben.study.rig.document import RigTest, read_test, rig_calibrations
+from mckibben.study.rig.document import MuscleCardSettings, RigTest, read_test
 from mckibben.study.rig.running import check
 from mckibben.units import bar, mm, percent
 
@@ -226,8 +226,9 @@ def test_a_card_and_its_calibrations(tmp_path):
     assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
     checked = check(test)
     assert [channel.where for channel in checked.setup.backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
-    assert rig_calibrations(path)["force"] == FORCE
-    path.write_text(to_json({"force": {**FORCE.to_json(), "gain": "much"}}))
+    assert MuscleCardSettings(calibration=path).calibrations()["force"] == FORCE
+    path.write_text(to_json({"force": {**FORCE.to_json(), "gain": "much"}, "valve": PRESSURE.to_json()}))
     with pytest.raises(ScenarioError) as found:
         check(test)
     assert "pressure: is missing" in str(found.value) and "'much'" in str(found.value)
+    assert {problem.field for problem in found.value.problems} == {"force", "pressure", "valve"}

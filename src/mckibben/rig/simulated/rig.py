@@ -7,6 +7,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -171,8 +172,7 @@ class SimulatedRig(MovingBackend):
         """Open the rig, vented and at rest. Times of faults count from the first opening."""
         if self._is_open:
             raise RigError("the simulated rig is already open", remedy="close it first")
-        self.vent()
-        self.stop()
+        self._rest()
         self._is_open = True
         self._opened = now = self._machine.now
         self._watchdog.start(now)
@@ -214,6 +214,7 @@ class SimulatedRig(MovingBackend):
 
     def set_valves(self, volts: Sequence[float]) -> None:
         """Set the signal of the valve [V]; one of more than 0 bar ends a `vent`."""
+        self._catch_up()
         self._check_armed()
         if len(volts) != 1 or not -10 <= volts[0] <= 10:
             raise RigError(f"{list(volts)} V cannot be given at one output of -10..10 V")
@@ -225,32 +226,46 @@ class SimulatedRig(MovingBackend):
 
     def heartbeat(self) -> None:
         """Reset the watchdog; no effect once it has tripped."""
+        self._catch_up()
         self._watchdog.reset(self._machine.now)
 
     def vent(self) -> None:
         """Vent. Never raises."""
+        self._catch_up()
         self._machine.set_signal(0.0, 0.0)
         self._machine.cut()
 
     def close(self) -> None:
         """Vent, stop, and close. Its time stands still until `pass_time`. Never raises."""
-        self.vent()
-        self.stop()
+        self._catch_up()
+        self._rest()
         self._is_open = False
         self._sampling.forget()
 
     def move(self, pulses: int, rate: float) -> None:
         """As `MovingBackend.move`; `RigError` also if the watchdog has expired."""
+        self._catch_up()
         self._check_armed()
         self._machine.motor.move(self._machine.now, pulses, rate)
 
     @property
     def moving(self) -> bool:
         """Whether the motor is moving."""
+        self._catch_up()
         return self._machine.motor.moving(self._machine.now)
 
     def stop(self) -> None:
         """Stop the motor at once. Never raises."""
+        self._catch_up()
+        self._machine.motor.stop(self._machine.now)
+
+    def _catch_up(self) -> None:
+        """Advance the time to that of the host; in simulated time there is none."""
+
+    def _rest(self) -> None:
+        """Vent and stop, without time that passes."""
+        self._machine.set_signal(0.0, 0.0)
+        self._machine.cut()
         self._machine.motor.stop(self._machine.now)
 
     def _check_open(self) -> None:
@@ -279,7 +294,7 @@ class SimulatedRig(MovingBackend):
                     self._sampling.sample(knots, machine.motor)
             if armed and self._watchdog.expires(machine.now + 2 * INSTANT):
                 machine.cut()
-                self.stop()
+                machine.motor.stop(machine.now)
             machine.settle()
             while self._schedule and machine.now >= self._schedule[0][0] - INSTANT:
                 self._apply(heapq.heappop(self._schedule)[-1])
@@ -296,51 +311,29 @@ class SimulatedRig(MovingBackend):
 _SOON = 1e-6  # s, shortest sleep
 
 
-class RealTimeRig(MovingBackend):
+class RealTimeRig(SimulatedRig):
     """A `SimulatedRig` in real time, by a clock [s] and a sleep; those of the system unless given."""
-
-    physical, homed = False, True
 
     def __init__(
         self,
-        rig: SimulatedRig,
+        muscle: Muscle,
         *,
         wall: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        **parts: Any,
     ) -> None:
-        self.rig = rig
-        self.rate, self.patience = rig.rate, rig.patience
+        super().__init__(muscle, **parts)
         self._wall, self._sleep = wall, sleep
         self._began = wall()
 
     @property
-    def calibrations(self) -> Mapping[str, Calibration]:
-        """As of the rig."""
-        return self.rig.calibrations
-
-    @property
-    def drive(self) -> Drive:
-        """As of the rig."""
-        return self.rig.drive
-
-    @property
-    def inputs(self) -> Sequence[AnalogChannel]:
-        """As of the rig."""
-        return self.rig.inputs
-
-    @property
-    def outputs(self) -> Sequence[AnalogChannel]:
-        """As of the rig."""
-        return self.rig.outputs
-
-    @property
     def description(self) -> Mapping[str, str]:
         """Description of the rig."""
-        return {**self.rig.description, "pace": "real time"}
+        return {**super().description, "pace": "real time"}
 
     def open(self) -> None:
         """Open the rig; its time begins now."""
-        self.rig.open()
+        super().open()
         self._began = self._wall()
 
     def clock(self) -> float:
@@ -350,51 +343,15 @@ class RealTimeRig(MovingBackend):
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
         """Wait for samples; as `SimulatedRig.read`."""
         self._catch_up()
-        most = count / self.rig.rate + timeout
-        while _SOON < (left := self.rig.due(count) - self.clock()) <= most:  # later samples are refused by the rig
+        most = count / self.rate + timeout
+        while _SOON < (left := self.due(count) - self.clock()) <= most:  # later samples are refused by the rig
             self._sleep(left)
         try:
-            return self.rig.read(count, timeout=timeout)
+            return super().read(count, timeout=timeout)
         finally:  # timeout of a silent rig, delay of a late host
-            if (ahead := self.rig.clock() - self.clock()) > _SOON:
+            if (ahead := super().clock() - self.clock()) > _SOON:
                 self._sleep(ahead)
 
-    def set_valves(self, volts: Sequence[float]) -> None:
-        """As `SimulatedRig.set_valves`."""
-        self._catch_up()
-        self.rig.set_valves(volts)
-
-    def heartbeat(self) -> None:
-        """As `SimulatedRig.heartbeat`."""
-        self._catch_up()
-        self.rig.heartbeat()
-
-    def vent(self) -> None:
-        """As `SimulatedRig.vent`."""
-        self._catch_up()
-        self.rig.vent()
-
-    def close(self) -> None:
-        """As `SimulatedRig.close`."""
-        self._catch_up()
-        self.rig.close()
-
-    def move(self, pulses: int, rate: float) -> None:
-        """As `SimulatedRig.move`."""
-        self._catch_up()
-        self.rig.move(pulses, rate)
-
-    @property
-    def moving(self) -> bool:
-        """As `SimulatedRig.moving`."""
-        self._catch_up()
-        return self.rig.moving
-
-    def stop(self) -> None:
-        """As `SimulatedRig.stop`."""
-        self._catch_up()
-        self.rig.stop()
-
     def _catch_up(self) -> None:
-        if (behind := self.clock() - self.rig.clock()) > 0:
-            self.rig.pass_time(behind)
+        if (behind := self.clock() - super().clock()) > 0:
+            self.pass_time(behind)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import re
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -16,7 +16,7 @@ from mckibben.component.schema import Part, section_of
 from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, explicit_fields, parse_model, read_text
-from mckibben.errors import RangeError, ScenarioError, quoted
+from mckibben.errors import RangeError
 from mckibben.muscle import (
     Creep,
     ForceCorrection,
@@ -29,12 +29,12 @@ from mckibben.muscle import (
 )
 from mckibben.rig.backend import MovingBackend, MuscleRig
 from mckibben.rig.bench import Bench, Drive, RigLimits
-from mckibben.rig.calibration import Calibration, read_calibrations
+from mckibben.rig.ni import NiRig
+from mckibben.rig.ni.settings import CardSettings
 from mckibben.rig.protocol import Protocol
 from mckibben.storage.files import atomic_write
 from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
 
-_ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
 _APART = 1_000_003  # between the seeds of sessions
 
 
@@ -104,57 +104,35 @@ class SimulatedRigSettings(Checked, MuscleRig):
                 "force_sensor": replace(FORCE_SENSOR, noise=0.0),
                 "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
             }
-        rig = SimulatedRig(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
-        return RealTimeRig(rig) if self.paced else rig
+        kind = RealTimeRig if self.paced else SimulatedRig
+        return kind(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
 
 
 @dataclass(frozen=True, kw_only=True)
-class CardSettings(Checked, MuscleRig):
-    """A card of National Instruments, see `Terminals` and `NiRig`: its terminals, and the file of its calibrations."""
+class MuscleCardSettings(CardSettings, MuscleRig):
+    """A card of National Instruments, see `NiRig`."""
 
     short_name = "nidaqmx"
+    sensors = MappingProxyType({"force": "N", "pressure": "Pa"})
+    valves = MappingProxyType({"valve": "Pa"})
 
-    device: str = "Dev1"
     force: str = "ai0"
     pressure: str = "ai1"
     valve: str = "ao0"
     counter: str = "ctr0"
-    heartbeat: str = "port0/line0"
-    hold: str = "port0/line1"
     direction: str = "port0/line2"
-    server: str = ""
-    calibration: Path
     rate: SampleRate = 1000.0
     patience: PositiveTime = 1.0
     drive: Drive = Drive()
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, str) and value != field.default and not _ADDRESS.fullmatch(value):
-                remedy = "write it as the driver calls it, such as Dev1, ai0 or port0/line1"
-                raise RangeError(f"{quoted(value)} is no address", field=field.name, value=value, remedy=remedy)
-
     def backend(self, session: int = 0) -> MovingBackend:
         """Return the card."""
-        from mckibben.rig.ni import NiRig, Terminals
-
-        at = {field.name: f"{self.device}/{getattr(self, field.name)}" for field in fields(self)}
-        terminals = Terminals(
-            inputs={name: at[name] for name in ("force", "pressure")},
-            outputs={"valve": at["valve"]},
-            counter=at["counter"],
-            heartbeat=at["heartbeat"],
-            hold=at["hold"],
-            direction=at["direction"],
-        )
         return NiRig(
-            terminals,
+            self.terminals(counter=self.counter, direction=self.direction),
             rate=self.rate,
             patience=self.patience,
             server=self.server,
-            calibrations=rig_calibrations(self.calibration),
+            calibrations=self.calibrations(),
             drive=self.drive,
         )
 
@@ -235,12 +213,3 @@ def build_muscle(test: RigTest) -> Muscle | Specimen:
     if test.muscle.law is None:
         return test.muscle.specimen
     return test.muscle.muscle(friction=NoFriction(), creep=NoCreep())
-
-
-def rig_calibrations(path: Path) -> dict[str, Calibration]:
-    """The calibrations of a JSON file, by channel; `ScenarioError` with all problems."""
-    remedy = "calibrate it, see docs/rig-hardware.md"
-    found, problems = read_calibrations(path, ("force", "pressure", "valve"), remedy)
-    if problems:
-        raise ScenarioError(str(path), problems)
-    return found

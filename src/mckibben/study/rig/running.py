@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import platform
 import re
 import shutil
-import signal
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -14,20 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-import mckibben
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
-from mckibben.rig.recorder import Recorder
+from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.runner import DONE, Runner, columns_of
-from mckibben.rig.session import VENTED, ProgressCallback
+from mckibben.rig.safety import stop_on_signals
+from mckibben.rig.session import VENTED, ProgressCallback, RigSession
 from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
-from mckibben.storage.files import check_free, file_lock, handle_signals, make_folder
+from mckibben.storage.files import check_free, file_lock, make_folder
 from mckibben.study.rig.document import (
     RigTest,
     Setup,
@@ -204,9 +200,8 @@ def run_test(
             try:
                 _run_session(checked, folder, past, standing_at, report)
             except RigError:
-                if not resume and next(passages(folder), None) is None:  # it did not begin
-                    for path in (*segments(folder), folder / PROTOCOL):
-                        path.unlink(missing_ok=True)
+                if not resume and not segments(folder):  # it did not begin
+                    (folder / PROTOCOL).unlink(missing_ok=True)
                 raise
         return _save_dataset(checked, folder)
 
@@ -271,11 +266,13 @@ def _run_session(
     origin = _origin(checked, folder, past, standing_at)
     columns = columns_of([channel.name for channel in backend.inputs])
     begin = Recorder.resume if segments(folder) else Recorder.create
-    with begin(folder, _header(checked, folder), columns) as recorder:
-        runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
-        stop_on_signals = handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name))
-        with backend.host_watchdog(), stop_on_signals:
-            runner.run(checked.steps)
+    with (
+        begin(folder, _header(checked, folder), columns) as recorder,
+        backend.host_watchdog(),
+        stop_on_signals() as stop_flag,
+    ):
+        given = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}
+        Runner(RigSession(backend, bench, recorder, **given), done=past.done).run(checked.steps)
 
 
 def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> int:
@@ -341,12 +338,7 @@ def _header(checked: CheckedTest, folder: Path) -> dict[str, Any]:
         "rate_Hz": bench.rate,
         "clock": "time_s is the card's, from the beginning of the test; interruptions are left out",
         "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "versions": {
-            "mckibben": mckibben.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-            "platform": platform.platform(),
-        },
+        "versions": software_versions("numpy"),
     }
 
 

@@ -1,0 +1,119 @@
+"""Hardware of one's own in the file of a joint rig."""
+
+import warnings
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+
+from mckibben.errors import McKibbenWarning, RigError, ScenarioError
+from mckibben.realtime import PERFECT, JointHardware, JointRig, SimulatedJoint, prepare
+from mckibben.rig.backend import Backend
+from mckibben.rig.record import read_record
+from mckibben.scenario import Scenario
+from mckibben.units import BoundedInt
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
+TEXT = "rig: {class: BorrowedJoint, port: 3}\n"
+
+
+class Elsewhere(Backend):
+    """The volts come from elsewhere, all optional members are the defaults."""
+
+    def __init__(self, other, port):
+        self.other, self.port = other, port
+        self.rate, self.patience = other.rate, other.patience
+
+    inputs = property(lambda self: self.other.inputs)
+    outputs = property(lambda self: self.other.outputs)
+    calibrations = property(lambda self: self.other.calibrations)
+    description = property(lambda self: {"kind": "borrowed", "port": str(self.port)})
+
+    def open(self):
+        self.other.open()
+
+    def clock(self):
+        return self.other.clock()
+
+    def read(self, count, *, timeout=1.0):
+        return self.other.read(count, timeout=timeout)
+
+    def set_valves(self, volts):
+        self.other.set_valves(volts)
+
+    def heartbeat(self):
+        self.other.heartbeat()
+
+    def vent(self):
+        self.other.vent()
+
+    def close(self):
+        self.other.close()
+
+
+@dataclass(frozen=True)
+class BorrowedJoint(JointHardware):
+    """A joint behind a port."""
+
+    port: Annotated[int, BoundedInt(0, 9)] = 0
+
+    def backend(self, plant, run):
+        joint = SimulatedJoint(plant, period=run.period, patience=run.patience, sensing=PERFECT)
+        return Elsewhere(joint, self.port)
+
+
+@pytest.fixture
+def scenario():
+    return Scenario.read(EXAMPLE).model_copy(update={"duration": 0.02})
+
+
+def test_hardware_of_ones_own_runs_a_scenario_and_warns_that_no_process_watches(scenario, tmp_path, monkeypatch):
+    rig = JointRig.parse(TEXT)
+    assert rig.rig == BorrowedJoint(3) and rig.physical
+    session = prepare(scenario, rig)
+    with pytest.warns(McKibbenWarning, match="borrowed"):
+        ran = session.run(tmp_path / "run")
+    assert ran.outcome.completed and ran.outcome.vented_after < 0.1
+    header = read_record(tmp_path / "run").header
+    assert header["backend"] == {"kind": "borrowed", "port": "3"}
+    assert header["rig"]["rig"] == {"BorrowedJoint": {"port": 3}}
+
+    entered = []
+
+    @contextmanager
+    def watched(backend):
+        yield entered.append(backend)
+
+    monkeypatch.setattr(Elsewhere, "host_watchdog", watched)
+    with warnings.catch_warnings(action="error"):
+        session.run(tmp_path / "again")
+    assert entered == [session.backend]
+
+
+def test_ideal_is_for_simulated_hardware(scenario):
+    with pytest.raises(ScenarioError, match="no simulated joint"):
+        prepare(scenario, JointRig.parse(TEXT), ideal=True)
+
+
+def test_calibrations_of_other_channels_are_refused(scenario, monkeypatch):
+    for lacking in ({}, {"angle": None}):
+        monkeypatch.setattr(Elsewhere, "calibrations", lacking)
+        with pytest.raises(RigError, match="valve2"):
+            prepare(scenario, JointRig.parse(TEXT))
+
+
+def test_mistakes_have_their_line():
+    with pytest.raises(ScenarioError) as error:
+        JointRig.parse(TEXT.replace("BorrowedJoint", "BorowedJoint"))
+    assert [(problem.line, problem.value) for problem in error.value.problems] == [(1, "BorowedJoint")]
+    with pytest.raises(ScenarioError) as error:
+        JointRig.parse(TEXT.replace("port: 3", "port: 30"))
+    assert [(problem.line, problem.field) for problem in error.value.problems] == [(1, "rig.port")]
+
+
+def test_the_muscle_bench_is_no_hardware_of_a_joint():
+    with pytest.raises(ScenarioError) as error:
+        JointRig.parse("rig: {simulated: {parts: ideal}}\n")
+    assert [problem.field for problem in error.value.problems] == ["rig.simulated.parts"]
