@@ -57,7 +57,7 @@ def truth(plant, count, rng):
     return quiet, rng.uniform(-ZERO, ZERO, count)
 
 
-def recordings(plant, parts, zeros, rng):
+def recordings(plant, parts, zeros, rng, substeps=None):
     """Recordings of all plants: a list for each."""
     found, offsets = [[] for _ in zeros], rng.uniform(-OFFSET, OFFSET, (zeros.size, 2))
     for part in parts.values():
@@ -67,7 +67,7 @@ def recordings(plant, parts, zeros, rng):
             part.reference(),
             duration=part.duration,
             control_period=part.control_period,
-            substeps=part.substeps,
+            substeps=substeps or part.substeps,
             metrics=["angle_rmse"],
             keep=KEPT,
             every=part.control_period,

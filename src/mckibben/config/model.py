@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, NoReturn, Self, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document
+from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document, to_text
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, closest, quoted, suggest
+from mckibben.storage.files import atomic_write
 
 
 class ConfigModel(BaseModel):
@@ -26,6 +27,36 @@ class ConfigModel(BaseModel):
     def former(cls, key: str) -> str:
         """Return what is written in place of a former key; an empty text for no such key."""
         return cls.renamed.get(key, "")
+
+
+class DocumentModel(ConfigModel):
+    """Base of files; `kind` and `examples` name them in messages."""
+
+    kind: ClassVar[str] = "scenario"
+    examples: ClassVar[str] = "examples/"
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
+        text = read_text(path, f"a {cls.kind}", cls.examples)
+        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
+        """Read YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
+        return parse_model(cls, text, source=source or cls.kind, folder=folder)[0]
+
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
+        """Write a file that `read` reads back to the last bit."""
+        with atomic_write(path, overwrite=True) as part:
+            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+
+    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
+        """Return text that `parse` reads back to the last bit; paths are relative to a folder."""
+        return to_text(self._written(Path(folder)))
+
+    def _written(self, folder: Path) -> dict[str, Any]:
+        return self.model_dump(mode="json", by_alias=True, context={"folder": folder})
 
 
 def fields_by_key(model: type[BaseModel]) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +14,7 @@ from mckibben.component.base import Checked
 from mckibben.component.classes import Keyed
 from mckibben.component.schema import Part, section_of
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, parse_model, read_text
+from mckibben.config.model import ConfigModel, DocumentModel
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
@@ -117,7 +116,7 @@ class ApproachSettings(ConfigModel):
     settling: WaitTime = 2.0
 
 
-class JointRig(ConfigModel):
+class JointRig(DocumentModel):
     """Configuration of a joint rig, in SI; `read` reads a file with units.
 
     Examples
@@ -127,6 +126,8 @@ class JointRig(ConfigModel):
     (2.0, 0.1)
     """
 
+    kind: ClassVar[str] = "joint rig"
+    examples: ClassVar[str] = "examples/rig/joint-rig.yaml"
     renamed: ClassVar = {
         "virtual": "rig: {simulated: ...}",
         "simulated": "rig: {simulated: ...}",
@@ -138,17 +139,6 @@ class JointRig(ConfigModel):
     limits: JointLimitsSettings = JointLimitsSettings()
     approach: ApproachSettings = ApproachSettings()
     patience: Duration = 0.1
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> JointRig:
-        """Read a file; `ScenarioError` with all problems: line, field, value, allowed range and remedy."""
-        text = read_text(path, "a joint rig", "examples/rig/joint-rig.yaml")
-        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "joint rig", folder: str | os.PathLike[str] = ".") -> JointRig:
-        """Read a joint rig from text, in which paths are relative to a folder; as `read`."""
-        return parse_model(cls, text, source=source, folder=folder)[0]
 
     @property
     def physical(self) -> bool:

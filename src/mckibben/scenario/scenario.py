@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from html import escape
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.component.checks import whole_periods
 from mckibben.component.extensions import package_version, version_differences
 from mckibben.component.schema import Part, independent, inherit, write
-from mckibben.config.document import to_text
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, Load
@@ -35,7 +33,6 @@ from mckibben.plant import (
     Sensors,
 )
 from mckibben.simulation import AtRest, CheckedRun, checked_run
-from mckibben.storage.files import atomic_write
 from mckibben.units import Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
@@ -50,14 +47,11 @@ ControllerPart = Annotated[Controller, Part(Controller)]
 ReferencePart = Annotated[Reference, Part(Reference)]
 
 
-class RunSettings(ConfigModel):
+class RunSettings(DocumentModel):
     """Base of documents with a plant and the timing of its runs.
 
     The key `packages` has the installed packages of classes that are not ours, with the versions that wrote the text.
     """
-
-    kind: ClassVar[str] = "scenario"
-    examples: ClassVar[str] = "examples/"
 
     @model_validator(mode="before")
     @classmethod
@@ -89,27 +83,9 @@ class RunSettings(ConfigModel):
             )
         return value
 
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
-        text = read_text(path, f"a {cls.kind}", cls.examples)
-        return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
-        """Read YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
-        return parse_model(cls, text, source=source or cls.kind, folder=folder)[0]
-
-    def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write a file that `read` reads back to the last bit."""
-        with atomic_write(path, overwrite=True) as part:
-            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
-
-    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
-        """Return text that `parse` reads back to the last bit; paths are relative to a folder."""
-        written = self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)})
+    def _written(self, folder: Path) -> dict[str, Any]:
         packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
-        return to_text(written | ({"packages": packages} if packages else {}))
+        return super()._written(folder) | ({"packages": packages} if packages else {})
 
 
 def _classes_in(part: Any) -> Iterator[type]:

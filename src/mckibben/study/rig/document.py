@@ -6,16 +6,16 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 import mckibben.rig.steps  # noqa: F401 - protocols that a file can name
 from mckibben.component.base import Checked, Component, Inherited
 from mckibben.component.schema import Part, section_of
-from mckibben.config.document import Document, to_text
+from mckibben.config.document import Document
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, explicit_fields, parse_model, read_text
+from mckibben.config.model import DocumentModel, explicit_fields, parse_model, read_text
 from mckibben.errors import RangeError
 from mckibben.muscle import (
     Creep,
@@ -32,7 +32,6 @@ from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.ni import NiRig
 from mckibben.rig.ni.settings import CardSettings
 from mckibben.rig.protocol import Protocol
-from mckibben.storage.files import atomic_write
 from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
 
 _APART = 1_000_003  # between the seeds of sessions
@@ -141,8 +140,11 @@ class RecordingSettings(section_of(Bench, partial=True)):
     """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
 
 
-class RigTest(ConfigModel):
+class RigTest(DocumentModel):
     """A test: specimen, rig, limits and protocol in SI; `read` and `to_yaml` know the units."""
+
+    kind: ClassVar[str] = "protocol"
+    examples: ClassVar[str] = "examples/rig/paper-protocol.yaml"
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
     muscle: Annotated[MountedMuscle, Part(MountedMuscle)]
@@ -156,32 +158,16 @@ class RigTest(ConfigModel):
         wired = self.rig.physical and type(self.rig) is type(other.rig)
         return (self.model_copy(update={"rig": other.rig}) if wired else self) == other
 
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> RigTest:
-        """Read a protocol file; `ScenarioError` with all problems: line, field, value, allowed range and remedy."""
-        return read_test(path)[0]
-
-    @classmethod
-    def parse(cls, text: str, *, source: str = "protocol", folder: str | os.PathLike[str] = ".") -> RigTest:
-        """Read a protocol from text, in which paths are relative to a folder."""
-        return parse_model(RigTest, text, source=source, folder=folder)[0]
-
-    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
-        """The test as text that `parse` reads back to the last bit; paths are relative to a folder."""
-        data = self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)})
+    def _written(self, folder: Path) -> dict[str, Any]:
+        data = super()._written(folder)
         if not any(value is not None for value in self.recording.model_dump().values()):
             del data["recording"]
-        return to_text(data)
-
-    def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write the test to a file that `read` reads back to the last bit."""
-        with atomic_write(path, overwrite=True) as part:
-            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+        return data
 
 
 def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
     """A protocol file, and the lines of its values."""
-    text = read_text(path, "a protocol", "examples/rig/paper-protocol.yaml")
+    text = read_text(path, f"a {RigTest.kind}", RigTest.examples)
     return parse_model(RigTest, text, source=os.fspath(path), folder=Path(path).parent)
 
 
