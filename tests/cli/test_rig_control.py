@@ -51,6 +51,19 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     assert again.code == 2 and "record-0001.chunks: it already exists" in again.err
 
 
+@pytest.mark.slow
+def test_a_limit_cycle_on_the_rig_is_named(cli, tmp_path):
+    """The rig delays commands by 24 ms, and the controller knows 4 ms of them."""
+    text = (ROOT / "examples" / "valves" / "regulator-decoupling.yaml").read_text(encoding="utf-8")
+    text = text.replace("\ncommand_delay: 4 ms", "\ncommand_delay: 24 ms")
+    text = text.replace("class: delay_compensation", "class: delay_compensation\n  command_delay: 4 ms")
+    (tmp_path / "late.yaml").write_text(text, encoding="utf-8")
+    found = cli("rig", "control", "late.yaml", "--out", "run", "--unpaced", "--json")
+    numbers = json.loads(found.out)
+    assert (numbers["ended"], numbers["outcome"]) == ("completed", "limit_cycle")
+    assert numbers["metrics"]["oscillation_amplitude_deg"] > 0.5
+
+
 def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path):
     rig = (ROOT / "examples" / "rig" / "joint-rig.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(rig.replace("lowest_angle: -30 deg", "lowest_angle: 10 deg"), encoding="utf-8")
