@@ -12,6 +12,7 @@ import pytest
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
 from mckibben.realtime.compiled_step import PlantProgram, StepResult
+from mckibben.rig.backend import Backend
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
@@ -123,3 +124,37 @@ def knee():
     scenario = Scenario.parse(text[:before] + _SLIDING + text[after:])
     plant = scenario.plant()
     return Knee(scenario, plant, scenario.initial(plant), ControlProgram(scenario.control()), PlantProgram(plant, 4))
+
+
+class Borrowed(Backend):
+    """The volts come from elsewhere, all optional members are the defaults."""
+
+    def __init__(self, other, port):
+        self.other, self.port = other, port
+        self.rate, self.patience = other.rate, other.patience
+
+    inputs = property(lambda self: self.other.inputs)
+    outputs = property(lambda self: self.other.outputs)
+    calibrations = property(lambda self: self.other.calibrations)
+    description = property(lambda self: {"kind": "borrowed", "port": str(self.port)})
+
+    def open(self):
+        self.other.open()
+
+    def clock(self):
+        return self.other.clock()
+
+    def read(self, count, *, timeout=1.0):
+        return self.other.read(count, timeout=timeout)
+
+    def set_valves(self, volts):
+        self.other.set_valves(volts)
+
+    def heartbeat(self):
+        self.other.heartbeat()
+
+    def vent(self):
+        self.other.vent()
+
+    def close(self):
+        self.other.close()

@@ -10,47 +10,14 @@ import pytest
 
 from mckibben.errors import McKibbenWarning, RigError, ScenarioError
 from mckibben.realtime import PERFECT, JointHardware, JointRig, SimulatedJoint, prepare
-from mckibben.rig.backend import Backend
 from mckibben.rig.record import read_record
 from mckibben.scenario import Scenario
 from mckibben.units import BoundedInt
 
+from .conftest import Borrowed
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
 TEXT = "rig: {class: BorrowedJoint, port: 3}\n"
-
-
-class Elsewhere(Backend):
-    """The volts come from elsewhere, all optional members are the defaults."""
-
-    def __init__(self, other, port):
-        self.other, self.port = other, port
-        self.rate, self.patience = other.rate, other.patience
-
-    inputs = property(lambda self: self.other.inputs)
-    outputs = property(lambda self: self.other.outputs)
-    calibrations = property(lambda self: self.other.calibrations)
-    description = property(lambda self: {"kind": "borrowed", "port": str(self.port)})
-
-    def open(self):
-        self.other.open()
-
-    def clock(self):
-        return self.other.clock()
-
-    def read(self, count, *, timeout=1.0):
-        return self.other.read(count, timeout=timeout)
-
-    def set_valves(self, volts):
-        self.other.set_valves(volts)
-
-    def heartbeat(self):
-        self.other.heartbeat()
-
-    def vent(self):
-        self.other.vent()
-
-    def close(self):
-        self.other.close()
 
 
 @dataclass(frozen=True)
@@ -61,7 +28,7 @@ class BorrowedJoint(JointHardware):
 
     def backend(self, plant, run):
         joint = SimulatedJoint(plant, period=run.period, patience=run.patience, sensing=PERFECT)
-        return Elsewhere(joint, self.port)
+        return Borrowed(joint, self.port)
 
 
 @pytest.fixture
@@ -86,7 +53,7 @@ def test_hardware_of_ones_own_runs_a_scenario_and_warns_that_no_process_watches(
     def watched(backend):
         yield entered.append(backend)
 
-    monkeypatch.setattr(Elsewhere, "host_watchdog", watched)
+    monkeypatch.setattr(Borrowed, "host_watchdog", watched)
     with warnings.catch_warnings(action="error"):
         session.run(tmp_path / "again")
     assert entered == [session.backend]
@@ -99,7 +66,7 @@ def test_ideal_is_for_simulated_hardware(scenario):
 
 def test_calibrations_of_other_channels_are_refused(scenario, monkeypatch):
     for lacking in ({}, {"angle": None}):
-        monkeypatch.setattr(Elsewhere, "calibrations", lacking)
+        monkeypatch.setattr(Borrowed, "calibrations", lacking)
         with pytest.raises(RigError, match="valve2"):
             prepare(scenario, JointRig.parse(TEXT))
 

@@ -174,9 +174,12 @@ class AirValve(Actuator):
         for pressure, state, command, volume in zip(pressures, air.valves, commands, volumes, strict=True):
             opening = self.opening(state, command, pressure)
             flow = self.flow(opening, inlet, pressure)
-            inflow = flow if self.leak is None else flow - self._leakage(pressure)
             index, absolute = self.polytropic_index, pressure + ATMOSPHERE
-            rates.append(pressure_rate(index, absolute, inflow, volume.effective(index, absolute), volume.rate))
+            rates.append(
+                pressure_rate(
+                    index, absolute, flow - self._leakage(pressure), volume.effective(index, absolute), volume.rate
+                )
+            )
             valve_rates.append(self.rate(state, command, pressure))
             drawn = drawn + jnp.where(opening > 0, flow, 0.0)
         reservoir: Any = ()

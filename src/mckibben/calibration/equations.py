@@ -166,6 +166,20 @@ class _Corrected(NamedTuple):
     load_cells: tuple[Any, Any]  # gains
 
 
+def sampling_period(recording: JointRecording) -> float:
+    """Sampling period [s]; `IdentificationError` for samples that are too sparse or not equally spaced."""
+    time = recording.time
+    period = float(time[-1] - time[0]) / (time.size - 1)
+    if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:
+        raise IdentificationError(
+            f"the samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced",
+            value=period,
+            unit="s",
+            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more",
+        )
+    return period
+
+
 def check_recording(recording: JointRecording) -> None:
     """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short."""
     columns = [recording.time, recording.angle, recording.pressures]
@@ -188,16 +202,8 @@ def halves_of(recording: JointRecording) -> Halves:
             "a recording has commanded pressures", remedy="use calibrate_from_commands, or give measured pressures"
         )
     check_recording(recording)
-    time = recording.time
-    period = (time[-1] - time[0]) / (time.size - 1)
+    time, period = recording.time, sampling_period(recording)
     width = max(2 * int(_WINDOW / (4 * period)) + 1, 5)
-    if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:
-        raise IdentificationError(
-            f"the samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced",
-            value=period,
-            unit="s",
-            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more",
-        )
     margin = 2 * width * period
     grid = np.arange(time[0] + margin, time[-1] - margin, 1 / RATE)
 

@@ -20,7 +20,7 @@ from scipy.signal import savgol_filter
 
 from mckibben.actuator import Actuator, AirState, AirVolume
 from mckibben.actuator.base import air_volumes
-from mckibben.calibration.equations import Floats, JointPrior, JointRecording, check_recording
+from mckibben.calibration.equations import Floats, JointPrior, JointRecording, check_recording, sampling_period
 from mckibben.calibration.estimation import JointEstimate, minimised, variance_of
 from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError, McKibbenWarning
@@ -30,7 +30,6 @@ from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.units import bar, cm, kPa, ms
 
-_LONGEST_PERIOD = 0.01  # s, between samples
 _START = 1.0  # s that are simulated but not fitted, until the state of the valves at the start is forgotten
 _START_ERROR = 10 * kPa  # prior standard deviation of the pressure at the start, about the first sample
 _WINDOW = 0.05  # s, of the local cubic fits of the angle
@@ -183,7 +182,7 @@ def calibrate_valves(
     prior
         Prior standard deviations.
     delay
-        Delay of the commands in the first model [s]; half-normal with 20 ms unless given.
+        Delay of the commands in the first model [s]; a half-normal prior with a scale of 20 ms by default.
 
     Raises
     ------
@@ -276,15 +275,7 @@ def _record_of(recording: JointRecording, number: int = 0) -> _Record:
             remedy="give columns command1_bar,command2_bar, and pressure1_bar,pressure2_bar",
         )
     check_recording(recording)
-    time = recording.time
-    period = float(time[-1] - time[0]) / (time.size - 1)
-    if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:
-        raise IdentificationError(
-            f"the samples of a recording, {period * 1e3:.3g} ms apart on average, are too sparse or not equally spaced",
-            value=period,
-            unit="s",
-            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more",
-        )
+    period = sampling_period(recording)
     if not np.ptp(recording.commands, axis=0).any():
         raise IdentificationError("the commands of a recording are constant", remedy="record steps of the pressures")
     angle = np.asarray(savgol_filter(recording.angle, max(2 * int(_WINDOW / (2 * period)) + 1, 5), 3))

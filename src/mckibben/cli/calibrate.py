@@ -32,6 +32,8 @@ from mckibben.storage.files import to_json, write_json
 from mckibben.units import kPa, show
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from mckibben.calibration import JointEstimate, JointPrior, JointRecording, Sweeps, ValveExperiment
     from mckibben.realtime import JointRig
     from mckibben.scenario import Scenario
@@ -209,7 +211,6 @@ def _valves(
     from mckibben.component.schema import write_text
     from mckibben.realtime import JointRig
     from mckibben.report.joint import valve_calibration as draw
-    from mckibben.report.style import save
     from mckibben.storage.files import atomic_write
 
     on = None if rig is None else JointRig.read(rig)
@@ -237,9 +238,7 @@ def _valves(
     with keeping(out):
         with atomic_write(out / "valve.yaml", overwrite=True) as part:
             part.write_text(_VALVE_HEAD + write_text(found.valve, folder=out), encoding="utf-8")
-        scenario_with_valves(scenario, found).to_yaml(out / "scenario.yaml")
-        write_json(out / "results.json", numbers)
-        save(draw(found, recordings), out, "calibration")
+        _keep(out, scenario_with_valves(scenario, found), numbers, draw(found, recordings))
     if json:
         echo(to_json(numbers))
     else:
@@ -273,6 +272,14 @@ def _show_commands(rows: list[dict[str, Any]]) -> None:
         ("part", "duration", "muscle 1", "muscle 2"),
         [(r["part"], f"{r['duration_s']:g} s", text(r["command1_Pa"]), text(r["command2_Pa"])) for r in rows],
     )
+
+
+def _keep(out: Path, scenario: Scenario, numbers: dict[str, Any], figure: Figure) -> None:
+    from mckibben.report.style import save
+
+    scenario.to_yaml(out / "scenario.yaml")
+    write_json(out / "results.json", numbers)
+    save(figure, out, "calibration")
 
 
 def _quantities_json(found: Mapping[str, JointEstimate]) -> dict[str, Any]:
@@ -317,7 +324,6 @@ def _report(
     from mckibben.calibration import CommandedCalibration, calibrate_scenario, calibrated_scenario
     from mckibben.calibration.experiment import deviations, statements, write_model
     from mckibben.report.joint import calibration as draw
-    from mckibben.report.style import save
 
     commanded = any(one.commanded for one in recordings)
     if held_out and not (commanded and all(one.commanded for one in held_out)):
@@ -343,9 +349,7 @@ def _report(
         numbers["simulated"] = simulated
     with keeping(out):
         write_model(scenario, found, out / "model.yaml")
-        calibrated_scenario(scenario, found).to_yaml(out / "scenario.yaml")
-        write_json(out / "results.json", numbers)
-        save(draw(found, recordings), out, "calibration")
+        _keep(out, calibrated_scenario(scenario, found), numbers, draw(found, recordings))
     if json:
         echo(to_json(numbers))
     else:

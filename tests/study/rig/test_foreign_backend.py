@@ -15,6 +15,7 @@ from mckibben.rig.simulated import SimulatedRig
 from mckibben.study.rig.document import RigTest
 from mckibben.study.rig.running import _origin, _PastSessions, check, run_test
 from mckibben.units import BoundedInt
+from tests.realtime.conftest import Borrowed
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 TEXT = """name: a short test
@@ -28,42 +29,16 @@ protocol:
 
 
 @dataclass
-class BorrowedRig(MovingBackend):
+class BorrowedRig(Borrowed, MovingBackend):
     """Hardware of one's own: the volts come from elsewhere, all optional members are the defaults."""
 
     port: Annotated[int, BoundedInt(0, 9)] = 0
 
     def __post_init__(self):
-        super().__post_init__()
-        self.other = SimulatedRig(MUSCLE, seed=1)
-        self.rate, self.patience = self.other.rate, self.other.patience
+        MovingBackend.__post_init__(self)
+        Borrowed.__init__(self, SimulatedRig(MUSCLE, seed=1), self.port)
 
-    inputs = property(lambda self: self.other.inputs)
-    outputs = property(lambda self: self.other.outputs)
-    calibrations = property(lambda self: self.other.calibrations)
     moving = property(lambda self: self.other.moving)
-    description = property(lambda self: {"kind": "borrowed", "port": str(self.port)})
-
-    def open(self):
-        self.other.open()
-
-    def clock(self):
-        return self.other.clock()
-
-    def read(self, count, *, timeout=1.0):
-        return self.other.read(count, timeout=timeout)
-
-    def set_valves(self, volts):
-        self.other.set_valves(volts)
-
-    def heartbeat(self):
-        self.other.heartbeat()
-
-    def vent(self):
-        self.other.vent()
-
-    def close(self):
-        self.other.close()
 
     def move(self, pulses, rate):
         self.other.move(pulses, rate)
