@@ -31,7 +31,6 @@ from mckibben.plant import JointFriction, NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario
 from mckibben.simulation import simulate_many
 from mckibben.study.benchmark import Suite, draw
-from mckibben.study.benchmark.benchmark import failed
 from mckibben.units import Bandwidth, Pressure, Quantity, cm, deg, kPa
 
 SUITE, GAINS = Path("examples/comparison/valves.yaml"), Path("examples/valves")
@@ -154,7 +153,7 @@ def errors(suite, plant, scenario, reference):
         substeps=SUBSTEPS,
         metrics=["angle_rmse"],
     )
-    return np.where(failed(batch), np.inf, batch.metrics["angle_rmse"]) / deg
+    return np.where(batch.usable, batch.metrics["angle_rmse"], np.inf) / deg
 
 
 def main():

@@ -75,7 +75,8 @@ def mistaken(cli, tmp_path, scenario):
     return call
 
 
-@pytest.mark.parametrize("method", ["cma", pytest.param("gradient", marks=pytest.mark.slow), "evolution"])
+@pytest.mark.parametrize("method", ["cma", "gradient", "evolution"])
+@pytest.mark.slow
 def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     found = cli("tune", "s.yaml", *SMALL, "--method", method)
     assert found.code == 0
@@ -141,6 +142,7 @@ def test_conditions_that_mean_nothing_are_refused(cli, scenario, arguments, name
     assert (found.code, named in found.err) == (2, True), found.err
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output(cli, scenario, tmp_path):
     found = cli("tune", "s.yaml", *SMALL, "--method", "cma", "--json")
     assert found.code == 0
@@ -148,6 +150,7 @@ def test_json_alone_on_standard_output(cli, scenario, tmp_path):
     assert re.fullmatch(r"wrote s-tuned.yaml, history.journal.* to kept\n", found.err)
 
 
+@pytest.mark.slow
 def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, text, monkeypatch):
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 1])  # what is found does not matter here
     (tmp_path / "a").mkdir()
@@ -171,6 +174,7 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
 
 
 @pytest.mark.parametrize(("known", "believed"), [((), 208e-3), (("--known", "joint.geometry.connector_length"), None)])
+@pytest.mark.slow
 def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, tmp_path, monkeypatch, known, believed):
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 0])  # what is found does not matter here
     plant = ("--parameters", "joint.geometry.connector_length=206..208 mm", *COST, "--iterations", "1", "--out", "kept")
@@ -182,6 +186,7 @@ def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, 
     assert tuned.controller.model.geometry.connector_length == pytest.approx(believed or true, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_scenario_that_cannot_start_is_mended(cli, scenario, tmp_path, text):
     scenario.write_text(text.replace("stiffness: 12 N*m/rad", "stiffness: 99 N*m/rad"), encoding="utf-8")
     found = cli("tune", "s.yaml", *SMALL, "--method", "cma")
@@ -194,6 +199,7 @@ def test_a_scenario_that_cannot_start_is_mended(cli, scenario, tmp_path, text):
     assert "nan" not in found.out
 
 
+@pytest.mark.slow
 def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
     narrow = ("--parameters", "start.angle=-2..1 deg", *START[2:], *SMALL[4:])
     found = cli("tune", "s.yaml", *narrow, "--method", "cma", "--iterations", "12")
@@ -245,6 +251,7 @@ def test_files_that_others_put_there_stay(cli, scenario, tmp_path, name):
     assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]
 
 
+@pytest.mark.slow
 def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     asked = ("tune", "s.yaml", *SMALL, "--method", "cma")
     assert cli(*asked).code == 0
@@ -256,6 +263,7 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
         (("--seed", "1"), "started with 0, not 1"),
         (("--worst",), "worst: .* started with False, not True"),
         (("--margin", "2"), "gain_margin: .* started with 1.0, not 2.0"),
+        (("--delay-margin", "2 ms"), r"delay_margin: .* started with 0.0, not 0.002"),
         (("--cost", "angle_rmse"), "cost: the search was started"),
         (("--parameters", "load.damping"), "parameters: the search was started"),
     ):

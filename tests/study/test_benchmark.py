@@ -11,10 +11,11 @@ from mckibben.errors import FileError, ParameterError
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics
 from mckibben.study.benchmark import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
-from mckibben.study.benchmark.benchmark import _controller, _error_at_air
+from mckibben.study.benchmark.benchmark import ControllerTuning, _controller, _error_at_air
 from mckibben.study.benchmark.statistics import front, statistics
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.objective import FAILED_COST
+from mckibben.study.tune.search import SearchSpace
 from mckibben.study.tune.tune import Trial
 from mckibben.units import deg
 
@@ -45,6 +46,7 @@ def simulated(suite):
 
 
 class TestRuns:
+    @pytest.mark.slow
     def test_a_run_of_the_batch_is_that_run_alone(self, simulated):
         """With both joints, with its noise and delay: as `mckibben simulate` runs its scenario.
 
@@ -89,6 +91,7 @@ class TestRuns:
             expected = np.array([jax.tree.leaves(model) for model in models], float)
             np.testing.assert_allclose(np.array(leaves, float).T, expected)
 
+    @pytest.mark.slow
     def test_the_noise_is_that_of_the_run(self, simulated):
         run = simulated.runs.reference_name.index("sine and step")
         scenario = simulated.scenario("PID 3", run)
@@ -97,6 +100,7 @@ class TestRuns:
         own, others = (run_scenario(each).result.metrics["angle_rmse"] for each in (scenario, other))
         assert abs(own - others) > 1e-6 * own
 
+    @pytest.mark.slow
     def test_its_cost_is_that_of_the_suite(self, simulated):
         metrics = simulated.batches["PID 3"].metrics
         assert not simulated.diverged("PID 3").any()
@@ -143,6 +147,7 @@ def contest(suite, kept, told):
 
 @pytest.mark.usefixtures("simulating_nothing")
 class TestTuning:
+    @pytest.mark.slow
     def test_costs_are_means_over_the_runs_that_begin(self, tmp_path):
         one = changed(*ALONE, ("generations: 2", "generations: 6"))
         contest = compare(one, folder=tmp_path)
@@ -160,6 +165,7 @@ class TestTuning:
         assert kp == float(f"{kp:.5e}"), "six digits, as it is written down"
         assert contest.at_bound["PID 3"] == ()
 
+    @pytest.mark.slow
     def test_trials_keep_the_medians_of_the_runs_where_none_diverged(self, tmp_path):
         one = changed(*ALONE, ("generations: 2", "generations: 6"))
         contest = compare(one, folder=tmp_path)
@@ -176,12 +182,14 @@ class TestTuning:
                     {"angle_rmse": error, "stiffness_rmse": np.median(lag) / 0.02, "air": kp / 3e5 * 1e-4}
                 )
 
+    @pytest.mark.slow
     def test_a_number_at_an_end_of_its_range_is_named(self):
         narrow = ALONE[1][0], ALONE[1][1].replace("0.1..20", "1..1.3")
         contest = compare(changed(ALONE[0], narrow, ("generations: 2", "generations: 6")))
         assert contest.at_bound["PID 3"] == (KP,)
         assert contest.tuned["PID 3"][KP] == pytest.approx(1.3e5, rel=0.01)
 
+    @pytest.mark.slow
     def test_at_equal_air_each_has_its_trial_of_least_error(self, suite, contest, kept):
         """By the medians of the training runs, of trials in which no run diverged, on the evaluation runs."""
         tried = {name: trials(kept, path) for name, path in (("PID 3", "pid-3"), ("decoupling", "decoupling"))}
@@ -204,6 +212,7 @@ class TestTuning:
         assert list(numbers["controllers"]) == list(contest.at_air.batches)
         assert numbers["controllers"]["PID 3"]["ratio_to_first"]["angle_rmse_deg"]["ratio"] == 1.0
 
+    @pytest.mark.slow
     def test_all_have_the_same_budget_and_untuned_ones_none(self, contest, kept):
         counts = {path.stem: len(trials(kept, path.stem)) for path in kept.glob("*.journal")}
         assert set(counts) == {"pid-3", "decoupling"}
@@ -213,12 +222,14 @@ class TestTuning:
         batch = contest.batches["as it is"]
         assert batch.metrics["air"][~batch.failed] == pytest.approx(2 / 3 * 1e-4), "2 bar/rad, as in the file"
 
+    @pytest.mark.slow
     def test_a_controller_may_have_a_budget_of_its_own(self, tmp_path):
         for name, starts in (("all", "starts: 3"), ("own", "starts: 1, starts_of: {PID 3: 3}")):
             compare(changed(*ALONE, ("starts: 2", starts)), folder=tmp_path / name)
         points = [[trial.point for trial in trials(tmp_path / name)] for name in ("all", "own")]
         assert points[0] == points[1]
 
+    @pytest.mark.slow
     def test_a_search_starts_at_the_best_of_its_candidates(self, tmp_path):
         compare(changed(*ALONE, ("starts: 2", "starts: 1, candidates: 40")), folder=tmp_path)
         found = trials(tmp_path)
@@ -241,6 +252,7 @@ class TestTuning:
         assert contest.metric("as it is", "angle_rmse") / deg == pytest.approx((1 + np.log10(1.5)) * heavy / 0.5)
         assert not contest.diverged("as it is").any()
 
+    @pytest.mark.slow
     def test_a_search_repeats_itself_and_is_taken_up(self, suite, contest, kept, tmp_path):
         whole = {path.name: path.read_bytes() for path in kept.glob("*.journal")}
         content = whole["pid-3.journal"]
@@ -276,6 +288,7 @@ class TestTuning:
         assert set(wild.cost("as it is")[lost]) == {FAILED_COST}
         assert (wild.cost("as it is")[~lost] < 100).all()
 
+    @pytest.mark.slow
     def test_when_no_run_can_begin_it_is_said(self):
         slow = ("valve.time_constant=10..50 ms", "valve.time_constant=49..50 ms")
         with pytest.raises(ParameterError, match="none of the training runs can start"):
@@ -285,6 +298,7 @@ class TestTuning:
 
 
 @pytest.mark.parametrize("controller", ["PID 3", "decoupling"])
+@pytest.mark.slow
 def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
     """Whatever the conditions: it has no leaf that is an array over runs but of its own tuned numbers, all equal."""
     heavier = changed(("load.mass2=+-50 %", "load.mass2=1..2 kg"))
@@ -342,6 +356,21 @@ def test_too_much_air_or_stiffness_error_raises_the_error_that_is_searched():
     assert error(2e-4, 0.5) == error(1e-4, 0.1) == 0.01
     assert error(2.2e-4, 0.5) == error(2e-4, 0.55) == pytest.approx(0.02)
     assert _error_at_air(Trial((0.5,), FAILED_COST), 2e-4, 0.5) == FAILED_COST
+
+
+@pytest.mark.slow
+def test_the_cost_covers_a_longer_delay():
+    def evaluated(*pairs):
+        one = changed(*ALONE, *pairs)
+        task = ControllerTuning(one, "PID 3", SearchSpace(one.tuned_over("PID 3")), draw(one, 8, 99))
+        return task.evaluate(np.array([[1e5], [5e5]]))
+
+    late = "conditions:\n", "command_delay: 6 ms\nconditions:\n"
+    covered = evaluated(("tuning: {", "tuning: {delay_margin: 6 ms, "))
+    each = evaluated().costs, evaluated(late).costs
+    assert covered.costs == pytest.approx(np.maximum(*each), rel=1e-9)
+    assert (covered.costs > each[0]).any()
+    assert covered.metrics == evaluated().metrics, "without the margin"
 
 
 def test_sets_of_numbers_lie_one_after_the_other(suite):

@@ -7,6 +7,7 @@ import pytest
 
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.scenario import Scenario, find_parameter, run_scenario, with_values
+from mckibben.simulation import Outcome
 from mckibben.study.parameters import LogUniform, Uniform, sweep_parameters
 from mckibben.study.tune import Cost, Term, parse_cost, tune
 from mckibben.study.tune.objective import FAILED_COST, SMOOTH, TuningProblem
@@ -66,6 +67,7 @@ def by_hand():
     return np.array([[[one(s, row) for row in rows] for s in (LIGHT, HEAVY)] for rows in (ROWS, raised)])
 
 
+@pytest.mark.slow
 def test_the_cost_is_that_of_single_runs(by_hand):
     for margin in (1.0, 1.5):
         sums = by_hand if margin == 1.5 else by_hand[:1]
@@ -84,6 +86,7 @@ def test_the_cost_is_that_of_single_runs(by_hand):
 
 @pytest.mark.parametrize("worst", [False, True])
 @pytest.mark.parametrize("margin", [1.0, 1.5])
+@pytest.mark.slow
 def test_gradients_are_central_differences(worst, margin):
     check_differences(asked(Cost(TERMS, gain_margin=margin, worst=worst)), ROWS)
 
@@ -99,6 +102,35 @@ def check_differences(task, rows, rtol=1e-5):
     expected = (costs[..., 0] - costs[..., 1]) / (2 * h)
     assert (np.abs(expected) > 1e-4).all()
     np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_the_cost_covers_a_longer_delay_that_the_controller_does_not_know():
+    gains = {name: RANGES[name] for name, gain in zip(RANGES, GAINS, strict=True) if gain}
+    rows, own, more = ROWS[:, GAINS], np.array([0.0, 2e-3]), 4e-3
+
+    def costs(cost, conditions):
+        return TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, gains), cost, "all", conditions).costs(rows)
+
+    plain, late = (costs(Cost(TERMS), {"command_delay": delay}) for delay in (own, own + more))
+    covered = costs(Cost(TERMS, delay_margin=more), {"command_delay": own})
+    np.testing.assert_allclose(covered, np.maximum(plain, late), rtol=1e-9)
+    assert (covered > plain).any()
+    with pytest.raises(ParameterError):
+        TuningProblem.of(
+            (LIGHT,), sweep_parameters(LIGHT, gains), Cost(TERMS, delay_margin=more), ["command_delay"],
+            {"command_delay": own},
+        )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_limit_cycle_is_a_failure():
+    scenario = Scenario.parse(EXAMPLE.replace("duration: 10 s", "duration: 1 s").replace("at: 5 s", "at: 0.5 s"))
+    name = "controller.position.kp"
+    task = TuningProblem.of((scenario,), sweep_parameters(scenario, {name: RANGES[name]}), Cost(TERMS))
+    costs = task.costs(np.array([[1 * bar], [40 * bar]]))
+    assert run_scenario(with_values(scenario, {name: 40 * bar})).result.outcome is Outcome.LIMIT_CYCLE
+    assert costs[0] < FAILED_COST == costs[1]
 
 
 @pytest.mark.slow
@@ -133,6 +165,7 @@ def test_texts_are_read_and_conditions_that_cannot_run_are_refused_before_the_se
         tune(LIGHT, ["controller.position.kpp=1..2"], "angle_rmse/1 deg")
 
 
+@pytest.mark.slow
 def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():
     connectors = sweep_parameters(LIGHT, {"joint.geometry.connector_length": RANGES["joint.geometry.connector_length"]})
     rows, cost = np.array([[0.207], [0.208]]), Cost(TERMS)
@@ -153,6 +186,7 @@ def test_points_are_places_in_the_ranges():
     assert task.space.point(np.array([1e9, 1e9, -1.0, 1.0, 0.0])).tolist() == [1.0, 1.0, 0.0, 1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbours_alone():
     task = TuningProblem.of(
         (LIGHT,),

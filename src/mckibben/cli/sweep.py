@@ -17,6 +17,7 @@ from mckibben.cli.options import (
     keeping,
     long_job,
     metric,
+    parse_quantity,
     required_folder,
     table,
 )
@@ -150,6 +151,12 @@ def tune(
     margin: Annotated[
         float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains larger by this factor.")
     ] = 1.5,
+    delay_margin: Annotated[
+        str,
+        Option(
+            metavar="TIME", help="Delay margin: the cost covers commands that arrive this much later, such as '5 ms'."
+        ),
+    ] = "0 ms",
     worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario or condition, not the mean.")] = False,
     conditions: Annotated[
         list[str] | None,
@@ -181,7 +188,8 @@ def tune(
     from mckibben.study.tune import tune as run
 
     ranges = parse_ranges(parameters or [], read[0])
-    asked = parse_cost(cost, gain_margin=margin, worst=worst, percentile=percentile)
+    late = parse_quantity("--delay-margin", delay_margin, "s")
+    asked = parse_cost(cost, gain_margin=margin, worst=worst, percentile=percentile, delay_margin=late)
     if not conditions and (draws is not None or (percentile is not None and len(read) == 1)):
         raise ParameterError("--draws and --percentile apply to conditions", remedy="add --conditions 'NAME=RANGE'")
     drawn = sample(parse_sweeps(conditions, read[0]), samples=draws or 16, seed=seed) if conditions else {}

@@ -71,6 +71,11 @@ class Batch:
         """Mask of the failed runs."""
         return np.array([outcome.failed for outcome in OUTCOMES])[self["outcome"]]
 
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Mask of the runs that did not fail, and did not end in a limit cycle."""
+        return np.array([outcome.usable for outcome in OUTCOMES])[self["outcome"]]
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.table[name].to_numpy()
 

@@ -59,6 +59,11 @@ class Outcome(enum.Enum):
         """Whether the run has no usable end: diverged, or not started."""
         return self.diverged or self is Outcome.NO_START
 
+    @property
+    def usable(self) -> bool:
+        """Whether the run did not fail, and did not end in a limit cycle."""
+        return not self.failed and self is not Outcome.LIMIT_CYCLE
+
 
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
 """Columns of the attainable stiffness."""

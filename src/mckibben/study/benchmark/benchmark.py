@@ -110,7 +110,7 @@ class BenchmarkResult:
 
     def of(self, batch: Batch, name: str) -> Vector:
         """A metric [SI] in the results of a controller."""
-        return np.where(failed(batch), np.nan, batch.metrics[name])[self.started]
+        return np.where(batch.usable, batch.metrics[name], np.nan)[self.started]
 
     def diverged(self, controller: str) -> NDArray[np.bool_]:
         """Mask of the runs that started and diverged."""
@@ -199,11 +199,6 @@ def _ended(batch: Batch, outcome: Outcome) -> NDArray[np.bool_]:
     return batch["outcome"] == OUTCOMES.index(outcome)
 
 
-def failed(batch: Batch) -> NDArray[np.bool_]:
-    """Mask of the runs that diverged, ended in a limit cycle or could not start."""
-    return batch.failed | _ended(batch, Outcome.LIMIT_CYCLE)
-
-
 def _started(batch: Batch) -> NDArray[np.bool_]:
     """Mask of the runs that could start. Shape (runs,)."""
     return ~_ended(batch, Outcome.NO_START)
@@ -239,7 +234,10 @@ class ControllerTuning:
         return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
 
     def evaluate(self, values: Vector) -> Evaluated:
-        """Mean cost and median metrics of rows of values [SI] over the training runs that can start."""
+        """Mean cost and median metrics of rows of values [SI] over the training runs that can start.
+
+        With a delay margin the cost is the larger of two, without and with the longer delay of the commands.
+        """
         table = dict(zip(self.space.names, values.T, strict=True))
         good = valid_rows(self._scenario, table)
         if not good.any():
@@ -247,20 +245,26 @@ class ControllerTuning:
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
         asked = tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
         batch = _simulated_all(self.runs, self.controller, table, len(values), asked)
-        found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        diverged = ~np.isfinite(found) | failed(batch)
-        found = np.where(diverged, FAILED_COST, np.minimum(found, FAILED_COST))
-        started = _started(batch)
+        started, shape = _started(batch), (len(values), self.runs.count)
         if not started.any():
             raise _none_starts("training")
-        shape = (len(values), self.runs.count)
-        total = np.sum(np.where(started, found, 0.0).reshape(shape), axis=1)
-        costs = np.where(good, total / started.reshape(shape).sum(axis=1), FAILED_COST)
-        started, diverged = started.reshape(shape), diverged.reshape(shape)
+
+        def costs_of(batch: Batch) -> Vector:
+            found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
+            kept = np.isfinite(found) & batch.usable
+            found = np.where(kept, np.minimum(found, FAILED_COST), FAILED_COST)
+            return np.sum(np.where(started, found, 0.0).reshape(shape), axis=1) / started.reshape(shape).sum(axis=1)
+
+        costs = costs_of(batch)
+        if margin := self.suite.tuning.delay_margin:
+            late = self.runs.delayed(margin)
+            costs = np.maximum(costs, costs_of(_simulated_all(late, self.controller, table, len(values), asked)))
+        costs = np.where(good, costs, FAILED_COST)
+        started, usable = started.reshape(shape), batch.usable.reshape(shape)
         columns = {name: batch.metrics[name].reshape(shape) for name in TRADED}
 
         def medians(row: int) -> dict[str, float] | None:
-            if not good[row] or (diverged & started)[row].any():
+            if not good[row] or (started & ~usable)[row].any():
                 return None
             found = {name: float(np.median(column[row][started[row]])) for name, column in columns.items()}
             return found if np.isfinite(list(found.values())).all() else None
@@ -285,6 +289,7 @@ class ControllerTuning:
             "population": tuning.population,
             "starts": self._starts,
             "candidates": tuning.candidates,
+            "delay_margin": tuning.delay_margin,
         }
 
     def run(

@@ -84,6 +84,15 @@ class Runs:
         """Values [SI] of a plant's varied parameters in some of its runs."""
         return {name: column[rows] for name, column in self.conditions.items() if self.suite.has(joint, name)}
 
+    def delayed(self, delay: float) -> Runs:
+        """Return the same runs with a further delay [s] of the commands."""
+
+        def late(plant: JointPlant) -> JointPlant:
+            own = 0.0 if plant.command_delay is None else plant.command_delay
+            return replace(plant, command_delay=own + delay)
+
+        return replace(self, groups=tuple(replace(group, plant=late(group.plant)) for group in self.groups))
+
     def scenario(self, controller: str, run: int, values: dict[str, float] | None = None) -> Scenario:
         """Scenario of one run, numbered from 0, with a controller of tuned values [SI]."""
         reference, joint = self.reference_name[run], self.joint[run]

@@ -226,6 +226,7 @@ class TuningSettings(ConfigModel):
     generations: Annotated[int, BoundedInt(1, 100_000)] = 40
     population: Annotated[int, BoundedInt(4, 10_000)] = 16
     decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains in the file
+    delay_margin: CommandDelay = 0.0  # the cost covers commands that arrive this much later
     over: dict[str, tuple[str, ...]] = Field(default_factory=dict)  # other parameters and ranges, by controller
     untuned: tuple[str, ...] = ()  # controllers
 

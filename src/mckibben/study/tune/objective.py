@@ -47,6 +47,7 @@ SMOOTH = (
 """Metrics that are differentiable almost everywhere; the others count control periods."""
 
 _PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not the sign of 1e+3
+_DELAY = "command_delay"
 _TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(?:/\s*(?P<scale>.+))?")
 
 
@@ -74,8 +75,9 @@ class Term:
 class Cost:
     """Weighted sum of metrics over their scales.
 
-    Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of the cost of the
-    parameters and the cost with all tuned controller gains multiplied by the margin.
+    Errors alone would drive gains to the stability limit. With margins the cost is the larger of two: that of the
+    parameters, and that with all tuned controller gains multiplied by the gain margin and the commands delayed further
+    by the delay margin.
 
     Parameters
     ----------
@@ -83,6 +85,8 @@ class Cost:
         Summands.
     gain_margin
         Factor by which the gains may increase; 1 for no margin.
+    delay_margin
+        Further delay of the commands [s], which the controllers do not know; 0 for no margin.
     worst
         Whether to use the worst of several scenarios or conditions instead of the mean.
     percentile
@@ -100,6 +104,7 @@ class Cost:
     gain_margin: float = 1.0
     worst: bool = False
     percentile: float | None = None
+    delay_margin: float = 0.0
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -111,6 +116,10 @@ class Cost:
         if not (np.isfinite(self.gain_margin) and self.gain_margin >= 1):
             raise ParameterError(
                 f"the gain margin is {self.gain_margin:g}", value=self.gain_margin, remedy="give 1 (none) or more"
+            )
+        if not (np.isfinite(self.delay_margin) and self.delay_margin >= 0):
+            raise ParameterError(
+                f"the delay margin is {self.delay_margin:g} s", value=self.delay_margin, remedy="give 0 (none) or more"
             )
         if self.percentile is not None:
             if not 0 < self.percentile <= 100:
@@ -130,9 +139,16 @@ class Cost:
         gain_margin: float = 1.0,
         worst: bool = False,
         percentile: float | None = None,
+        delay_margin: float = 0.0,
     ) -> Self:
         """Cost from metrics and their scales [SI]."""
-        return cls(tuple(Term(name, scale) for name, scale in scales.items()), gain_margin, worst, percentile)
+        terms = tuple(Term(name, scale) for name, scale in scales.items())
+        return cls(terms, gain_margin, worst, percentile, delay_margin)
+
+    @property
+    def has_margin(self) -> bool:
+        """Whether it covers other gains or a longer delay."""
+        return self.gain_margin != 1.0 or self.delay_margin != 0.0
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -149,7 +165,14 @@ class Cost:
         return " + ".join(_written(term) for term in self.terms)
 
 
-def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False, percentile: float | None = None) -> Cost:
+def parse_cost(
+    text: str,
+    *,
+    gain_margin: float = 1.0,
+    worst: bool = False,
+    percentile: float | None = None,
+    delay_margin: float = 0.0,
+) -> Cost:
     """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
 
     A single metric needs no scale; each of several metrics needs one, since their units differ.
@@ -189,7 +212,7 @@ def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False, perc
         except ValueError:
             raise ParameterError(f"{found['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
         terms.append(Term(metric, size, weight))
-    return Cost(tuple(terms), gain_margin, worst, percentile)
+    return Cost(tuple(terms), gain_margin, worst, percentile, delay_margin)
 
 
 def _written(term: Term) -> str:
@@ -221,7 +244,7 @@ class TuningProblem:
     def __post_init__(self) -> None:
         for scenario in self.scenarios:
             try:
-                known_names(scenario, self.known, [*self.space.names, *self.conditions])
+                self._known(scenario)
             except ParameterError as error:
                 if len(self.scenarios) == 1:
                     raise
@@ -253,6 +276,16 @@ class TuningProblem:
         parameters = find_parameters(scenarios[0], [each.name for each in swept])
         space = SearchSpace(tuple(replace(each, parameter=p) for each, p in zip(swept, parameters, strict=True)))
         return cls(tuple(scenarios), space, cost, known, conditions or {})
+
+    def _known(self, scenario: Scenario) -> tuple[str, ...]:
+        """Parameters that the controller's model follows; it does not know a delay that is longer by the margin."""
+        names = known_names(scenario, self.known, [*self.space.names, *self.conditions])
+        if not self.cost.delay_margin or _DELAY not in names:
+            return names
+        if self.known != "all":
+            message = f"{_DELAY} is known, but no controller knows the delay margin"
+            raise ParameterError(message, value=_DELAY, remedy=f"leave {_DELAY} out of known, or the delay margin at 0")
+        return tuple(name for name in names if name != _DELAY)
 
     @property
     def _draws(self) -> int:
@@ -296,7 +329,7 @@ class TuningProblem:
 
     def _with_margin(self, values: Vector) -> Vector:
         """Rows of values, then the rows with the margin, repeated for each condition."""
-        if self.cost.gain_margin != 1.0:
+        if self.cost.has_margin:
             lower, upper = np.array([(each.parameter.lower, each.parameter.upper) for each in self.space.swept]).T
             values = np.concatenate([values, np.clip(values * self._gain_factors(), lower, upper)])
         return np.tile(values, (self._draws, 1))
@@ -304,7 +337,7 @@ class TuningProblem:
     def _combine(self, costs: Vector) -> tuple[Vector, Vector]:
         """Combine costs, shape (runs, rows), into one per set of values; also return their weights."""
         count, rows = costs.shape
-        sets = rows if self.cost.gain_margin == 1.0 else rows // 2
+        sets = rows // 2 if self.cost.has_margin else rows
         costs = np.where(np.isfinite(costs), np.minimum(costs, FAILED_COST), FAILED_COST)
         shares = np.zeros_like(costs)
         percentile = 100.0 if self.cost.worst else self.cost.percentile
@@ -321,22 +354,27 @@ class TuningProblem:
         chosen = np.arange(total.shape[0])[:, None] == worse
         return total[worse, np.arange(sets)], shares * chosen.reshape(-1)
 
-    def _table(self, rows: Vector) -> Table:
+    def _table(self, scenario: Scenario, rows: Vector) -> Table:
         tuned = {name: rows[:, i] for i, name in enumerate(self.space.names)}
-        return tuned | {name: np.repeat(each, len(rows) // self._draws) for name, each in self.conditions.items()}
+        table = tuned | {name: np.repeat(each, len(rows) // self._draws) for name, each in self.conditions.items()}
+        if self.cost.delay_margin:
+            late = np.arange(len(rows)) // (len(rows) // (2 * self._draws)) % 2
+            own = table.get(_DELAY, scenario.command_delay or 0.0)
+            table[_DELAY] = own + self.cost.delay_margin * late
+        return table
 
     def _valid(self, scenario: Scenario, rows: Vector) -> tuple[NDArray[np.bool_], Vector]:
         """Mask of the valid rows, and the rows with invalid ones replaced by a valid one."""
-        good = valid_rows(scenario, self._table(rows))
+        good = valid_rows(scenario, self._table(scenario, rows))
         return good, rows if good.all() else np.where(good[:, None], rows, rows[np.argmax(good)])
 
     def _metrics(self, scenario: Scenario, rows: Vector, workers: int) -> dict[str, Vector]:
         good, rows = self._valid(scenario, rows)
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
-        table = self._table(rows)
-        batch = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers)
-        good &= ~batch.failed
+        table = self._table(scenario, rows)
+        batch = run_many(scenario, table, known=self._known(scenario), metrics=self.cost.metrics, workers=workers)
+        good &= batch.usable
         return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
 
     def _derivatives(self, scenario: Scenario, rows: Vector) -> tuple[Vector, Vector]:
@@ -344,7 +382,9 @@ class TuningProblem:
         good, rows = self._valid(scenario, rows)
         if not good.any():
             return np.full(len(rows), np.nan), np.zeros_like(rows)
-        many = batched(scenario, self._table(rows), known=self.known)
+        table, known = self._table(scenario, rows), self._known(scenario)
+        good &= run_many(scenario, table, known=known, metrics=self.cost.metrics).usable
+        many = batched(scenario, table, known=known)
         leaves = [self._leaves(scenario, each) for each in self.space.swept]
         found = differentiate(
             many.plant(),

@@ -260,6 +260,7 @@ def tune(
         "known": known if known == "all" else sorted(known),
         "cost": cost.text,
         "gain_margin": cost.gain_margin,
+        "delay_margin": cost.delay_margin,
         "worst": cost.worst,
         **({} if cost.percentile is None else {"percentile": cost.percentile}),
         **({} if not conditions else {"conditions": {name: np.asarray(x).tolist() for name, x in conditions.items()}}),
