@@ -38,15 +38,18 @@ def test_the_units_and_errors_need_nothing_heavy():
     assert python(code) == "[]"
 
 
+@pytest.mark.slow
 def test_jax_computes_with_64_bits_after_the_import():
     assert python("import mckibben, jax.numpy as jnp; print(jnp.ones(1).dtype)") == "float64"
 
 
+@pytest.mark.slow
 def test_jax_computes_with_64_bits_even_when_it_was_imported_first():
     code = "import jax, jax.numpy as jnp; jnp.ones(1); import mckibben; print(jnp.ones(1).dtype)"
     assert python(code) == "float64"
 
 
+@pytest.mark.slow
 def test_the_users_xla_flags_are_kept():
     mine = "--xla_force_host_platform_device_count=2"
     code = "import mckibben, os, jax; print(os.environ['XLA_FLAGS'], jax.device_count())"
@@ -81,6 +84,7 @@ def test_modules_stay_short():
     assert {name: n for name, n in lengths.items() if n > 500} == {}
 
 
+@pytest.mark.slow
 def test_only_the_command_line_prints():
     for name, path in SOURCES.items():
         tree = ast.parse(Path(path).read_text())
@@ -89,6 +93,7 @@ def test_only_the_command_line_prints():
             assert "print" not in calls, name
 
 
+@pytest.mark.slow
 def test_no_two_public_classes_have_one_name():
     homes: dict[str, list[str]] = {}
     for name, path in SOURCES.items():

@@ -24,6 +24,7 @@ def test_the_notebook_has_the_code_of_the_page_and_was_run():
     assert not any(output["output_type"] == "error" for output in outputs)
 
 
+@pytest.mark.slow
 def test_the_muscle_of_the_scenario_is_that_of_the_data():
     columns = {"Druck [bar]": "pressure_bar", "Kraft [N]": "force_N", "Laenge [mm]": "length_mm"}
     data = read_dataset(FOLDER / "rig.csv", columns=columns, initial_length=300 * mm)

@@ -62,6 +62,7 @@ def test_a_pressure_that_keeps_its_rate_needs_the_command(valve):
     assert valve.model_lag(plant_of(SETTINGS[0]).joint) == pytest.approx(2 * valve.damping / w)
 
 
+@pytest.mark.slow
 def test_the_derivative_by_the_damping_is_smooth_at_one():
     def pressure(damping):
         return SecondOrderValve(60.0, damping=damping).pressure_after(2e5, 4e5, 0.02)

@@ -42,6 +42,7 @@ def test_choked_filling_of_a_rigid_volume_is_linear_in_time(index):
     assert filled(14e-6, 0.3, index) == pytest.approx(8e5, rel=1e-6)  # and stops at the supply
 
 
+@pytest.mark.slow
 def test_flow_chokes_at_the_critical_ratio_and_is_linear_at_small_differences():
     assert float(mass_flow(C, 0.3, 7e5, 1e5)) == float(mass_flow(C, 0.3, 7e5, 0.3 * 7e5)) == C * DENSITY * 7e5
     assert float(mass_flow(C, 0.3, 7e5, 0.65 * 7e5)) == pytest.approx(C * DENSITY * 7e5 * math.sqrt(0.75))
@@ -106,6 +107,7 @@ def independent(paper, valve, commands, start, time):
 
 
 @pytest.mark.parametrize("name", VALVES)
+@pytest.mark.slow
 def test_joint_and_air_move_as_an_independent_solver_says(plants, paper_precontracted, name):
     plant, time = plants[name], 0.05
     start = plant.equilibrium(0.1)
@@ -174,6 +176,7 @@ def test_what_no_valve_can_be_is_refused():
         SwitchingValves(C, 7e5, period=0.01, opening_delay=0.02)
 
 
+@pytest.mark.slow
 def test_commands_lead_the_pressure_by_what_the_loop_needs_and_none_does_beyond_the_open_valve(plants):
     plant = plants["regulator"]
     state = plant.init_state(0.1, (3e5, 4e5))

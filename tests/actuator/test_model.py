@@ -54,6 +54,7 @@ def true_response(pressure, lagged, command, time, valve=REGULATOR):
 
 @pytest.mark.parametrize("valve", [REGULATOR, LEAKING], ids=["tight", "leaking"])
 @pytest.mark.parametrize("command", [1.0 * bar, 2.7 * bar, 5.0 * bar])
+@pytest.mark.slow
 def test_a_regulator_is_predicted_at_small_and_at_large_errors(command, valve):
     """Against the differential equations: venting and filling, choked and not, with a muscle that grows."""
     start = 2.5 * bar

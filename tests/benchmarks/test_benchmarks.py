@@ -77,6 +77,7 @@ def test_every_engine_stands_in_every_form(bench, table):
         assert "A note." in text
 
 
+@pytest.mark.slow
 def test_plain_python_runs_our_episode(bench):
     reference = bench.reference
     problem = reference.reference_problem().shortened(200)

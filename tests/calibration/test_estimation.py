@@ -103,6 +103,7 @@ def stiffness_errors(found, recorded):
     return value - true, deviation, before - true, wide
 
 
+@pytest.mark.slow
 def test_a_weight_tells_the_stiffness_and_the_mass(with_weight, recorded):
     error, deviation, before, wide = stiffness_errors(with_weight, recorded)
     assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(before**2))
@@ -116,6 +117,7 @@ def test_a_weight_tells_the_stiffness_and_the_mass(with_weight, recorded):
     assert friction.deviation > 0.02  # at the least value, too
 
 
+@pytest.mark.slow
 def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
     angle, pressures = np.array([0.05]), (np.array([4.8e5]), np.array([4.5e5]))
     value, _ = with_weight.stiffness(angle, pressures)
@@ -123,6 +125,7 @@ def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
     assert not with_weight.joint.has_creep  # the model had none
 
 
+@pytest.mark.slow
 def test_under_one_load_the_stiffness_stays_uncertain(recorded, with_weight):
     alone = calibrate_joint(knee(), LOAD, [recorded[0][0]])
     assert np.mean(stiffness_errors(alone, recorded)[1]) > 1.5 * np.mean(stiffness_errors(with_weight, recorded)[1])
@@ -172,6 +175,7 @@ def test_recordings_that_contradict_the_model_are_told_from_others(recorded, cha
         calibrate_joint(knee(), LOAD, wrong)
 
 
+@pytest.mark.slow
 def test_what_no_parameter_describes_is_told_by_the_residual(recorded, with_weight):
     """The weight was in the other recording: estimates near the prior, and large errors."""
     assert with_weight.residual < 1.5 * with_weight.noise
@@ -182,6 +186,7 @@ def test_what_no_parameter_describes_is_told_by_the_residual(recorded, with_weig
     assert found.noise == pytest.approx(with_weight.noise, rel=0.5)
 
 
+@pytest.mark.slow
 def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded, tmp_path):
     rng, law = np.random.default_rng(3), knee().muscle1.law
     contraction, pressure = (one.ravel() for one in np.meshgrid(np.linspace(0.0, 0.2, 9), np.linspace(1e5, 6e5, 6)))

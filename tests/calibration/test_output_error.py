@@ -19,7 +19,7 @@ from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
-pytestmark = pytest.mark.usefixtures("optimized")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimized")]
 PERIOD, DELAY, LAG = 10 * ms, 34 * ms, 80 * ms
 STRENGTHS = (0.9, 1.12)
 LOAD = GeneralLoad(inertia=0.02, greatest_gravity_torque=0.6, damping=0.05)
@@ -93,7 +93,6 @@ def test_what_has_one_scale_is_told_up_to_a_factor(found):
         assert abs(one.value - true) < 3 * one.deviation
 
 
-@pytest.mark.slow
 def test_the_joints_own_friction_is_told_apart_or_said_not_to_be():
     true, before = JointFriction(0.15, 1 * deg), JointFriction(0.3, 1 * deg)
     one = recorded(4, friction=true)

@@ -130,6 +130,7 @@ def first_order(lags, seconds=8.0):
     return recording(sent, np.stack(true, axis=1))
 
 
+@pytest.mark.slow
 def test_unequal_valves_are_told_apart():
     one = first_order((40 * ms, 55 * ms))
     found = calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(0.1), [one])

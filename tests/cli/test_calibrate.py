@@ -78,6 +78,7 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
         ("--plan",),
     ],
 )
+@pytest.mark.slow
 def test_mistakes_are_refused_before_anything_moves(cli, tmp_path, arguments):
     found = cli("calibrate", str(EXAMPLE), *arguments, "--out", "x")
     assert found.code == 2
@@ -223,6 +224,7 @@ def test_valves_are_calibrated_and_their_recordings_give_the_same(cli, tmp_path)
     assert json.loads(again.out)["quantities"] == found
 
 
+@pytest.mark.slow
 def test_valves_from_a_csv_file(cli, tmp_path):
     time = np.arange(0, 8, 0.005)
     command, pressure, lag = np.where(time % 2 < 1, 3.0, 1.0), np.full(time.size, 3.0), np.exp(-5e-3 / 0.04)

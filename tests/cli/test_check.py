@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 GOOD = """
 from mckibben.control import Sine
 
@@ -29,6 +31,7 @@ class Lag(Valve):
 """
 
 
+@pytest.mark.slow
 def test_a_good_class_passes(cli, tmp_path):
     (tmp_path / "check_good.py").write_text(GOOD, encoding="utf-8")
     found = cli("check", "check_good.py")
@@ -39,6 +42,7 @@ def test_a_good_class_passes(cli, tmp_path):
     assert {one["check"] for one in numbers["findings"]} == {"units", "file", "batch", "determinism", "derivatives"}
 
 
+@pytest.mark.slow
 def test_a_second_order_lag_without_its_state_is_found(cli, tmp_path):
     (tmp_path / "check_bad.py").write_text(BAD, encoding="utf-8")
     found = cli("check", "check_bad.py", "--with", "bandwidth=60 rad/s")

@@ -43,6 +43,7 @@ def test_help_is_had_without_heavy_imports(arguments):
     assert "mckibben" in found.stdout
 
 
+@pytest.mark.slow
 def test_help_names_every_command_and_the_exit_codes(cli):
     text = cli("--help").out
     for command in ("reproduce", "identify", "validate", "simulate", "laws", "specimens"):
@@ -70,6 +71,7 @@ def test_a_process_that_is_done_ends_with_0(tmp_path):
         ),
     ],
 )
+@pytest.mark.slow
 def test_bad_input_ends_with_2_and_nothing_but_the_message(tmp_path, arguments, said):
     found = run(*arguments, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path))
     assert (found.returncode, found.stdout, found.stderr) == (2, "", said)
@@ -168,6 +170,7 @@ def test_names_that_the_terminal_cannot_show_are_escaped(tmp_path, shortened):
     assert r"Knie \xfc \U0001f600" in found.stdout
 
 
+@pytest.mark.slow
 def test_a_path_that_is_no_text_is_bad_input(tmp_path):
     found = run("simulate", "a\udcff\x1b[31m.yaml", cwd=tmp_path, PYTHONIOENCODING="ascii")
     assert found.returncode == 2

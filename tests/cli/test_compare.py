@@ -97,6 +97,7 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.slow
 def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
     written((DECOUPLING, ""))
     assert cli("compare", "suite.yaml", "--out", "kept", "--json").code == 0
@@ -119,6 +120,7 @@ def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.slow
 def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     written((DECOUPLING, ""), ("generations: 2", "generations: 20"))
     found = cli("compare", "suite.yaml", "--out", "kept", "--json", "--runs", "20", "--quick")
@@ -178,6 +180,7 @@ def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.slow
 def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypatch):
     written((DECOUPLING, ""))
     add, counted = TuningHistory.add, []

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_readme_is_short_its_python_gives_a_figure_and_its_badges_are_true(monkeypatch, tmp_path):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
@@ -35,6 +36,7 @@ def test_the_readme_is_short_its_python_gives_a_figure_and_its_badges_are_true(m
         assert f">{badge}: {html.escape(value)}<" in text
 
 
+@pytest.mark.slow
 def test_the_commands_and_options_that_the_documentation_names_exist(cli):
     text = README + "".join(p.read_text(encoding="utf-8") for p in sorted((ROOT / "docs").glob("*.md")))
     named = {name for name in re.findall(r"\bmckibben ([a-z]+)", text) if name not in ("as", "import")}

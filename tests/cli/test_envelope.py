@@ -20,6 +20,7 @@ def printed(shortened, tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_trackable_reference(cli, shortened, tmp_path):
     (tmp_path / "s.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
     found = cli("envelope", "s.yaml")
@@ -60,12 +61,14 @@ def test_an_infeasible_reference_and_the_nearest(cli, printed):
     assert json.loads(again.out)["trackable"] is True
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output(cli, printed):
     found = cli("envelope", "s.yaml", "--json", "--out", "kept")
     assert json.loads(found.out) == json.loads((printed / "kept" / "results.json").read_text(encoding="utf-8"))
     assert found.err.startswith("kept results.json, nearest-angle.yaml")
 
 
+@pytest.mark.slow
 def test_a_load_that_is_too_heavy(cli, printed):
     text = (printed / "s.yaml").read_text(encoding="utf-8")
     heavy = text.replace("load: knee-table-2", "load: {from: knee-table-2, mass2: 500 kg, hanging_angle: 90 deg}")
@@ -106,6 +109,7 @@ def test_a_design_of_one_muscle_leaves_the_other(cli, printed):
     assert 175 <= length <= 178
 
 
+@pytest.mark.slow
 def test_a_design_that_holds_nothing_is_drawn_too(cli, printed):
     target, vary = "stiffness 14..18 N*m/rad over -10..10 deg", ("--vary", "muscle_length=1e-9..40 mm")
     found = cli("envelope", "s.yaml", "--design", target, *vary, "--out", "kept", "--force")

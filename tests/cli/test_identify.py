@@ -114,6 +114,7 @@ def test_columns_that_are_no_columns(cli):
 
 
 @pytest.mark.parametrize("option", [[], ["--json"]])
+@pytest.mark.slow
 def test_out_keeps_everything(cli, tmp_path, option):
     found = cli("identify", FESTO, "--out", "deep/kept", *option)
     assert found.code == 0
@@ -144,6 +145,7 @@ def test_validate_a_law_of_the_catalog(cli, paper):
     assert "taut points; 45 slack left out" in table
 
 
+@pytest.mark.slow
 def test_validate_a_fit_that_was_kept(cli, tmp_path):
     cli("identify", FESTO, "--out", "kept")
     numbers = json.loads(cli("validate", "kept/fit.yaml", FESTO, "--json").out)

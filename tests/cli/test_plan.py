@@ -44,6 +44,7 @@ def test_the_points_and_what_they_gain(cli):
     assert "diagnostic: directions are not recorded" in found.out
 
 
+@pytest.mark.slow
 def test_what_is_kept(cli, tmp_path):
     options = ("--for", "decay", "--pressure", "1..6 bar", "--contraction-step", "2 mm", "--pressure-step", "0.5 bar")
     found = cli("plan", MARTENS, *options, "--json", "--out", "next")

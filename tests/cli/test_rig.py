@@ -31,6 +31,7 @@ def test_a_dry_run_prints_the_steps_and_what_they_take(cli, protocol, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"p.yaml"}
 
 
+@pytest.mark.slow
 def test_it_runs_and_its_dataset_is_identified(cli, protocol):
     answer = cli("rig", "run", "p.yaml", "--out", "out")
     assert answer.code == 0, answer.err

@@ -64,6 +64,7 @@ def test_a_limit_cycle_on_the_rig_is_named(cli, tmp_path):
     assert numbers["metrics"]["oscillation_amplitude_deg"] > 0.5
 
 
+@pytest.mark.slow
 def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path):
     rig = (ROOT / "examples" / "rig" / "joint-rig.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(rig.replace("lowest_angle: -30 deg", "lowest_angle: 10 deg"), encoding="utf-8")
@@ -112,6 +113,7 @@ class LentJoint(JointHardware):
 """
 
 
+@pytest.mark.slow
 def test_hardware_of_an_extension_runs_and_its_missing_watchdog_is_reported(cli, short, tmp_path):
     (tmp_path / "own_joint.py").write_text(_OWN, encoding="utf-8")
     (tmp_path / "rig.yaml").write_text("rig: {class: own_joint:LentJoint}\n", encoding="utf-8")

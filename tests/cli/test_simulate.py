@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted(p.stem for p in (ROOT / "examples").glob("*.yaml"))
 
 
+@pytest.mark.slow
 def test_an_example_in_full(cli):
     found = cli("simulate", str(ROOT / "examples" / "pre-contracted-step-pid.yaml"), "--json")
     assert (found.code, found.err) == (0, "")
@@ -49,6 +50,7 @@ def test_every_example_runs_and_its_numbers_are_those_of_the_run(cli, tmp_path, 
     assert found.out.rstrip().endswith(result.describe())
 
 
+@pytest.mark.slow
 def test_animate_writes_the_run_and_mistakes_come_before_it(cli, tmp_path, shortened):
     (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
     found = cli("simulate", "short.yaml", "--animate", "run.gif", "--json")
@@ -62,6 +64,7 @@ def test_animate_writes_the_run_and_mistakes_come_before_it(cli, tmp_path, short
 
 
 @pytest.mark.parametrize("option", [[], ["--json"]])
+@pytest.mark.slow
 def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened, option):
     (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
     found = cli("simulate", "short.yaml", "--out", "kept", *option)
@@ -118,6 +121,7 @@ def test_the_scenario_of_the_documentation_is_one(cli):
     scenario.initial(scenario.plant())
 
 
+@pytest.mark.slow
 def test_what_is_infeasible_is_a_warning_beside_the_result(cli, tmp_path, shortened):
     text = shortened("pre-contracted-step-pid").replace("after: 17 N*m/rad", "after: 25 N*m/rad")
     (tmp_path / "far.yaml").write_text(text, encoding="utf-8")
@@ -176,6 +180,7 @@ def kept(cli, tmp_path, shortened):
     return tmp_path / "kept"
 
 
+@pytest.mark.slow
 def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kept, tmp_path):
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
     found = cli("simulate", "short.yaml", "--out", "kept")
@@ -193,6 +198,7 @@ def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kep
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_results_are_kept_though_nobody_reads_what_is_printed(cli, kept, monkeypatch):
     shutil.rmtree(kept)
 
@@ -205,6 +211,7 @@ def test_results_are_kept_though_nobody_reads_what_is_printed(cli, kept, monkeyp
     assert {path.name for path in kept.iterdir()} >= {"result.nc", "results.json", "scenario.yaml", "tracking.svg"}
 
 
+@pytest.mark.slow
 def test_a_full_disk_says_what_is_kept_and_a_vanished_folder_that_nothing_is(cli, kept, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -223,6 +230,7 @@ def test_a_full_disk_says_what_is_kept_and_a_vanished_folder_that_nothing_is(cli
     assert "the folder has disappeared" in found.err
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_of_a_result_is_found(kept):
     path = kept / "result.nc"
     whole = path.read_bytes()

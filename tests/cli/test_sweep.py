@@ -95,6 +95,7 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
     assert (kept / "sweep.nc").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_json_alone_goes_to_standard_output_and_nothing_is_shown_on_the_way(cli, scenario):
     asked = ("--over", "load.mass2=0.4 kg, 0.6 kg", "--design", "grid", "--metrics", "angle_rmse,force_max_N")
     found = cli("sweep", "s.yaml", *asked, "--precision", "32", "--out", "kept", "--json")

@@ -82,6 +82,7 @@ def random(x):
 
 
 @pytest.mark.parametrize("function", [elementwise, shapes, loops, branches, random])
+@pytest.mark.slow
 def test_emitted_functions_are_those_of_jax(function):
     expected = jax.jit(jax.vmap(function))(X)
     many = NativeFunction(lambda _, x: function(x))(None, X)

@@ -67,6 +67,7 @@ def test_functions_loops_and_arrays():
 
 
 @pytest.mark.parametrize("kind", ["pid", "backprop"])
+@pytest.mark.slow
 def test_controller(tmp_path, kind):
     scenario = Scenario.read(f"examples/pre-contracted-step-{kind}.yaml")
     made = export(scenario, "js", tmp_path)

@@ -123,6 +123,7 @@ def scenario(folder, **parts):
     return folder / "scenario.yaml"
 
 
+@pytest.mark.slow
 def test_a_law_of_a_package_is_identified_and_read_with_its_version_and_equation(acme, tmp_path):
     run(acme, "identify", "dmsp-10-250-martens2017", "--law", "acme", "--out", "fit", cwd=tmp_path)
     (path,) = (tmp_path / "fit").rglob("fit.yaml")
@@ -136,6 +137,7 @@ def test_a_law_of_a_package_is_identified_and_read_with_its_version_and_equation
     assert "equation" in message and "acme 1.2" in message
 
 
+@pytest.mark.slow
 def test_a_valve_and_a_law_of_a_package_are_simulated(acme, tmp_path):
     law = {"class": "acme_parts:AcmeLaw", "a": "60 N/bar", "b": "200 N/bar", "k": "400 N"}
     joint = {"geometry": "knee-table-2", "muscle": {"specimen": "MAS-10-180N-AA-MC-O", "law": law}}
@@ -154,6 +156,7 @@ def test_a_valve_and_a_law_of_a_package_are_simulated(acme, tmp_path):
     assert done.returncode == 0 and "acme 1.1" in done.stderr and "acme 1.2" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_rig_of_a_package_runs_a_test_under_its_own_watchdog(acme, tmp_path):
     (tmp_path / "protocol.yaml").write_text(PROTOCOL)
     assert "acme" in run(acme, "rig", "check", "protocol.yaml", cwd=tmp_path)
@@ -164,6 +167,7 @@ def test_a_rig_of_a_package_runs_a_test_under_its_own_watchdog(acme, tmp_path):
     assert "acme_parts:AcmeRig" in (tmp_path / "test" / "protocol.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_a_broken_package_is_named_only_where_it_is_needed(acme, tmp_path):
     install(acme, "broken", "1 / 0")
     run(acme, "simulate", scenario(tmp_path, valve={"class": "AcmeValve"}), cwd=tmp_path)
@@ -172,6 +176,7 @@ def test_a_broken_package_is_named_only_where_it_is_needed(acme, tmp_path):
     assert "ZeroDivisionError" in message
 
 
+@pytest.mark.slow
 def test_an_extension_may_be_a_module(tmp_path):
     (tmp_path / "lone.py").write_text(textwrap.dedent(PACKAGE))
     read = scenario(tmp_path, valve={"class": "lone:AcmeValve"})
@@ -181,6 +186,7 @@ def test_an_extension_may_be_a_module(tmp_path):
     assert "PYTHONPATH" in error.value.problems[0].remedy
 
 
+@pytest.mark.slow
 def test_workers_of_dask_load_the_extensions(tmp_path):
     pytest.importorskip("distributed")
     (tmp_path / "own.py").write_text(textwrap.dedent(PACKAGE))

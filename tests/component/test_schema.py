@@ -246,6 +246,7 @@ def test_scenarios_go_to_other_processes():
         assert pickle.loads(pickle.dumps(scenario)) == scenario
 
 
+@pytest.mark.slow
 def test_the_command_line_runs_an_extension_before_it_reads_a_file(tmp_path):
     (tmp_path / "late.py").write_text(
         "from mckibben.plant import FirstOrderValve\n\nclass LateValve(FirstOrderValve):\n    pass\n"

@@ -144,13 +144,15 @@ INSTANCES = {type(one).__name__: one for one in EXAMPLES}
 SLOW = {
     name
     for name, kind in CLASSES.items()
-    if issubclass(kind, control.Controller | leg.LegController) and kind is not leg.PressureSchedule
-} | {"HuntLaw", "ScaledLaw", "CorrectedLaw", "BackpropPID"}
+    if issubclass(kind, control.Controller | leg.LegController | ForceLaw)
+    and kind not in (leg.PressureSchedule, muscle.ChouLaw)
+} | {"BackpropPID", "SeriesSpring", "SecondOrderValve"}
 
 
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name in SLOW)) for name, kind in CLASSES.items()]
 )
+@pytest.mark.slow
 def test_every_built_in_class_keeps_it(kind, tmp_path):
     samples = tmp_path / "samples.csv"
     samples.write_text("time_s,angle_deg\n0,1\n1,5\n", encoding="utf-8")
@@ -338,6 +340,7 @@ class Restless(Controller):
     ],
     ids=lambda one: one.__name__ if isinstance(one, type) else "",
 )
+@pytest.mark.slow
 def test_the_check_finds_what_breaks_it(kind, instances, broken):
     findings = check_class(kind, instances=instances)
     assert {one.check for one in findings if one.passed is False} == broken
@@ -351,6 +354,7 @@ def test_a_finding_names_the_place_and_a_remedy():
     assert "jnp.where" in branched.remedy and "__call__" in branched.found
 
 
+@pytest.mark.slow
 def test_without_a_compiler_c_is_not_checked(monkeypatch):
     monkeypatch.setattr("mckibben.contract.checks.compiler", lambda: None)
     results = {one.check: one.passed for one in check_class(WithState)}
@@ -374,6 +378,7 @@ EXAMPLE = Given(0.1, 2.0)
 """
 
 
+@pytest.mark.slow
 def test_instances_of_the_module_and_given_fields_are_checked(tmp_path):
     (tmp_path / "contract_good.py").write_text(textwrap.dedent(GOOD), encoding="utf-8")
     path = tmp_path / "contract_good.py"

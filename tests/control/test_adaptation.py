@@ -223,6 +223,7 @@ def test_with_a_drift_time_it_follows_a_strength_that_drifts_and_forgets_within_
     np.testing.assert_allclose(course[1, :2], 1.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_in_32_bits_it_finds_the_friction_beside_the_strengths(listened, knee, paper_precontracted):
     """The model's muscles rub with 6 N, the true ones with a part of it: twice that against each motion."""
     rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(6.0, 0.002 * mm, elements=1))

@@ -61,6 +61,7 @@ def test_where_no_pressure_moves_the_stiffness_the_torque_is_had_all_the_same(kn
     assert float(flat.torque(pressures)) == pytest.approx(1.0, abs=1e-9) == float(torque)
 
 
+@pytest.mark.slow
 def test_the_map_of_other_joints_is_that_of_small_changes(as_printed):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(2e4, 20.0, 0.02))
     pressures = (jnp.asarray(1.5e5), jnp.asarray(2e5))

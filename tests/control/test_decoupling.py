@@ -80,6 +80,7 @@ def tracked(run, plant, controllers):
 
 
 @pytest.mark.parametrize("name", ["observer", "integral", "sliding"])
+@pytest.mark.slow
 def test_with_a_right_model_there_is_next_to_no_error(tracked, plant, name):
     record, _ = tracked[name]
     assert rmse(tracked[name]) < 0.01
@@ -143,6 +144,7 @@ def test_nothing_winds_up_while_the_torque_is_out_of_reach(run, plant, controlle
 
 
 @pytest.mark.parametrize("name", ["observer", "integral", "sliding"])
+@pytest.mark.slow
 def test_the_commands_follow_from_the_measurements_alone(run, plant, controllers, name):
     """A plant that differs in all its numbers: what it measured, told again without it, gives the same commands."""
     numbers, rest = eqx.partition(plant, eqx.is_array_like)
@@ -173,6 +175,7 @@ def replayed(control, setpoints, states, kind=jnp.float64):
     return commands, (time.perf_counter() - begun) / PERIODS
 
 
+@pytest.mark.slow
 def test_32_bits_will_do(tracked, controllers):
     record, setpoints = tracked["observer"]
     commands, _ = replayed(controllers["observer"], setpoints, record.state, jnp.float32)

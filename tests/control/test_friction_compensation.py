@@ -74,6 +74,7 @@ def rmse(record, setpoints, after=0):
     return float(np.sqrt(np.mean((np.asarray(record.state.angle) - setpoints.angle)[after:] ** 2)))
 
 
+@pytest.mark.slow
 def test_the_error_that_friction_makes_is_all_but_gone(runs):
     errors = {name: rmse(*run, after=1000) for name, run in runs.items()}
     made, left = errors["friction"] - errors["none"], errors["made up for"] - errors["none"]
@@ -82,6 +83,7 @@ def test_the_error_that_friction_makes_is_all_but_gone(runs):
     assert errors["model off"] < errors["friction"] - 0.6 * made
 
 
+@pytest.mark.slow
 def test_it_does_not_chatter(runs):
     """The command goes no further up and down than it did to overcome friction by feedback."""
 
@@ -102,6 +104,7 @@ def test_what_it_expects_is_the_friction_that_there_is(runs, rubbing):
     assert np.abs(expected).max() == pytest.approx(np.abs(true).max(), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_batch_is_what_single_runs_are(run, rubbing, inner):
     widths = np.array([8.0, 12.0])
     batch = simulate_many(

@@ -96,6 +96,7 @@ def other(plant, load, scales=(0.92, 1.08), mass2=0.75, lag=0.02):
     return JointPlant(joint, load, FirstOrderValve(np.asarray(lag)))
 
 
+@pytest.mark.slow
 def test_the_error_of_a_repeated_sine_falls(run, plant, alone):
     """From nothing; without learning it stays what it is."""
     learnt, before = by_cycle(run(plant, alone)), by_cycle(run(plant, rated(alone, 0.0)))
@@ -104,6 +105,7 @@ def test_the_error_of_a_repeated_sine_falls(run, plant, alone):
     assert (np.diff(learnt) < 0).all()
 
 
+@pytest.mark.slow
 def test_a_right_model_leaves_little_to_learn(run, plant, alone, modelled):
     assert by_cycle(run(plant, rated(modelled, 0.0))).max() < 0.02 * by_cycle(run(plant, rated(alone, 0.0)))[-1]
     assert by_cycle(run(plant, modelled)).max() < 0.05
@@ -157,6 +159,7 @@ def test_without_learning_and_load_it_is_the_loops_alone(run, replayed, plant, a
     assert np.ptp(np.asarray(record.commands[0])) > 1e4
 
 
+@pytest.mark.slow
 def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, modelled):
     """A plant that differs in all its numbers: what it measured, told again without it, gives the same commands.
 

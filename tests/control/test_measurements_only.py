@@ -133,6 +133,7 @@ def estimated(record):
     return np.stack([record.telemetry["strength1_estimate"], record.telemetry["strength2_estimate"]])
 
 
+@pytest.mark.slow
 def test_in_the_loop_it_comes_to_the_true_strengths(adapting):
     """Which muscle is the stronger is told at once; how strong both are only by the load that they speed up."""
     for sensors, ratio, both in ((CLEAN, 0.006, 0.02), (SENSORS, 0.01, 0.03)):
@@ -142,10 +143,12 @@ def test_in_the_loop_it_comes_to_the_true_strengths(adapting):
         assert strengths[:, -1].mean() == pytest.approx(np.mean(TRUTH), abs=both)
 
 
+@pytest.mark.slow
 def test_in_the_loop_it_stays_with_a_model_that_is_right(adapting):
     np.testing.assert_allclose(estimated(adapting(0.06, (1.0, 1.0))), 1.0, atol=0.008)
 
 
+@pytest.mark.slow
 def test_a_corrected_law_gives_a_truer_stiffness(adapting, knee):
     true = eqx.filter_jit(with_strengths(knee, TRUTH).stiffness)
 

@@ -212,6 +212,7 @@ def test_the_differential_pressure_goes_before_the_cocontraction(knee):
         PositionStiffnessControl(POSITION, STIFFNESS, model=knee, minimum_tension=0.0)
 
 
+@pytest.mark.slow
 def test_friction_compensation_keeps_the_tension_too(knee):
     rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(12.0, 0.5 * mm, elements=1))
     model = dataclasses.replace(knee, muscle1=rubbing, muscle2=rubbing)

@@ -160,6 +160,7 @@ def replayed(barely_compiled):
     return replayed
 
 
+@pytest.mark.slow
 def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, knee, load):
     """A plant that differs in all its numbers: what it measured, told again without it, gives the same commands."""
     numbers, rest = eqx.partition(plant, eqx.is_array_like)

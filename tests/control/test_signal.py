@@ -39,6 +39,7 @@ def test_random_steps_hold_levels_of_their_range_for_dwells_of_theirs():
     assert abs(np.corrcoef(levels[:-1], levels[1:])[0, 1]) < 0.1
 
 
+@pytest.mark.slow
 def test_random_steps_of_one_dwell_change_at_its_multiples():
     times = np.arange(3000) * 1e-3
     for steps, at in ((RandomSteps(0.0, 1.0, dwell=0.3), times), (RandomSteps(0.0, 1.0, dwell=0.3), np.float32(times))):
@@ -68,6 +69,7 @@ def test_random_steps_are_the_same_on_every_machine_and_others_for_another_seed(
         assert values.tolist() == [(first_word(seed, index) >> 8) / 2**24 for index in range(4)]
 
 
+@pytest.mark.slow
 def test_random_steps_batch_and_differentiate():
     def of(seed, high):
         return RandomSteps(-1.0, high, 0.1, longest_dwell=0.3, seed=seed)(TIMES)
@@ -147,6 +149,7 @@ def test_a_sum_is_all_of_its_parts():
     ],
     ids=lambda s: type(s).__name__,
 )
+@pytest.mark.slow
 def test_every_signal_is_a_float_in_the_shape_of_time(signal):
     assert signal(1.5).shape == ()
     grid = signal(TIMES.reshape(2, 3))

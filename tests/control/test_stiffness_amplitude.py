@@ -84,6 +84,7 @@ def test_a_motion_of_the_size_meets_the_stiffness_asked_for(joint, load, plant, 
     assert isobaric < ASKED - 15  # friction adds the rest
 
 
+@pytest.mark.slow
 def test_a_wrong_friction_of_the_model_is_an_error_of_the_stiffness(joint, load, plant, settle):
     """Three quarters of the friction: the rest of what it adds comes on top."""
     weaker = eqx.tree_at(
@@ -97,6 +98,7 @@ def test_a_wrong_friction_of_the_model_is_an_error_of_the_stiffness(joint, load,
     assert met(plant, state) == pytest.approx(real, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load):
     torque = -float(load.gravity_torque(ANGLE))
     isobaric = np.array(knee.attainable_stiffness(ANGLE, torque, minimum_tension=30.0))

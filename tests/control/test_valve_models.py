@@ -52,6 +52,7 @@ def settled(result):
 
 @pytest.mark.parametrize("kind", ["decoupling", "predictive"])
 @pytest.mark.parametrize("conductance", VALVES)
+@pytest.mark.slow
 def test_valves_with_air_are_controlled_as_well_as_lags(run, make, kind, conductance):
     result = run(VALVES[conductance], make(kind, VALVES[conductance], 60.0))
     assert not result.outcome.failed and result.outcome is not Outcome.LIMIT_CYCLE
@@ -59,6 +60,7 @@ def test_valves_with_air_are_controlled_as_well_as_lags(run, make, kind, conduct
     assert result.metrics["stiffness_rmse"] < 0.1
 
 
+@pytest.mark.slow
 def test_with_a_lag_in_place_of_the_air_they_end_in_a_limit_cycle(run, make):
     """The fault that the model of the valve mends, named in the result, with its amplitude and period."""
     valve = VALVES[0.05]
@@ -68,6 +70,7 @@ def test_with_a_lag_in_place_of_the_air_they_end_in_a_limit_cycle(run, make):
     assert 0.05 < result.metrics["oscillation_period"] < 0.5
 
 
+@pytest.mark.slow
 def test_a_step_too_fast_for_the_valves_is_braked_in_time(run, make):
     """A regulator of 0.0091 L/(s*bar), as in the paper: bandwidths that its flow allows for small errors alone."""
     valve = mk.catalog.valve("smc-itv0050", supply=8 * bar)
@@ -90,6 +93,7 @@ def test_the_supply_of_the_model_limits_the_pressures(run, make):
 
 
 @pytest.mark.parametrize("delay", [3 * ms, 4.5 * ms, 8 * ms, 16 * ms])
+@pytest.mark.slow
 def test_a_known_delay_of_the_commands_is_compensated(run, make, knee, load, delay):
     valve = mk.FirstOrderValve(20 * ms)
     inner = make("decoupling", valve, 60.0)
@@ -101,6 +105,7 @@ def test_a_known_delay_of_the_commands_is_compensated(run, make, knee, load, del
         assert settled(late) < 0.2 * settled(run(valve, inner, command_delay=delay))
 
 
+@pytest.mark.slow
 def test_a_pid_is_compensated_too(run, knee, load):
     valve, delay = mk.FirstOrderValve(20 * ms), 12 * ms
     position = mk.PID(3 * bar, 60 * bar, 0.8 * bar, derivative_on_error=True)
@@ -110,6 +115,7 @@ def test_a_pid_is_compensated_too(run, knee, load):
     assert compensated.metrics["angle_rmse"] < 0.5 * plain.metrics["angle_rmse"]
 
 
+@pytest.mark.slow
 def test_delays_may_differ_between_runs(make, knee, load):
     """The state holds the commands of the longest; each run is the one that it would be alone."""
     valve, delays = VALVES[0.12], np.array([0.0, 2.5 * ms, 8 * ms])

@@ -129,6 +129,7 @@ GARBAGE = [
     cut=st.integers(0, 12),
     newline=st.sampled_from(["\n", "\r\n"]),
 )
+@pytest.mark.slow
 def test_every_line_of_a_text_is_a_point_or_in_the_report(inserted, order, cut, newline, tmp_path):
     """Rows in any order, garbage between them, the end cut off: point by point and line by line."""
     lines = LINES.copy()

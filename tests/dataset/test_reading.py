@@ -312,6 +312,7 @@ def test_units_that_are_probably_meant_otherwise_are_warned_of(file):
         read_dataset(file(ratios.replace("6,0.25,6\n", "")))
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_rows_take_no_time_to_speak_of(file):
     row = "1.50000,2.50000,123.456,loading,1\n"
     path = file("pressure_bar,contraction_percent,force_N,direction,repeat\n" + 100_000 * row + row.replace("3", "4"))
@@ -376,6 +377,7 @@ def test_random_bytes_raise_nothing_but_dataset_errors(content, file):
     slack_force=st.none() | st.floats(),
 )
 @example(edits=[(0, 0, b"")], initial_length=1e308, slack_force=None)
+@pytest.mark.slow
 def test_mutated_files_raise_nothing_but_dataset_errors(edits, initial_length, slack_force, file):
     content = VALID
     for at, removed, put in edits:

@@ -211,6 +211,7 @@ def test_a_slow_ramp_is_no_plateau():
     dwell=st.sampled_from([0.02, 0.5, 1.0, 2.5]),
     settle=st.sampled_from([0.0, 0.01]),
 )
+@pytest.mark.slow
 def test_whatever_the_record_all_samples_are_accounted_for_and_plateaus_are_steady(seed, drop, jitter, dwell, settle):
     rng = np.random.default_rng(seed)
     kept = rng.uniform(size=len(RUN.time)) >= drop

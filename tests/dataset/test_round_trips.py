@@ -65,6 +65,7 @@ def test_netcdf_gives_the_same_dataset_back(data, tmp_path):
 
 @SETTINGS
 @given(data=datasets(samples=False))
+@pytest.mark.slow
 def test_csv_gives_the_same_dataset_back(data, tmp_path):
     path = tmp_path / "data.csv"
     data.to_csv(path)

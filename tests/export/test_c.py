@@ -37,10 +37,8 @@ def scenarios(board):
     return board.scenarios(0.3)
 
 
-LONG = {"BP", "decoupling, adapted", "predictive"}  # the others have their operations
-
-
-@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one in LONG)) for one in REPLAYED])
+@pytest.mark.parametrize("name", REPLAYED)
+@pytest.mark.slow
 def test_it_repeats_the_recorded_run(scenarios, name, tmp_path):
     export(scenarios[name], "c", tmp_path, name="knee", **REPLAYED[name])
     subprocess.run(["make", "-s", "replay"], cwd=tmp_path, check=True)
@@ -73,6 +71,7 @@ def test_it_fits_a_cortex_m7_and_runs_there(board, scenarios, tmp_path):
         assert board.replayed(tmp_path, "knee", steps=20_000).deviation < 1e-12
 
 
+@pytest.mark.slow
 def test_a_changed_file_is_seen_by_the_replay(scenarios, tmp_path):
     export(scenarios["PID"], "c", tmp_path, name="knee")
     source = tmp_path / "knee.c"
@@ -82,6 +81,7 @@ def test_a_changed_file_is_seen_by_the_replay(scenarios, tmp_path):
     assert subprocess.run(["make", "-s", "check"], cwd=tmp_path, capture_output=True).returncode != 0
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_without_force(scenarios, tmp_path):
     (tmp_path / "knee.c").write_text("mine")
     with pytest.raises(FileError):

@@ -20,6 +20,7 @@ def close(found, wanted, scale=None):
     np.testing.assert_allclose(np.asarray(found, float).reshape(np.shape(wanted)), wanted, rtol=0, atol=1e-12 * scale)
 
 
+@pytest.mark.slow
 def test_every_law_and_geometry_gives_torque_stiffness_and_tensions(known):
     load = mk.PendulumLoad(mass=0.5, length=0.2)
     module = plant_module(mk.JointPlant(known.joint, load, mk.IdealValve())).module
@@ -65,6 +66,7 @@ def test_a_rate_is_differentiable(scenario):
     assert float(slope([0, 0, 3e5, 3e5])) == pytest.approx(wanted, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_friction_and_creep_are_in_the_step_and_said_to_be_missing_in_the_rate(knee, load):
     muscle = mk.Muscle(
         knee.muscle1.specimen, knee.muscle1.law, MaxwellSlip(12.0, 5e-4, elements=2), MaxwellCreep(900.0, 0.5)

@@ -119,6 +119,7 @@ def written(scenario, folder, version):
 
 @pytest.mark.parametrize("name", ["plant", "controller", "muscle"])
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.slow
 def test_standard(folder, folder3, name, version):
     file = (folder if version == "2.0" else folder3) / f"{name}.fmu"
     assert validation.validate_fmu(str(file)) == []
@@ -127,6 +128,7 @@ def test_standard(folder, folder3, name, version):
     assert (description.modelExchange is None) == (name == "controller")
 
 
+@pytest.mark.slow
 def test_versions_have_the_same_variables(folder, folder3):
     two, three = (fmpy.read_model_description(one / "plant.fmu") for one in (folder, folder3))
     attributes = ("name", "valueReference", "causality", "variability", "initial", "start", "unit", "displayUnit")
@@ -137,6 +139,7 @@ def test_versions_have_the_same_variables(folder, folder3):
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.slow
 def test_sources_have_no_warnings(folder, folder3, tmp_path, version):
     for name in ("plant", "controller", "muscle"):
         file = (folder if version == "2.0" else folder3) / f"{name}.fmu"
@@ -146,6 +149,7 @@ def test_sources_have_no_warnings(folder, folder3, tmp_path, version):
 
 
 @pytest.mark.skipif(not shutil.which("cmake"), reason="needs CMake")
+@pytest.mark.slow
 def test_sources_can_be_compiled_by_the_importer(folder3, opened, tmp_path):
     unpacked = Path(fmpy.extract(folder3 / "controller.fmu", tmp_path / "controller"))
     shutil.rmtree(unpacked / "binaries")
@@ -170,6 +174,7 @@ def simulated(scenario):
     return setpoints, expected
 
 
+@pytest.mark.slow
 def test_closed_loop_is_the_simulation(simulated, folder, folder3, opened):
     setpoints, expected = simulated
     found, found3 = (closed_loop(setpoints, one, opened) for one in (folder, folder3))
@@ -227,6 +232,7 @@ def test_model_exchange_agrees_with_co_simulation(folder, folder3, opened):
         assert np.max(np.abs(found - fixed[name])[away]) < tolerance
 
 
+@pytest.mark.slow
 def test_a_parameter_can_be_changed(folder, opened, tmp_path):
     text = TEXT.replace("load: knee-table-2", "load: {from: knee-table-2, mass2: 0.8 kg}")
     export(Scenario.parse(text), "fmu", tmp_path)
@@ -282,6 +288,7 @@ def test_steps_of_a_controller_are_whole_periods(folder, folder3, opened, versio
         loop.fmu.doStep(2 * PERIOD, 1.5 * PERIOD)
 
 
+@pytest.mark.slow
 def test_switching_valves_are_for_co_simulation_only(tmp_path):
     valve = "{class: SwitchingValves, conductance: 0.1 L/(s*bar), supply: 7 bar, period: 5 ms}"
     made = export(Scenario.parse(TEXT.replace("{time_constant: 20 ms}", valve)), "fmu", tmp_path, name="switched")
@@ -290,6 +297,7 @@ def test_switching_valves_are_for_co_simulation_only(tmp_path):
     assert any("model exchange" in one for one in made.left_out)
 
 
+@pytest.mark.slow
 def test_series_springs(scenario, tmp_path, opened):
     plant = scenario.plant()
     muscle = dataclasses.replace(plant.joint.muscle1, friction=NoFriction(), creep=NoCreep())
@@ -310,6 +318,7 @@ def test_series_springs(scenario, tmp_path, opened):
         assert tension == pytest.approx(float(law.force(contraction, pressures[0])), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_parameters_that_are_not_finite_are_left_out(tmp_path):
     limit = "joint.muscle{}.law.domain.contraction_max"
     made = export(Scenario.read("examples/linear-axis.yaml"), "fmu", tmp_path, name="instance")
@@ -336,6 +345,7 @@ def test_nothing_is_written_for_numbers_of_32_bits(scenario, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_headers_of_the_standard_are_those_of_fmpy(scenario, tmp_path, monkeypatch):
     export(scenario, "fmu-muscle", tmp_path)
     sources = Path(fmpy.extract(tmp_path / "muscle.fmu", tmp_path / "muscle")) / "sources"

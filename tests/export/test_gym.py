@@ -80,6 +80,7 @@ def advanced(plant, state, commands):
     return state, plant.joint.stiffness(state.angle, state.pressures)
 
 
+@pytest.mark.slow
 def test_it_moves_as_the_plant_does_and_the_reward_is_the_documented_one(scenario):
     env = JointEnv(scenario, reward=RewardTerms(stiffness_scale=3.0))
     observation, _ = env.reset(seed=0)
@@ -125,6 +126,7 @@ def test_random_plants_are_within_their_ranges_and_belong_to_a_seed(env, envs, s
     assert not np.any(np.isin(masses, other.joint.plants.varying.plant.load.mass2))
 
 
+@pytest.mark.slow
 def test_many_are_as_single_ones_and_begin_anew(env, envs):
     observations, info = envs.reset(seed=5)
     plants, draw, steps = info["plant"], np.random.default_rng(2), []
@@ -164,6 +166,7 @@ def test_gymnasium_makes_both_by_their_id():
     assert isinstance(many.unwrapped, JointVectorEnv)
 
 
+@pytest.mark.slow
 def test_flow_valves(scenario):
     text = scenario.dumps()
     lag = "time_constant: 20 ms"

@@ -59,6 +59,7 @@ def models(tmp_path_factory, joints):
     return {joint: made[name] for joint, name in names(joints).items()}
 
 
+@pytest.mark.slow
 def test_every_law_and_geometry_gives_the_torque_and_none_pushes(request, known, models):
     joint = request.node.callspec.params["known"]
     model = mujoco.MjModel.from_xml_string(models[joint].xml)
@@ -84,6 +85,7 @@ def test_every_law_and_geometry_gives_the_torque_and_none_pushes(request, known,
     ],
     ids=["inverted knee", "pendulum", "general", "without gravity"],
 )
+@pytest.mark.slow
 def test_loads_accelerate_as_they_should(load, models, joints):
     name, joint = names(joints)["knee"], joints["knee"]()
     made = joint_model(mk.JointPlant(joint, load, mk.IdealValve()), name)
@@ -97,6 +99,7 @@ def test_loads_accelerate_as_they_should(load, models, joints):
         assert data.qacc[0] == pytest.approx(float(wanted), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_exported_scenario_runs_as_its_simulation(tmp_path):
     """Two seconds with the commands of the simulation."""
     scenario = mk.Scenario.read("examples/pre-contracted-step-pid.yaml")
@@ -153,6 +156,7 @@ def runs(tmp_path_factory, knee):
 
 
 @pytest.mark.parametrize("name", ["lags", "ideal", "flow"])
+@pytest.mark.slow
 def test_friction_creep_and_air_are_states_of_the_plugin(name, runs):
     """Against the plant's own integration: friction slips after the same steps."""
     plants, models = runs

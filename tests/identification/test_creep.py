@@ -75,6 +75,7 @@ def test_noise_in_common_within_a_plateau_is_allowed_for():
     np.testing.assert_allclose(np.std(scatter, axis=0), np.median(stated, axis=0), rtol=0.5)
 
 
+@pytest.mark.slow
 def test_what_it_says_of_each_point_is_what_the_rig_had(crept):
     data, found = crept
     truth = (
@@ -91,6 +92,7 @@ def test_what_it_says_of_each_point_is_what_the_rig_had(crept):
     assert "time constant" in found.report() and "% of the muscle's" in found.report()
 
 
+@pytest.mark.slow
 def test_hysteresis_is_found_as_without_creep_once_creep_is_taken_off(crept):
     data, found = crept
     spoilt, cured = (identify_hysteresis(LAW, each).friction for each in (data.plateau_means(), found.corrected(data)))
@@ -100,6 +102,7 @@ def test_hysteresis_is_found_as_without_creep_once_creep_is_taken_off(crept):
         found.corrected(data.select(np.arange(len(data)) < 5))
 
 
+@pytest.mark.slow
 def test_none_is_seen_where_there_is_none():
     scores = []
     for seed in range(30):

@@ -80,6 +80,7 @@ def test_the_form_is_found_by_held_out_loops(kind):
 
 
 @pytest.mark.parametrize(("given", "kind"), [("coulomb", "pressure"), ("coulomb", "tension"), ("constant", "viscous")])
+@pytest.mark.slow
 def test_a_wrong_form_is_rejected_and_another_offered(given, kind):
     found = identify_hysteresis(ExponentialLaw, loops(kind), form=FrictionForm(given))
     assert found.comparison is None
@@ -100,6 +101,7 @@ def test_a_dependence_that_no_form_has_is_named(few):
 
 
 @pytest.mark.parametrize("drift", [-3.0, 3.0])
+@pytest.mark.slow
 def test_drift_of_a_load_cell_that_is_never_negative_does_not_ruin_the_law(drift):
     data = loops("coulomb", drift=drift)
     found = identify_hysteresis(ExponentialLaw, data)
@@ -109,6 +111,7 @@ def test_drift_of_a_load_cell_that_is_never_negative_does_not_ruin_the_law(drift
     assert law_error(identify(ExponentialLaw, corrected).law) < 0.4
 
 
+@pytest.mark.slow
 def test_there_is_no_drift_without_one():
     data = loops("coulomb", lowest=20.0)
     assert not data.slack.any()
@@ -117,6 +120,7 @@ def test_there_is_no_drift_without_one():
     assert law_error(found.law) < 0.3
 
 
+@pytest.mark.slow
 def test_drift_may_be_left_out():
     found = identify_hysteresis(ExponentialLaw, loops("coulomb", drift=3.0, clipped=False), drift=False)
     assert found.drift is None

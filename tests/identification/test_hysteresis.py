@@ -50,6 +50,7 @@ def test_hysteresis_and_law_are_found_as_well_as_the_law_without(seed, sensor):
     assert (found.drift is None) == (not sensor)
 
 
+@pytest.mark.slow
 def test_growth_and_drift_are_found_with_their_errors(drifting):
     _, found = drifting
     friction, errors = found.friction, found.standard_errors
@@ -96,6 +97,7 @@ def test_a_known_law_may_be_given(drifting):
     assert found.muscle(SPECIMEN).friction is found.friction
 
 
+@pytest.mark.slow
 def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
     coarse = dataclasses.replace(PROTOCOL, step=5 * mm)
     found = identify_hysteresis(LAW, SimulatedIsobaricTest(MUSCLE).run(coarse, seed=1))
@@ -137,6 +139,7 @@ def test_data_that_cannot_tell_are_refused(drifting):
     refused("in both directions|against the direction", apart)
 
 
+@pytest.mark.slow
 def test_rows_may_be_in_any_order_where_there_are_times(drifting):
     data, found = drifting
     shuffled = np.random.default_rng(0).permutation(len(data))
@@ -201,6 +204,7 @@ def test_the_drift_is_straight_between_its_knots():
     np.testing.assert_allclose(bent.points @ straight, 2 + 0.1 * time)  # and goes on as it is beyond them
 
 
+@pytest.mark.slow
 def test_a_law_of_another_kind_leaves_what_it_cannot_say_to_the_residuals():
     """Chou's law has no exponential: the friction is still found, roughly, and the residuals show the rest."""
     chou = Muscle(SPECIMEN, ChouLaw.of(SPECIMEN))
@@ -220,6 +224,7 @@ def test_a_law_that_fits_badly_is_said_to_spoil_the_friction(drifting):
 
 
 @pytest.mark.parametrize("overshot", [True, False])
+@pytest.mark.slow
 def test_a_turning_point_measured_in_both_directions_may_have_been_passed(overshot):
     """Between its two rows the muscle went farther and came back, or it rested: the forces tell."""
     stroke, half_width, rows = np.linspace(0, 0.1, 12), 8.0, []

@@ -44,6 +44,7 @@ def test_recovers_eq_3_from_noise_free_data():
 
 @settings(max_examples=15, deadline=None)
 @given(decay=st.floats(5.0, 150.0), c1=st.floats(50.0, 400.0), a1=st.floats(10.0, 50.0), b2=st.floats(-4e-3, -1e-3))
+@pytest.mark.slow
 def test_recovers_any_exponential_law(decay, c1, a1, b2):
     law = ExponentialLaw(a1=a1, a2=1e-3, b1=200.0, b2=b2, c1=c1, c2=1e-4, decay=decay)
     estimates = identify(ExponentialLaw, grid(law)).estimates
@@ -337,6 +338,7 @@ def test_the_order_of_points_does_not_matter():
     )
 
 
+@pytest.mark.slow
 def test_importing_identification_is_light():
     code = "import sys, mckibben.identification; print({'scipy.optimize', 'optimistix', 'pint'} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -65,6 +65,7 @@ def test_ours_beats_the_exponential_law_at_unseen_pressures_of_both_muscles(rank
     assert not rankings[name].of(OURS.__name__).flags
 
 
+@pytest.mark.slow
 def test_errors_left_out_are_those_of_separate_fits(rankings):
     data = catalog.dataset(MAP)
     cross_validated = rankings[MAP].of("ExponentialLaw").cross_validation["pressure"]
@@ -76,6 +77,7 @@ def test_errors_left_out_are_those_of_separate_fits(rankings):
         assert cross_validated.by_block[level] == pytest.approx(wanted, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_order_is_that_of_the_errors_and_the_refused_come_last(rankings):
     errors = [entry.error for entry in rankings[CHART].entries]
     assert errors == sorted(errors)
@@ -85,6 +87,7 @@ def test_the_order_is_that_of_the_errors_and_the_refused_come_last(rankings):
     assert rankings[MAP].of("HuntLaw").cross_validation["pressure"].rmse == pytest.approx(4.04, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_shape_at_its_bound_is_flagged(rankings):
     flags = rankings[MAP].of("TonduLopezLaw").flags
     assert len(flags) == 1 and flags[0].startswith("braid_angle at a bound")
@@ -136,6 +139,7 @@ def test_what_is_left_has_to_determine_the_law():
     assert not entry.flags
 
 
+@pytest.mark.slow
 def test_noise_leaves_no_pattern_and_a_wrong_law_does():
     law = catalog.law("lei-mas-10-180n")
     patterns = [identify(ExponentialLaw, made_by(law, noise=1.0, seed=seed)) for seed in range(20)]
@@ -266,6 +270,7 @@ def test_friction_of_the_data_does_not_reorder_the_laws():
     assert found.entries[0].law == OURS.__name__
 
 
+@pytest.mark.slow
 def test_where_nothing_can_be_left_out_the_criterion_decides():
     made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0, pressures=[4 * bar], contractions=np.linspace(0, 0.15, 20))
     found = rank(made, [ReynoldsLaw, HuntLaw, ChouLaw, TonduLopezLaw])
@@ -287,6 +292,7 @@ def test_all_parameters_at_their_bounds_are_an_error_of_units():
         identify(ChouLaw, bars_for_pascals)
 
 
+@pytest.mark.slow
 def test_a_contraction_beyond_the_validity_of_a_law_by_noise_counts_as_its_limit():
     data = catalog.dataset(MAP)
     contraction = data.contraction.copy()

@@ -45,6 +45,7 @@ def test_few_points_with_much_noise_are_no_deviation():
     assert found.count(ExponentialLaw) >= 5
 
 
+@pytest.mark.slow
 def test_outside_of_its_window_it_is_eq_2_and_inside_a_muscle():
     law = identify(SmoothLaw, measured(QUADRATIC, 0.1)).law
     eq_2 = ExponentialLaw(**{p.name: getattr(law, p.name) for p in ExponentialLaw.parameters()})
@@ -67,6 +68,7 @@ def test_intervals_hold_the_truth_and_new_points():
     assert np.all(np.mean(held, axis=0) > 0.88)
 
 
+@pytest.mark.slow
 def test_a_fit_file_gives_the_same_law_and_a_muscle_uses_it(tmp_path):
     fit = identify(SmoothLaw, measured(QUADRATIC, 0.1))
     fit.to_yaml(tmp_path / "fit.yaml")

@@ -64,6 +64,7 @@ anything = st.text(st.characters(blacklist_categories=("Cs", "Cc", "Cn")), max_s
     texts=st.lists(anything, min_size=3, max_size=3),
     lopo=st.booleans(),
 )
+@pytest.mark.slow
 def test_whatever_is_in_a_fit_comes_back(
     angle, diameter, contraction, pressure, numbers, texts, lopo, fit, tmp_path_factory
 ):

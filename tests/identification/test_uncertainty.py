@@ -353,6 +353,7 @@ def test_a_second_minimum_is_named():
     assert found.interval.upper - found.interval.lower < 1.0
 
 
+@pytest.mark.slow
 def test_profiles_of_a_law_that_is_linear_in_nothing():
     law = ChouLaw(25 * deg, 10 * mm)
     data = measured(law, np.arange(1, 7) * bar, np.linspace(0, 0.2, 9), 2.0)
@@ -434,6 +435,7 @@ def test_a_parameter_at_its_bound_has_no_error_in_a_bootstrap():
     assert not any("decay" in doubt for doubt in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_refit_is_the_best_of_all_minima():
     """At steps of 5 % two frequencies are the same; the steps are a little off, by repeat, so that draws differ."""
     generator, repeats = np.random.default_rng(2), np.repeat(np.arange(10), 6)

@@ -127,6 +127,7 @@ METHODS = {
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+@pytest.mark.slow
 def test_pressures_that_are_no_pair_are_refused(method):
     knee = mk.catalog.joint("knee-table-2")
     for wrong in (PRESSURES, PRESSURES[:3], PRESSURES[:2], PRESSURES.T, 3e5, PRESSURES[:, 0], (3e5,), (3e5, 3e5, 3e5)):

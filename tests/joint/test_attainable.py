@@ -143,6 +143,7 @@ def test_a_torque_beyond_the_range_cannot_be_held_and_one_inside_can(knee):
 
 
 @pytest.mark.parametrize(("slope1", "slope2"), [(0.1, 0.0), (0.0, 0.1), (0.1, 0.1), (0.0, 0.0)])
+@pytest.mark.slow
 def test_moment_arms_may_be_negative(knee, slope1, slope2):
     cams = (Cam(arm=0.02, rest_length=0.165, arm_slope=slope) for slope in (slope1, slope2))
     joint, angle = AntagonisticJoint(PairedPaths(*cams), knee.muscle1, knee.muscle2), -0.4
@@ -171,6 +172,7 @@ def test_bands_broadcast(knee):
 
 
 @pytest.mark.parametrize(("degrees", "torque", "stiffness"), [(0, -0.736, 15.0), (10, 0.2, 13.0), (-20, 0.5, 17.0)])
+@pytest.mark.slow
 def test_pressures_for_give_torque_and_stiffness_within_limits(knee, degrees, torque, stiffness):
     angle = math.radians(degrees)
     held = knee.pressures_for(angle, torque, stiffness)
@@ -214,6 +216,7 @@ def test_a_stiffness_that_a_spring_jumps_over_is_refused_not_replaced_by_another
     assert float(jax.jit(springy.stiffness)(0.0, held)) == pytest.approx(40.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_with_a_spring_the_pressures_found_give_what_was_asked(as_printed):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=20.0, travel=0.02))
     held = springy.pressures_for(0.05, -0.5, 20.0)
@@ -262,6 +265,7 @@ def test_the_torque_ends_where_a_tension_reaches_its_rating(as_printed):
     assert float(highest) == pytest.approx(630 * arm2 - slackest * arm1, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_every_attainable_state_is_below_the_rating(as_printed):
     angles = np.linspace(-10, 10, 9) * deg
     lowest, highest = jax.jit(as_printed.attainable_torque)(angles)

@@ -74,6 +74,7 @@ def test_rigid_tendon(knee, paper_precontracted, index, degrees, held):
 
 @pytest.mark.parametrize("index", [1.0, 1.4])
 @pytest.mark.parametrize(("degrees", "held"), [(2, (2e5, 2.2e5)), (6, (0.5e5, 5e5))])
+@pytest.mark.slow
 def test_series_spring(as_printed, paper, index, degrees, held):
     springy = dataclasses.replace(as_printed, tendon=SPRING)
     angle = math.radians(degrees)

@@ -48,11 +48,12 @@ def controller_of(kind, plant):
     ("name", "kind", "valve", "largest"),
     [
         ("bone and cam", "decoupling", mk.FirstOrderValve(0.02), 0.2),
-        pytest.param("bone and cam", "loops", AIR, 2.0, marks=pytest.mark.slow),
-        pytest.param("table and pulley", "predictive", mk.FirstOrderValve(0.02), 0.2, marks=pytest.mark.slow),
-        pytest.param("table and pulley", "inverse", mk.FirstOrderValve(0.02), 0.5, marks=pytest.mark.slow),
+        ("bone and cam", "loops", AIR, 2.0),
+        ("table and pulley", "predictive", mk.FirstOrderValve(0.02), 0.2),
+        ("table and pulley", "inverse", mk.FirstOrderValve(0.02), 0.5),
     ],
 )
+@pytest.mark.slow
 def test_controllers_follow_and_runs_of_a_batch_are_the_same(name, kind, valve, largest):
     plant = plant_of(name, valve)
     controller = controller_of(kind, plant)

@@ -38,6 +38,7 @@ def joint(request):
     return AntagonisticJoint(GEOMETRIES[request.param], MUSCLE, MUSCLE)
 
 
+@pytest.mark.slow
 def test_moment_arms_and_stiffness_are_derivatives(joint):
     step = 1e-6
     paths, arms = joint.geometry.paths_and_arms(ANGLES)
@@ -123,6 +124,7 @@ def test_mujoco_agrees_on_the_torque(name):
             np.testing.assert_allclose(data.ten_length, joint.geometry.path_lengths(angle), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_noisy_table_is_smoothed_and_says_its_error():
     rng = np.random.default_rng(0)
     angles = rng.permutation(np.linspace(-40, 40, 33)) * deg
@@ -161,6 +163,7 @@ def test_what_is_no_joint_is_refused(make):
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+@pytest.mark.slow
 def test_as_c_for_many_runs_it_is_the_same(joint):
     @NativeFunction
     def emitted(joint, angle):

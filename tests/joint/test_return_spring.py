@@ -111,6 +111,7 @@ def test_a_torque_has_one_stiffness(side):
 @pytest.mark.parametrize(
     ("name", "largest"), [("pid", 1.5), ("decoupling", 0.1), ("predictive", 0.1), ("inverse", 0.5)]
 )
+@pytest.mark.slow
 def test_every_controller_holds_the_angle(name, largest, side):
     run = read(side=side)
     plant = run.plant()

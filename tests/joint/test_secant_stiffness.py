@@ -60,6 +60,7 @@ def test_a_push_back_has_the_stiffness_of_half_its_size(knee, paper_precontracte
 
 
 @pytest.mark.parametrize("index", [None, 1.0, 1.4])
+@pytest.mark.slow
 def test_a_small_motion_meets_friction_as_a_spring(knee, paper_precontracted, index):
     angle = 0.1
     law = float(isobaric(knee, angle) if index is None else closed(knee, angle, index))

@@ -62,6 +62,7 @@ def test_energy_and_momentum_in_flight(pair: mk.AntagonisticJoint, freedom: str)
 
 
 @pytest.mark.parametrize("valve", [mk.FirstOrderValve(0.02), mk.PressureRegulator(0.5e-8, 7e5, time_constant=0.005)])
+@pytest.mark.slow
 def test_knee_with_locked_hip_and_fixed_trunk_is_the_joint_of_the_paper(
     pair: mk.AntagonisticJoint, valve: mk.FirstOrderValve
 ) -> None:
@@ -98,6 +99,7 @@ def test_standing_torques_are_those_of_virtual_work(plant: LegPlant) -> None:
     assert standing_torques(plant, angles) == pytest.approx(gradient, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_locked_joint_does_not_move_and_carries_its_link(pair: mk.AntagonisticJoint) -> None:
     leg = leg_of(pair, "free")
     locked = dataclasses.replace(

@@ -51,6 +51,7 @@ def schedule(*switches, last=4.8e5):
     return PressureSchedule(tuple(levels), tuple(switches if i == 2 else () for i in range(len(PRESSURES))))
 
 
+@pytest.mark.slow
 def test_a_delay_is_that_of_a_schedule_that_switches_later(fixed):
     late = dataclasses.replace(fixed, command_delay=4.5 * ms)
     delayed, shifted = (
@@ -60,6 +61,7 @@ def test_a_delay_is_that_of_a_schedule_that_switches_later(fixed):
     assert abs(delayed["angle"] - simulate_leg(fixed, schedule(10 * ms), START, **RUN)["angle"]).max() > 0.1 * deg
 
 
+@pytest.mark.slow
 def test_sensors_quantise_angles_and_disturb_pressures(fixed):
     sensors = SampledSensors(encoder=0.1 * deg, pressure_noise=4 * kPa, seed=3)
     plant = dataclasses.replace(fixed, sensors=sensors)
@@ -74,6 +76,7 @@ def test_sensors_quantise_angles_and_disturb_pressures(fixed):
     assert run.equals(again)
 
 
+@pytest.mark.slow
 def test_a_joint_sticks_below_its_friction(fixed):
     held = with_joints(fixed, friction=JointFriction(20.0, 1 * deg))
     moved = [
@@ -82,6 +85,7 @@ def test_a_joint_sticks_below_its_friction(fixed):
     assert moved[0] < 0.5 and moved[1] > 1
 
 
+@pytest.mark.slow
 def test_friction_is_the_only_loss_of_a_free_leg(pair):
     """Without muscles' pressure and damping, energy falls by the friction torque times the angle that is turned."""
     plant = LegPlant(leg_of(pair, "fixed", ("hip",)), IdealValve())
@@ -98,6 +102,7 @@ def test_friction_is_the_only_loss_of_a_free_leg(pair):
     assert lost == pytest.approx(0.05 * turned, abs=0.05 * 0.01 * deg)  # less what the presliding springs hold
 
 
+@pytest.mark.slow
 def test_a_disturbance_turns_its_joint(fixed):
     pulses = TorquePulses(2.0, width=20 * ms, start=5 * ms)
     plant = with_joints(fixed, disturbance=pulses)

@@ -27,7 +27,7 @@ from mckibben.leg import (
 )
 from mckibben.units import bar, deg
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="the plugin needs a C compiler")]
 PERIOD, SUBSTEPS = 1e-3, 4
 MUSCLE = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("lei-mas-10-180n"))
 KNEE = mk.KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.208)

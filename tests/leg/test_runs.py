@@ -53,6 +53,7 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
     assert (np.diff(falls) > 0).all()
 
 
+@pytest.mark.slow
 def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: LegStart) -> None:
     joints = tuple(dataclasses.replace(one, damping=1000.0) for one in plant.leg.joints)
     stiff = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=joints))
@@ -62,6 +63,7 @@ def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: Leg
         assert (simulate_legs(one, schedule, high, over=over, **STEP)["diverged"] == diverged).all()
 
 
+@pytest.mark.slow
 def test_closed_air_makes_the_landing_stiffer(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     table = simulate_legs(plant, schedule, start, over={"valve.conductance": [5e-9, 5e-15]}, **STEP)
@@ -110,6 +112,7 @@ def test_schedules_that_do_not_fit(levels: object, switches: object, field: str)
     assert caught.value.field == field and caught.value.remedy
 
 
+@pytest.mark.slow
 def test_biarticular_muscle_turns_both_joints(plant: LegPlant) -> None:
     muscle = plant.leg.joints[0].muscles.muscle1
     one = BiarticularMuscle(
@@ -216,6 +219,7 @@ def test_hopping_in_place_settles_to_equal_hops() -> None:
     assert set(np.unique(run["phase"])) == {0, 1, 2, 3}
 
 
+@pytest.mark.slow
 def test_the_air_of_a_run_is_that_which_flows_in(plant: LegPlant, start: LegStart) -> None:
     """One muscle is filled, its antagonist emptied: what leaves is no consumption, nor does it count against it."""
     filled = tuple((p, p + (0.5e5 if number % 2 else -0.5e5)) for number, p in enumerate(start.pressures))

@@ -109,6 +109,7 @@ def test_supply_that_is_too_low(scenario: LegScenario) -> None:
     assert "supply" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_landing_study(scenario: LegScenario) -> None:
     study = study_landing(scenario)
     assert study.table["peak_force"].shape == (3, 1, 4, 21)
@@ -125,6 +126,7 @@ def test_landing_study(scenario: LegScenario) -> None:
     assert len(rows) == 3 and len(study.records()["landings"]) == 3
 
 
+@pytest.mark.slow
 def test_a_best_stiffness_that_bottoms_out_is_said(scenario: LegScenario) -> None:
     study = study_landing(scenario)
     at = int(study.best()[0, 0, 0])
@@ -145,6 +147,7 @@ def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario: LegScenari
     assert (problem.field, problem.value, problem.lower) == ("uncertainty.draws", 19, 20)
 
 
+@pytest.mark.slow
 def test_a_study_that_was_broken_off_goes_on(
     scenario: LegScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,6 +213,7 @@ def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> N
     assert np.abs(gradient - (around[:16] - around[16:]) / 2e-6).max() < 1e-6 * np.abs(gradient).max()
 
 
+@pytest.mark.slow
 def test_standing_is_the_highest_posture(scenario: LegScenario) -> None:
     plant, drawn = scenario.plant(), drawn_plant(scenario)
     standing, hip = jumping._standing_heights(plant, drawn)

@@ -140,6 +140,7 @@ def test_the_rate_in_small_steps_is_the_response_of_a_path():
     assert read.min() < -1 and read.max() > 1 and read[3] == 0
 
 
+@pytest.mark.slow
 def test_the_muscle_never_pushes(specimen, law):
     """Law, friction with its viscous part, and creep, each as far against the force as it goes."""
     slip = MaxwellSlip(12.0, 0.5 * mm, viscous=1e5)

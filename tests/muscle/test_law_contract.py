@@ -66,6 +66,7 @@ def force(law):
     return answers(law)[0]
 
 
+@pytest.mark.slow
 def test_scalars_give_scalars_that_do_not_depend_on_compilation(law, force):
     given = contractions(law)[5, 0], pressures(law)[7], force[5, 7]
     contraction, pressure, wanted = map(np.array, given)

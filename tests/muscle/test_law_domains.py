@@ -14,6 +14,7 @@ class TestHunt:
     LAWS = ((254.3e3, 1230.0, 192e3, 0.16), (254.3e3, 20.0, 20e3, 0.16), (300e3, 1000.0, 200e3, 0.22))
 
     @pytest.mark.parametrize("numbers", LAWS)
+    @pytest.mark.slow
     def test_it_has_a_force_wherever_it_is_made_for(self, numbers):
         law = HuntLaw(*numbers)
         contraction, pressure = np.meshgrid(np.linspace(0, 0.25, 26), np.linspace(0, 6e5, 13))

@@ -49,6 +49,7 @@ def test_outside_its_domain_a_muscle_says_so(muscle, method):
     assert len(said) == 1
 
 
+@pytest.mark.slow
 def test_inside_its_domain_and_where_numbers_are_traced_a_muscle_does_not_warn(muscle):
     muscle.force(np.array([-0.03, 0.25]), np.array([[0.0], [6e5]]))  # the edges; a warning is an error in these tests
     outside = jax.jit(muscle.force)(-0.08, 6e5)

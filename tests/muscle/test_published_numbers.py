@@ -36,6 +36,7 @@ def test_equation_3_crosses_zero_at_23_4_percent_for_6_bar(law):
     assert float(law.force(23.35 * percent, 6 * bar)) > 0 > float(law.force(23.45 * percent, 6 * bar))
 
 
+@pytest.mark.slow
 def test_equation_3_is_the_papers_over_its_whole_domain(law, paper):
     contraction, pressure = np.linspace(-0.03, 0.25, 29)[:, None], np.linspace(0, 6e5, 13)
     np.testing.assert_allclose(

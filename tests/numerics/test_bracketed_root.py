@@ -30,6 +30,7 @@ def test_none_is_nan_and_others_are_not_touched():
     np.testing.assert_array_equal(np.isnan(found), [False, True, True])
 
 
+@pytest.mark.slow
 def test_its_derivatives_are_those_of_the_implicit_function():
     def root(s):
         return bracketed_root(lambda x: cubic(x, s), -10.0, 10.0)
@@ -39,6 +40,7 @@ def test_its_derivatives_are_those_of_the_implicit_function():
         assert float(jax.jit(derivative)(3.0)) == pytest.approx(1 / (3 * x**2 + 1), rel=1e-13)
 
 
+@pytest.mark.slow
 def test_its_second_derivative_is_that_of_the_implicit_function():
     def root(s):
         return bracketed_root(lambda x: cubic(x, s), -10.0, 10.0)

@@ -102,6 +102,7 @@ def test_derivatives_are_those_of_jax(order):
     np.testing.assert_allclose(differentiate(ours)(x[7]), exact[7], rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_finite_differences():
     x, h = jnp.linspace(-3.0, 3.0, 25), 1e-5
     for function in (elementary.exp, elementary.sin, elementary.cos):

@@ -78,6 +78,7 @@ def test_a_program_is_written_once_and_taken_up_by_the_next(folder):
     ],
     ids=["shape", "type", "static", "structure"],
 )
+@pytest.mark.slow
 def test_what_makes_another_program_makes_another_file(folder, change):
     program = Program(square)
     asked(program)
@@ -98,6 +99,7 @@ def test_a_damaged_file_is_made_anew(folder):
         assert file.stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_not_even_looked_into(folder, monkeypatch):
     """Native code that is damaged crashes the process."""
     asked(Program(square))

@@ -38,6 +38,8 @@ from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics, Result, check_reference
 from mckibben.units import quantity
 
+pytestmark = pytest.mark.slow
+
 CHOU_CLAIM = "The experimental law is closer to the measured force than Chou's"
 REAL_CLAIM = "Eq. 2 is closer than Chou's law on a measured map"
 SIMILAR_CLAIM = "Loading and unloading are similar"
@@ -378,7 +380,7 @@ def test_reproduce_puts_the_parts_together(monkeypatch, identification, joint_ma
     paper.reproduce(quick=True)  # and without anyone to report to
 
 
-@pytest.mark.parametrize("as_json", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("as_json", [False, True])
 def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys, tmp_path, reproduction, as_json):
     import mckibben.report
     from mckibben.cli import app

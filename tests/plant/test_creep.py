@@ -158,6 +158,7 @@ def test_many_runs_are_the_same_as_one(both, playback):
     assert np.ptp(many.angle) > 1e-4
 
 
+@pytest.mark.slow
 def test_a_result_tells_creep_and_friction_apart(both):
     control = PositionStiffnessControl(PID(1e5, 2e5, 0.1e5), PID(-1e4, -5e4, 0.0), model=both.joint)
     plant = dataclasses.replace(both, valve=FirstOrderValve(0.02))
@@ -182,6 +183,7 @@ def test_the_friction_torque_of_relaxed_muscles_is_without_creep(both, knee):
     assert float(expected) < -0.1
 
 
+@pytest.mark.slow
 def test_a_derivative_is_that_of_a_small_change(creeping):
     start = creeping.complete_state(PlantState(*map(jnp.asarray, (0.1, 0.8)), (jnp.asarray(P1), jnp.asarray(P2))))
 

@@ -101,6 +101,7 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
     return np.array(angles)
 
 
+@pytest.mark.slow
 def test_it_moves_as_in_tiny_steps_of_plain_python(swing, paper_precontracted):
     start = PlantState(math.radians(12), 0.5, (P1, P2))
     state = swing(start, viscous=SLIP.viscous, damping=0.02)
@@ -151,6 +152,7 @@ def _net(plant, angle):
     return plant.joint.torque(angle, (P1, P2)) + plant.load.gravity_torque(angle)
 
 
+@pytest.mark.slow
 def test_at_rest_there_is_no_stress_and_nothing_moves(with_slip):
     state = with_slip.equilibrium(math.radians(10))
     assert [len(muscle.friction) for muscle in state.muscles] == [SLIP.elements] * 2
@@ -183,6 +185,7 @@ def test_its_torque_is_against_the_motion_and_that_of_the_tensions(with_slip):
     assert float(again) == pytest.approx(up, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_with_a_series_spring_muscle_and_spring_carry_the_same(knee):
     spring = SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm)
     joint = with_friction(knee, dataclasses.replace(SLIP, viscous=0.0), tendon=spring)
@@ -204,6 +207,7 @@ def test_with_a_series_spring_muscle_and_spring_carry_the_same(knee):
 
 
 @pytest.mark.parametrize("by_tension", [{}, {"tension_growth": 0.02, "reference_tension": 200.0}])
+@pytest.mark.slow
 def test_a_derivative_is_that_of_a_small_change(ideal_plant, knee, load, playback, by_tension):
     """Also a half width that grows with the tension is compiled within seconds."""
     held = Setpoint(jnp.full(40, P1), jnp.full(40, P2))

@@ -101,6 +101,7 @@ def test_energy_only_falls(swing):
     assert total[0] - total[-1] > 0.9 * GRAVITY * (1 - np.cos(0.15))
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences(pendulum):
     @jax.jit
     def end(torque):
@@ -155,6 +156,7 @@ def test_both_engines_have_the_same_runs_and_batches(scenario):
     np.testing.assert_allclose(batch["angle"][1], runs[0]["angle"][::10], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_too_few_substeps_are_refused_and_batches_warn_of_them(scenario):
     stiff = Scenario.parse(SCENARIO + "friction: {torque: 30 N*m, presliding: 0.005 deg}\n")
     plant = stiff.plant()

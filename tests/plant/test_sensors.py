@@ -58,6 +58,7 @@ def test_perfect_sensors_are_exact_without_delay():
     assert sensors.measure((), 3, here) == ((), here)
 
 
+@pytest.mark.slow
 def test_an_offset_of_the_encoder_is_in_the_measurement_and_not_in_the_joint(true, plant):
     found = measured(SampledSensors(encoder_offset=2 * deg), true)
     np.testing.assert_allclose(found.angle, true.angle + 2 * deg, rtol=0, atol=1e-15)

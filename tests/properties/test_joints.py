@@ -50,6 +50,7 @@ def test_stiffness_is_minus_the_slope_of_the_torque(state):
 
 
 @given(taut())
+@pytest.mark.slow
 def test_whatever_taut_muscles_do_lies_in_the_attainable_set(state):
     angle, (p1, p2) = state
     assert min(float(x) for x in tensions(angle, (p1, p2))) > 0

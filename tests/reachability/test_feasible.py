@@ -27,10 +27,12 @@ def printed(as_printed, load):
     return JointPlant(as_printed, load, FirstOrderValve(0.02))
 
 
+@pytest.mark.slow
 def test_a_trackable_reference_has_none(plant):
     assert nearest_references(plant, Reference(Sine(10 * deg, 0.5), 15.0), **OPTIONS) == ()
 
 
+@pytest.mark.slow
 def test_infeasible_reference_of_the_geometry_as_printed(printed):
     found = nearest(printed, Reference(Sine(20 * deg, 0.5), 72.5))
     assert set(found) == {Preserved.ANGLE, Preserved.STIFFNESS}, "no speed helps: 20 deg is outside the static range"
@@ -51,6 +53,7 @@ def test_infeasible_reference_of_the_geometry_as_printed(printed):
     assert "by up to 31" in angle.describe()
 
 
+@pytest.mark.slow
 def test_a_fast_reference_is_made_smaller_or_slower(plant):
     desired = Reference(Sine(20 * deg, 6.0), 15.0)
     found = nearest(plant, desired)
@@ -71,6 +74,7 @@ def test_a_fast_reference_is_made_smaller_or_slower(plant):
     )
 
 
+@pytest.mark.slow
 def test_an_unattainable_stiffness_is_clipped_and_the_angle_preserved(plant):
     desired = Reference(Sine(10 * deg, 0.5), Step(13.0, 25.0, 1.0))
     found = nearest(plant, desired)
@@ -86,6 +90,7 @@ def test_an_unattainable_stiffness_is_clipped_and_the_angle_preserved(plant):
     assert reach.feasible and top[late].max() < 0.06 * (reach.highest - reach.lowest)[late].max()
 
 
+@pytest.mark.slow
 def test_margins_are_kept(plant):
     desired = Reference(Sine(10 * deg, 0.5), 25.0)
     margins = []
@@ -142,6 +147,7 @@ def test_a_ramp_is_slowed_by_its_duration():
     assert slowed(Ramp(0.0, 1.0, 0.2, 0.5), 0.5) == Ramp(0.0, 1.0, 0.2, 1.0)
 
 
+@pytest.mark.slow
 def test_a_run_of_one_period(plant):
     (near,) = nearest_references(plant, Reference(Constant(5 * deg), 40.0), duration=0.01, control_period=0.01)
     assert float(near.reference.stiffness(0.0)) < 20

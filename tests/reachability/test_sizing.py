@@ -71,6 +71,7 @@ def test_no_lengths_tried_are_better(plant, target):
     assert found.initial == {"connector_length": pytest.approx(0.19), "joint_radius": pytest.approx(0.03)}
 
 
+@pytest.mark.slow
 def test_a_design_knows_the_supply_of_the_valves(plant, as_printed, load):
     at = {"connector_length": 0.207, "joint_radius": 0.033}
     rated = margins(plant, EASY, at)[0]
@@ -81,6 +82,7 @@ def test_a_design_knows_the_supply_of_the_valves(plant, as_printed, load):
     assert np.min(found) < np.min(rated)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences(plant):
     at, h = {"connector_length": 0.207, "joint_radius": 0.033}, 1e-7
     values, jacobian = margins(plant, EASY, at)
@@ -90,6 +92,7 @@ def test_derivatives_are_those_of_differences(plant):
         np.testing.assert_allclose(jacobian[name], (ahead - behind) / (2 * h), rtol=1e-4, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_margins_are_those_of_the_attainable_set(plant, paper):
     lengths = {"connector_length": 0.208, "joint_radius": 0.03}
     values = np.asarray(margins(plant, EASY, lengths)[0])

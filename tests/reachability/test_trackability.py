@@ -96,6 +96,7 @@ def test_at_rest_the_bands_are_those_of_the_static_check(plant):
     assert found.trackable and reach.feasible
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_precontracted, playback):
     lag, a, f = 0.05, 10 * deg, 2.0
     tried = Tried(paper_precontracted, a, f, lag)
@@ -225,6 +226,7 @@ def test_a_limited_flow_or_rate_leaves_slow_motion_trackable(as_printed, load, v
 
 
 @pytest.mark.parametrize("valve", [FlowValve(0.4 * L_PER_S_BAR, 3 * bar), FirstOrderValve(0.02, supply=3 * bar)])
+@pytest.mark.slow
 def test_all_bands_and_the_envelope_end_at_the_supply(as_printed, load, valve):
     plant = JointPlant(as_printed, load, valve)
     bands, envelope = on(plant, Reference(0.0, 72.8)).bands, static_envelope(plant)

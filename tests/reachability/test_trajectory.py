@@ -25,6 +25,7 @@ TIMES = np.arange(1001) * 1e-3
         Multisine((1.0,), (2.0,)),
     ],
 )
+@pytest.mark.slow
 def test_smooth_signals_are_differentiated_exactly(signal):
     found = derivatives(signal, TIMES, 3, smoothing=0.1)
     np.testing.assert_allclose(found[0], np.asarray(signal(TIMES)), atol=1e-12)

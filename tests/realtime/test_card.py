@@ -76,6 +76,7 @@ def on_card():
         server.stop(None)
 
 
+@pytest.mark.slow
 def test_on_a_card_a_run_is_the_one_without(stiff, on_card):
     plan = stiff.plan(30, raising=30, settling=10)
     joint = stiff.joint(vented=True, patience=1.0)

@@ -68,6 +68,7 @@ SENSORS = ("angle", "pressure1", "pressure2")
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.slow
 def test_a_sensor_that_is_lost_at_any_time_vents_within_its_period(stiff, watched, monkeypatch, sensor):
     monkeypatch.setattr(loop, "_VENTING", 100 * ms)  # s for which it would look for a pressure that it cannot read
     for instant in INSTANTS:
@@ -90,6 +91,7 @@ def test_a_device_that_falls_silent_at_any_time(stiff, watched):
         assert joint.vented_at == pytest.approx(found + LIMITS.silence, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_samples_that_are_late_at_any_time(stiff, watched):
     for instant in INSTANTS:
         joint = watched(faults=[SamplesDelayed(instant, 60 * ms)])
@@ -99,6 +101,7 @@ def test_samples_that_are_late_at_any_time(stiff, watched):
         assert joint.vented_at == pytest.approx(math.ceil(instant / PERIOD - 1e-9) * PERIOD + 60 * ms, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_host_that_is_away_for_longer_than_the_rig_waits(stiff, watched):
     for instant in INSTANTS:
         joint = watched(faults=[HostDelayed(instant, 0.12)])
@@ -114,6 +117,7 @@ def test_samples_from_before_the_stop_do_not_count_for_the_vent(stiff, watched):
     assert 0.03 < outcome.vented_after < 0.2 and columns["time"][-1] > 5.0
 
 
+@pytest.mark.slow
 def test_too_many_samples_dropped_at_any_time(stiff, watched):
     for instant in INSTANTS:
         joint = watched(faults=[SamplesDropped(instant, 60)])
@@ -122,6 +126,7 @@ def test_too_many_samples_dropped_at_any_time(stiff, watched):
         assert "60 samples were dropped" in outcome.text
 
 
+@pytest.mark.slow
 def test_air_that_fails_is_found_before_the_joint_has_gone_far(stiff, watched):
     for instant in INSTANTS:
         joint = watched(faults=[SupplyLost(instant)])
@@ -132,6 +137,7 @@ def test_air_that_fails_is_found_before_the_joint_has_gone_far(stiff, watched):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.slow
 def test_a_signal_at_any_time_vents_within_a_period(stiff, watched, number):
     for instant in INSTANTS:
         flag, joint = StopFlag(), watched()
@@ -206,6 +212,7 @@ def test_a_folder_that_vanishes_stops_the_run_at_once(stiff, watched, tmp_path):
     assert joint.vented_at < 1.5
 
 
+@pytest.mark.slow
 def test_a_rig_that_is_not_there_leaves_no_record(stiff, tmp_path, monkeypatch):
     def missing():
         raise RigError("no device Dev1")
@@ -217,6 +224,7 @@ def test_a_rig_that_is_not_there_leaves_no_record(stiff, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_record_whose_end_is_not_written_is_no_completed_run(stiff, watched, tmp_path, monkeypatch):
     from mckibben.realtime import session as module
 

@@ -36,6 +36,7 @@ def scenario():
     return Scenario.read(EXAMPLE).model_copy(update={"duration": 0.02})
 
 
+@pytest.mark.slow
 def test_hardware_of_ones_own_runs_a_scenario_and_warns_that_no_process_watches(scenario, tmp_path, monkeypatch):
     rig = JointRig.parse(TEXT)
     assert rig.rig == BorrowedJoint(3) and rig.physical

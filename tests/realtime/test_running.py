@@ -64,6 +64,7 @@ def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
     compiled_step._compiled_step.cache_clear()
 
 
+@pytest.mark.slow
 def test_the_torque_of_the_vented_joint_falls_through_zero_at_its_angle(knee):
     angles = vented_angle(knee.plant) + np.array([-0.1, 0.0, 0.1]) * deg
     torque = np.asarray(knee.plant.joint.torque(angles, (0.0, 0.0)) + knee.plant.load.gravity_torque(angles))
@@ -76,6 +77,7 @@ def test_a_virtual_joint_is_a_backend(stiff):
     assert [one.problem for one in stiff.joint().status()] == [""] * 6
 
 
+@pytest.mark.slow
 def test_unpaced_and_measured_perfectly_it_is_the_simulation(ran, simulated):
     outcome, kept = ran
     columns = {name: values[kept.columns["phase"] == Phase.RUN] for name, values in kept.columns.items()}

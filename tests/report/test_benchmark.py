@@ -28,6 +28,9 @@ from mckibben.study.benchmark.statistics import failed_runs, statistics
 from mckibben.study.tune.tune import Trial
 from mckibben.units import deg
 
+pytestmark = pytest.mark.slow
+
+
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
 RUNS = 16
 
@@ -123,7 +126,6 @@ def test_a_front_is_drawn_for_each_controller_that_was_tuned(result, numbers):
         np.testing.assert_allclose(line.get_ydata(), [0.1, 0.05, 0.025])
 
 
-@pytest.mark.slow
 def test_the_same_contest_makes_the_same_bytes(result, numbers, kept, tmp_path):
     again = write_benchmark(result, numbers, tmp_path)
     assert again.read_bytes() == kept.read_bytes()

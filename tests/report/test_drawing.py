@@ -127,7 +127,8 @@ def run(tmp_path_factory):
     return run_scenario(Scenario.read(folder / "short.yaml")).result
 
 
-@pytest.mark.parametrize("suffix", ["webp", pytest.param("gif", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("suffix", ["webp", "gif"])
+@pytest.mark.slow
 def test_an_animation_has_a_frame_for_each_twelfth_of_a_second_and_loops(run, tmp_path, suffix):
     path = animate(run, tmp_path / f"run.{suffix}")
     with Image.open(path) as image:
@@ -142,6 +143,7 @@ def test_an_animation_has_a_frame_for_each_twelfth_of_a_second_and_loops(run, tm
         animate(run, path)
 
 
+@pytest.mark.slow
 def test_an_animation_needs_a_known_ending_and_a_joint(run, tmp_path):
     with pytest.raises(ParameterError) as found:
         animate(run, tmp_path / "run.mp4")

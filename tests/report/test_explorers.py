@@ -15,6 +15,9 @@ from mckibben.paper.tracking import PID
 from mckibben.report.explorers import explorers
 from mckibben.report.page import write_explorers
 
+pytestmark = pytest.mark.slow
+
+
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="needs Node, which runs the scripts of the page")
 

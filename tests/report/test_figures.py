@@ -16,6 +16,9 @@ from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.report import isobaric, law_comparison, measured_muscles, save, tracking
 from mckibben.report.style import CONTROLLERS, house_style, looks_of, robust_limits
 
+pytestmark = pytest.mark.slow
+
+
 NAMES = (
     "fig3-isobaric-curves",
     "fig4-law-comparison",

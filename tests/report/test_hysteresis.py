@@ -23,6 +23,7 @@ def drawn():
     return data, found, loops(data, found)
 
 
+@pytest.mark.slow
 def test_a_panel_for_each_of_up_to_six_pressures(drawn):
     _, _, figure = drawn
     titles = [axes.get_title(loc="left") for axes in figure.axes]

@@ -23,6 +23,7 @@ def fit(chart):
     return identify(ExponentialLaw, chart)
 
 
+@pytest.mark.slow
 def test_a_column_a_pressure_with_the_law_the_points_and_two_bands(chart, fit):
     figure = force_bands(chart, fit)
     assert len(figure.axes) == 12  # six of ten pressures, curve and residuals

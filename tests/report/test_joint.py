@@ -27,6 +27,7 @@ def drawn(axes, label):
     return next(line for line in axes.lines if line.get_label() == label)
 
 
+@pytest.mark.slow
 def test_the_reference_the_band_and_the_nearest_references(scenario):
     found = envelope(scenario)
     figure = draw(found)
@@ -50,6 +51,7 @@ def test_the_reference_the_band_and_the_nearest_references(scenario):
     assert {"reference", *names, "attainable, static", "attainable, reference motion"} <= set(labels)
 
 
+@pytest.mark.slow
 def test_a_design_before_and_after(scenario):
     plant = scenario.plant()
     target = DesignTarget((14.0, 18.0), (-15 * deg, 15 * deg))

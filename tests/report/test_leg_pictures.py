@@ -33,6 +33,7 @@ def landing():
     return plant, simulate_leg(plant, schedule, start, duration=0.1, control_period=1e-3, substeps=4)
 
 
+@pytest.mark.slow
 def test_what_is_drawn_is_where_mujoco_has_it(landing):
     plant, run = landing
     at = run.isel(time=[0, 40, 99])
@@ -69,7 +70,8 @@ def test_a_muscle_of_unknown_volume_is_drawn_slender(landing):
     np.testing.assert_allclose(one.diameter, 0.07 * one.length)
 
 
-@pytest.mark.parametrize("suffix", ["webp", pytest.param("gif", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("suffix", ["webp", "gif"])
+@pytest.mark.slow
 def test_an_animation_shows_leg_and_curves(suffix, landing, tmp_path):
     plant, run = landing
     try:
@@ -90,6 +92,7 @@ def test_an_animation_shows_leg_and_curves(suffix, landing, tmp_path):
     assert np.abs(np.diff(curves, axis=0)).max() > 60  # as does the line in the curves
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_said(landing, tmp_path, monkeypatch):
     with pytest.raises(ParameterError) as caught:
         render_leg(*landing, tmp_path / "landing.mp4")

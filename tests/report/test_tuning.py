@@ -70,6 +70,7 @@ def test_a_single_trial_is_a_search_too():
 
 
 @pytest.mark.parametrize("named", ["controller.position.gain", "joint.geometry.connector_length"])
+@pytest.mark.slow
 def test_panels_have_their_names_and_nothing_hides_beyond_the_edge(tmp_path, named):
     figure, costs, places = drawn(searched(5, trials=300, lost=4, named=named))
     assert (costs.get_ylabel(), costs.get_yscale()) == ("cost", "log")

@@ -55,6 +55,7 @@ def test_first_unloading_then_loading_over_the_same_positions():
             )
 
 
+@pytest.mark.slow
 def test_boundaries_keep_the_rated_force_and_end_three_plateaus_into_slack():
     limits = boundaries(MUSCLE, IsobaricProtocol())
     step = 1 * mm / SPECIMEN.initial_length

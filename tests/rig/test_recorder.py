@@ -302,6 +302,7 @@ def test_what_comes_after_its_end_is_refused(tmp_path):
     recorder.close()
 
 
+@pytest.mark.slow
 def test_a_slow_disk_holds_the_appender_back_and_loses_nothing(tmp_path, monkeypatch):
     put = journal._write_at
     monkeypatch.setattr(journal, "_write_at", lambda *rest: (time.sleep(2e-3), put(*rest)))

@@ -84,6 +84,7 @@ def test_boundaries_are_found_where_no_law_tells_them(tmp_path):
         assert loading.contraction.min() == here.contraction.min()
 
 
+@pytest.mark.slow
 def test_at_constant_length_and_at_constant_force(tmp_path):
     quick = {"dwell": 0.2, "acquisition": 0.1, "samples": 100}
     isometric = IsometricProtocol(contractions=[5 * percent], pressures=[1e5, 3e5, 5e5], speed=4 * mm, **quick)
@@ -123,6 +124,7 @@ class Interrupting:
             self.stop_flag.signal = signal.SIGINT
 
 
+@pytest.mark.slow
 def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
     slow = Muscle(MUSCLE.specimen, MUSCLE.law, MaxwellSlip(12.0, 0.5e-3))
     acquire = Acquire(samples=250, duration=0.25)

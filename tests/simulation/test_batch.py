@@ -192,6 +192,7 @@ def alone(parts):
     return run
 
 
+@pytest.mark.slow
 def test_each_run_of_a_batch_is_the_single_run(everything, alone):
     tame = [row for row in range(len(ROWS)) if row != special("diverged")]
     assert_singles(everything, [alone(row) for row in tame], tame, rtol=1e-11)
@@ -215,6 +216,7 @@ def test_a_loop_with_the_wrong_sign_has_diverged_and_a_slow_one_not(parts, knee)
     assert single(plant, alone, reference, duration=1.0).outcome is Outcome.LEFT_REFERENCE
 
 
+@pytest.mark.slow
 def test_the_runs_ended_in_every_way_there_is(everything):
     ended = {name: everything.outcomes[special(name)] for name in SPECIAL}
     assert ended["diverged"] is Outcome.DIVERGED
@@ -251,6 +253,7 @@ def test_coupling_is_known_where_the_stiffness_changes_and_stops(everything):
         assert coupling[special(name)] > 0, name
 
 
+@pytest.mark.slow
 def test_what_is_kept_are_columns_of_the_single_run(everything, alone):
     np.testing.assert_allclose(everything.table["time"], np.arange(0, PERIODS, 20) * 1e-3, rtol=1e-15)
     for row in (0, 3, special("step early"), special("step late"), special("saturated")):
@@ -360,12 +363,14 @@ def same_bits(few, many) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 15, 16, 17])
 @pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.slow
 def test_a_run_gives_the_same_bits_whatever_runs_beside_it(masses, most, count, workers):
     few = masses(count, chunk=16, workers=workers)
     assert few.count == count
     same_bits(few, most)
 
 
+@pytest.mark.slow
 def test_a_chunk_of_another_size_gives_the_same_to_rounding(masses, most, alone):
     few = masses(7, chunk=2, workers=2, keep=("angle",))
     for name in FEW:
@@ -429,6 +434,7 @@ def test_one_value_for_all_runs_may_stand_beside_values_for_each(parts, most):
     assert np.all(batch.table["load.mass1"] == 0.5)
 
 
+@pytest.mark.slow
 def test_samples_by_name_have_one_row_a_run_and_a_start_in_whole_numbers_is_a_start(parts):
     plant, control = parts
     pressures = [320_000, 330_000, 320_000, 325_000, 320_000]
@@ -566,6 +572,7 @@ def rough(parts):
     )
 
 
+@pytest.mark.slow
 def test_32_bits_give_the_same_to_a_part_in_a_thousand(rough, everything):
     assert [outcome.failed for outcome in rough.outcomes] == [outcome.failed for outcome in everything.outcomes]
     assert_single_precision(rough, everything, rtol=1e-3)

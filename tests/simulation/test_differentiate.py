@@ -110,12 +110,14 @@ def forwards(parts):
     return differentiate(*parts, REFERENCE, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT)
 
 
+@pytest.mark.slow
 def test_forwards_they_are_those_of_finite_differences(parts, forwards):
     found = by_differences(*parts, REFERENCE, NAMES, START, metrics=METRICS, **SHORT)
     of = dict(zip(("plant", "controller", "reference", "initial"), (*parts, REFERENCE, START), strict=True))
     assert_slopes(forwards, found, of, rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_they_come_by_metric_and_name(forwards):
     assert list(forwards.gradients) == list(forwards.values) == list(METRICS)
     for row in forwards.gradients.values():
@@ -123,6 +125,7 @@ def test_they_come_by_metric_and_name(forwards):
         assert {slope.shape for slope in row.values()} == {()}
 
 
+@pytest.mark.slow
 def test_what_a_metric_does_not_hang_on_has_no_slope(forwards):
     for row in forwards.gradients.values():
         assert row["reference.stiffness.at"] == 0.0
@@ -175,6 +178,7 @@ def test_learning_and_samples_in_reverse_are_those_of_finite_differences(others)
 # Many points
 
 
+@pytest.mark.slow
 def test_many_points_at_once_are_the_points_one_by_one(parts, forwards):
     some = {"metrics": ["angle_rmse"], "parameters": ("load.mass2", "controller.position.kp", "initial.angle")}
     masses, gains = np.array([0.5, 0.4, 50.0]), np.array([60.0, 50.0, 60.0]) * bar

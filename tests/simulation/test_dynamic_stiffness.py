@@ -38,6 +38,7 @@ def secant(joint, pressures, amplitude, index=None):
     return joint.secant_stiffness(0.0, pressures, amplitude, polytropic_index=index)
 
 
+@pytest.mark.slow
 def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
     found = dynamic_stiffness(held, start, AMPLITUDES, (SLOW, FAST))
     assert found.frequency == pytest.approx([SLOW, FAST])
@@ -48,6 +49,7 @@ def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
     assert (found.loss[:, 1:] > 1.0).all()
 
 
+@pytest.mark.slow
 def test_the_loss_is_the_area_of_the_hysteresis_loop(held, start):
     angle = 1 * deg
     found = float(dynamic_stiffness(held, start, angle, FAST).loss[0, 0])
@@ -73,6 +75,7 @@ def _plain(muscle):
     return type(muscle)(muscle.specimen, muscle.law)
 
 
+@pytest.mark.slow
 def test_regulators_hold_the_pressure_against_a_slow_push_and_the_air_against_a_fast_one(held, start):
     """In between it is first order, with the time constant of the pressure."""
     regulator = PressureRegulator(1e-10, 7 * bar, time_constant=20 * ms, polytropic_index=1.2)
@@ -88,6 +91,7 @@ def test_regulators_hold_the_pressure_against_a_slow_push_and_the_air_against_a_
     np.testing.assert_allclose(found.loss[:, 0], expected.imag, atol=0.01 * air)
 
 
+@pytest.mark.slow
 def test_a_torque_pulse_deflects_the_joint_by_its_size_over_the_stiffness(held, start, playback):
     """A load with much damping follows the pulse without overshoot, which friction would remember."""
     period, height = 1e-3, 0.7

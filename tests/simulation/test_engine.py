@@ -62,6 +62,7 @@ def timing(scenario):
     return {"duration": scenario.duration, "control_period": scenario.control_period, "substeps": scenario.substeps}
 
 
+@pytest.mark.slow
 def test_both_engines_have_the_same_runs(scenario):
     plant = scenario.plant()
     parts = plant, scenario.control(), scenario.reference()
@@ -96,6 +97,7 @@ def in_64_bits(scenario):
     return batch(scenario, engine="native")
 
 
+@pytest.mark.slow
 def test_both_engines_have_the_same_batches(scenario, in_64_bits):
     batches = {"native": in_64_bits, "xla": batch(scenario, engine="xla")}
     assert [batch.table.attrs["engine"] for batch in batches.values()] == ["native", "xla"]
@@ -108,6 +110,7 @@ def test_both_engines_have_the_same_batches(scenario, in_64_bits):
         np.testing.assert_allclose(batches["native"][name], expected, rtol=0, atol=tolerance, err_msg=name)
 
 
+@pytest.mark.slow
 def test_batches_in_32_bits_are_near_those_in_64(scenario, in_64_bits):
     near, right = batch(scenario, engine="native", precision=32), in_64_bits
     assert [batch.table.attrs["engine"] for batch in (near, right)] == ["native", "native"]
@@ -121,6 +124,7 @@ def test_batches_in_32_bits_are_near_those_in_64(scenario, in_64_bits):
     np.testing.assert_array_equal(near["outcome"], right["outcome"])
 
 
+@pytest.mark.slow
 def test_without_a_compiler_xla_does_it(monkeypatch):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])
     plant = scenario.plant()

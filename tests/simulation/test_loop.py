@@ -55,6 +55,7 @@ def solved(paper, record, time_constant):
     return jax.jit(lambda y, c: lax.scan(period, y, c)[1])(start, commands)
 
 
+@pytest.mark.slow
 def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_precontracted):
     valve, _, _, record = run
     angle = solved(paper_precontracted, record, 0.02 if valve == "first order" else None)
@@ -63,6 +64,7 @@ def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_p
 
 
 @pytest.mark.parametrize("time_constant", [1e-6, 50e-6])
+@pytest.mark.slow
 def test_a_valve_much_faster_than_the_step_is_nearly_an_ideal_one(plant, ideal_plant, control, time_constant):
     setpoints = sampled(REFERENCE, 500 * PERIOD, PERIOD)[1]
     fast = eqx.tree_at(lambda p: p.valve.time_constant, plant, jnp.asarray(time_constant))
@@ -122,6 +124,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
     assert abs(float(final[1].angle - final[256].angle)) > errors[0]
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_single_runs(plant, control):
     setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
     start = numeric(plant.equilibrium(0.0))
@@ -147,6 +150,7 @@ def test_the_same_run_twice_is_the_same_to_the_last_bit(plant, control):
     np.testing.assert_array_equal(one.state.angle, two.state.angle)
 
 
+@pytest.mark.slow
 def test_its_derivative_is_that_of_finite_differences(plant, control):
     setpoints = sampled(REFERENCE, 100 * PERIOD, PERIOD)[1]
     start = numeric(plant.equilibrium(0.0))

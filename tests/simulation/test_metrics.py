@@ -126,6 +126,7 @@ def test_the_last_change_counts():
     assert answer(earlier, stiffness) == answer(desired, stiffness)
 
 
+@pytest.mark.slow
 def test_the_end_of_a_ramp_is_no_step():
     times = np.arange(3000) * PERIOD
     step = last_change(np.where(times < 0.9995, 14.0, 16.0))

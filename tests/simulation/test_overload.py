@@ -41,6 +41,7 @@ def test_the_excursion_is_how_far_the_contraction_is_outside(moved):
     np.testing.assert_allclose(moved.excursion, [0, 0, 0, -0.03 - stretch], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_metrics_and_outcome_say_so(moved):
     found = measure(moved, 0.5)
     assert float(found.time_overloaded) == 0.5

@@ -73,6 +73,7 @@ def said(text: str, what: str) -> tuple[float, float]:
     return tuple(float(x) for x in re.search(rf"{what}[^;]*? for ([\d.e-]+) s, first at ([\d.e-]+) s", text).groups())
 
 
+@pytest.mark.slow
 def test_completed(completed):
     assert completed.outcome is Outcome.COMPLETED
     assert completed.describe() == "completed"
@@ -112,6 +113,7 @@ def test_saturated(saturated, knee):
     )
 
 
+@pytest.mark.slow
 def test_left_domain(left_domain, paper):
     assert left_domain.outcome is Outcome.LEFT_REFERENCE, "the angle 0 is not tracked"
     table = left_domain
@@ -137,6 +139,7 @@ def test_diverged(diverged):
     assert np.isnan(diverged.metrics["angle_rmse"])
 
 
+@pytest.mark.slow
 def test_slack_is_said_of_a_run_that_completed(plant, knee, playback):
     reference = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
     with pytest.warns(ReachabilityWarning):
@@ -167,6 +170,7 @@ def test_every_variable_of_a_run_has_a_unit_and_a_meaning(completed):
     assert units["stiffness"] == units["highest_stiffness"] == "N*m/rad"
 
 
+@pytest.mark.slow
 def test_what_a_learning_controller_reports_has_units_too(plant, knee):
     from mckibben.scenario import Scenario
 
@@ -230,6 +234,7 @@ def test_other_programs_see_the_units(completed, tmp_path):
     assert completed.to_xarray().attrs["outcome"] == "COMPLETED"
 
 
+@pytest.mark.slow
 def test_a_missing_broken_or_foreign_file_is_an_error_of_ours(completed, tmp_path):
     with pytest.raises(FileError, match="nowhere"):
         Result.from_netcdf(tmp_path / "nowhere.nc")

@@ -77,6 +77,7 @@ def alone(heard):
     return heard()
 
 
+@pytest.mark.slow
 def test_a_controller_is_told_what_the_sensors_make_of_the_state(alone):
     record, seen, _ = alone
     counted = np.rint(np.asarray(record.state.angle) / COUNT) * COUNT
@@ -145,6 +146,7 @@ def batch(plant):
     )
 
 
+@pytest.mark.slow
 def test_runs_side_by_side_hear_what_each_hears_alone(batch, heard):
     kept = {name: batch.table[name].to_numpy() for name in ("stiffness_estimate", "angle")}
     for run, (seed, size, pick, share) in enumerate(
@@ -157,6 +159,7 @@ def test_runs_side_by_side_hear_what_each_hears_alone(batch, heard):
     assert len(set(batch.metrics["angle_rmse"].tolist())) == 4
 
 
+@pytest.mark.slow
 def test_the_run_without_the_step_has_the_same_noise_and_the_same_pushes(batch, heard):
     """Where the step does nothing the coupling is none, to the last bit; else it is the step's doing alone."""
     coupling = batch.metrics["coupling"]
@@ -167,6 +170,7 @@ def test_the_run_without_the_step_has_the_same_noise_and_the_same_pushes(batch, 
     assert coupling[3] > 1e-4
 
 
+@pytest.mark.slow
 def test_air_is_what_each_braid_takes_in_and_ripple_what_is_left_without_the_mean(batch, specimen, paper_precontracted):
     kept = {name: batch.table[name].to_numpy() for name in KEPT}
     thread = specimen.initial_length / np.cos(specimen.braid_angle)

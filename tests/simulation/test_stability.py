@@ -31,6 +31,7 @@ def found(loop):
     return margins(plant, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
 
 
+@pytest.mark.slow
 def test_a_good_loop_is_stable_with_margins(found):
     assert found.time.shape == found.gain.shape == (2,)
     assert (found.radius < 1).all() and (found.disk > 0.3).all()
@@ -41,6 +42,7 @@ def test_a_good_loop_is_stable_with_margins(found):
 
 
 @pytest.mark.parametrize(("share", "outcome"), [(0.8, Outcome.COMPLETED), (1.3, Outcome.LIMIT_CYCLE)])
+@pytest.mark.slow
 def test_the_delay_margin_is_where_runs_become_unstable(loop, found, share, outcome):
     plant, control = loop
     late = dataclasses.replace(plant, command_delay=share * found.delay.min())
@@ -66,6 +68,7 @@ def test_a_reading_delay_of_the_sensors_takes_from_the_delay_margin(loop, found)
     assert again.delay.min() == pytest.approx(found.delay.min() - 1 * ms, abs=0.05 * ms)
 
 
+@pytest.mark.slow
 def test_the_poles_are_those_that_were_placed(found):
     """The slowest pole of the closed loop decays within the bandwidths: 60 rad/s with a damping of 2.5."""
     slowest = -np.log(found.radius.max()) / 1e-3

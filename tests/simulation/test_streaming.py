@@ -83,6 +83,7 @@ def trajectories(draw):
 
 
 @given(trajectories())
+@pytest.mark.slow
 def test_moment_by_moment_is_as_good_as_the_whole(run):
     same(*both_ways(run))
 
@@ -203,6 +204,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.slow
 def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_the_way, afterwards, case):
     reference = CASES[case]
     change = last_change(reference.stiffness)
@@ -215,11 +217,13 @@ def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_th
 
 
 @pytest.mark.parametrize("earlier", [0, 1, 10, 19])
+@pytest.mark.slow
 def test_leaving_the_step_out_from_an_earlier_period_on_changes_nothing(on_the_way, earlier):
     reference = CASES["one step"]
     same(on_the_way(reference, earlier).metrics, on_the_way(reference, 20).metrics)
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
     reference = CASES["two steps"]
     _, expected, metrics = afterwards(reference)
@@ -232,6 +236,7 @@ def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
         same(found.metrics, metrics, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_without_coupling_the_second_run_is_not_computed(on_the_way):
     reference = CASES["one step"]
     with_it, without = on_the_way(reference, 20), on_the_way(reference, 20, coupled=False)
@@ -274,6 +279,7 @@ def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback)
     np.testing.assert_allclose(slopes, expected.T, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_in_reverse_springs_have_the_slopes_of_finite_differences(plant):
     joint = plant.joint
     joint = AntagonisticJoint(joint.geometry, joint.muscle1, joint.muscle2, SeriesSpring(20e3, 5.0, 18e-3))

@@ -34,6 +34,7 @@ def counted(names):
     return {name: names.count(name) for name in dict.fromkeys(sorted(names))}
 
 
+@pytest.mark.slow
 def test_joints_and_references_come_in_their_shares(suite, runs):
     assert counted(runs.joint) == {NOMINAL_JOINT: 48, "longer": 16}  # 3 to 1
     assert counted(runs.reference_name) == {"angle step": 16, "both move": 16, "sine and step": 32}  # 1 to 1 to 2
@@ -80,6 +81,7 @@ def test_fast_sines_are_made_smaller(suite, runs):
     assert np.all(free["reference.angle.amplitude"][cut] > amplitude[cut])
 
 
+@pytest.mark.slow
 def test_a_sine_that_does_not_differ_is_made_smaller_too():
     text = TEXT.replace(
         "over: [reference.angle.amplitude=2..10 deg, reference.angle.frequency=0.25..4 Hz log, ", "over: ["
@@ -117,6 +119,7 @@ def test_each_run_has_noise_of_its_own(suite, runs):
     assert set(draw(given, 8, 1).conditions["sensors.seed"].tolist()) == {7, 8}
 
 
+@pytest.mark.slow
 def test_a_run_of_the_arrays_is_that_of_its_scenario(runs):
     """Every leaf of the plant, and the references at all times; the scenario is written down and read again."""
     for run in range(0, 64, 5):
@@ -149,6 +152,7 @@ def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
     assert drawn.scenario("PID 3", 2) == bare.scenario("PID 3", "both move", drawn.joint[2])
 
 
+@pytest.mark.slow
 def test_any_signal_is_a_reference(tmp_path):
     """Each run has what its scenario says: other random steps for another seed, ramps, samples, single sines."""
     (tmp_path / "recorded.csv").write_text("time_s,angle_deg\n0,1\n0.05,3\n0.1,-2\n")
@@ -203,6 +207,7 @@ def mixed():
     return Suite.parse(TEXT[:start] + OTHER_PLANTS + TEXT[end:].replace("substeps: 1", "substeps: 8"))
 
 
+@pytest.mark.slow
 def test_plants_of_other_kinds_are_groups_of_their_own(mixed):
     drawn = draw(mixed, 20, 1)
     assert [set(group.joint) for group in drawn.groups] == [{each} for each in dict.fromkeys(drawn.joint)]

@@ -44,6 +44,7 @@ def line_of(part):
     return found
 
 
+@pytest.mark.slow
 def test_what_a_suite_says_comes_back(suite, tmp_path):
     assert Suite.parse(suite.dumps()) == suite
     example = Suite.read(ROOT / "examples" / "comparison" / "knee.yaml")

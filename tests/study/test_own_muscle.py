@@ -216,6 +216,7 @@ def test_a_muscle_file_is_written_from_what_is_known(tmp_path):
     assert muscle_text(law, specimen="mine", initial_length=None) == ""
 
 
+@pytest.mark.slow
 def test_a_muscle_without_a_volume_runs():
     scenario = read("{specimen: {name: x, initial_length: 300 mm}, law: fit/fit.yaml}")
     short = scenario.model_copy(update={"duration": 0.05})

@@ -59,6 +59,7 @@ def test_a_seed_is_a_table_and_another_seed_another(kind):
     assert not same(sample(MIXED, "sobol", 50, seed=1), sample(MIXED, "random", 50, seed=1))
 
 
+@pytest.mark.slow
 def test_another_process_makes_the_same_table():
     code = (
         "from mckibben.scenario import Scenario\n"

@@ -228,6 +228,7 @@ PIECES += [
 @example("load.mass2=normal 1e-322 %")
 @example("load.mass2=+-" + "9" * 400 + " %")
 @example("load.mass2=1 kg^9*kg^9*kg^9*kg^9")
+@pytest.mark.slow
 def test_any_text_is_read_or_an_error_of_ours(said):
     for text in (said, f"load.mass2={said}", f"controller.position.seed={said}", f"start.angle={said}"):
         try:

@@ -39,6 +39,7 @@ def built(scenario):
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda s: s.name)
+@pytest.mark.slow
 def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
     for address in list_parameters(scenario):
         value = another(address)
@@ -104,6 +105,7 @@ def model_of(address):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.slow
 def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
     scenario = with_controller(name)
     own = jax.tree.leaves(scenario.control())

@@ -143,6 +143,7 @@ def known(text):
 
 @settings(max_examples=40)
 @given(st.data())
+@pytest.mark.slow
 def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
     text = data.draw(st.sampled_from([*TEXTS.values(), BLOCK]))
     scenario, parameters = known(text)

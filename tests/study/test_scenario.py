@@ -66,6 +66,7 @@ def changed(old: str, new: str, text: str = BASE) -> str:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda p: p.stem)
+@pytest.mark.slow
 def test_examples_build_and_start_at_rest(path):
     scenario = Scenario.read(path)
     plant = scenario.plant()

@@ -76,6 +76,7 @@ def test_a_valve_too_fast_for_the_substeps_is_refused_with_their_number():
     plant.check_substeps([0.0, 0.1], 15.0, 1e-3, caught.value.lower)
 
 
+@pytest.mark.slow
 def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
     result = run_scenario(flow).result
     assert result.outcome.name == "COMPLETED"
@@ -86,6 +87,7 @@ def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
         assert saved["opening2"].attrs["units"] == "1" and saved["reservoir"].attrs["units"] == "Pa"
 
 
+@pytest.mark.slow
 def test_a_small_valve_tracks_worse_and_its_rate_limit_is_found(flow):
     batch = run_many(flow, {"valve.conductance": np.array([2e-10, 4e-9])})
     small, large = batch.table["angle_rmse"].values

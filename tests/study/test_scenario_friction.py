@@ -138,6 +138,7 @@ def test_an_envelope_of_the_isobaric_stiffness_refuses_another():
     assert refused.value.field == "controller.stiffness_amplitude"
 
 
+@pytest.mark.slow
 def test_a_sweep_takes_it_into_the_attainable_stiffness():
     scenario = Scenario.parse(with_friction((LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}")))
     table = {"controller.stiffness_amplitude": np.array([0.3, 30.0]) * deg}

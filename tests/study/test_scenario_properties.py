@@ -123,6 +123,7 @@ def scenarios(draw) -> Scenario:
 
 @settings(quick, max_examples=150)
 @given(scenarios())
+@pytest.mark.slow
 def test_a_scenario_survives_being_written(scenario):
     text = scenario.dumps()
     again = Scenario.parse(text)
@@ -137,6 +138,7 @@ NASTY = st.sampled_from([*INDICATORS, *STRANGE])
 
 @settings(quick, max_examples=250)
 @given(st.sampled_from(TEXTS), st.lists(st.tuples(st.floats(0, 1), st.integers(0, 12), NASTY), min_size=1, max_size=4))
+@pytest.mark.slow
 def test_a_damaged_scenario_is_a_scenario_or_an_error(text, damages):
     for where, removed, inserted in damages:
         at = math.floor(where * len(text))

@@ -68,6 +68,7 @@ class Stopping:
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_single_runs(kept, scenario):
     swept, _ = kept
     assert (swept.count, swept.computed, swept.metrics) == (72, 72, Metrics._fields)
@@ -83,6 +84,7 @@ def test_the_numbers_are_those_of_single_runs(kept, scenario):
     assert 0 < (swept.table["shortfall_max"] > 0).sum() < 72
 
 
+@pytest.mark.slow
 def test_the_table_says_what_made_it(kept, scenario):
     swept, folder = kept
     again = SweepResult.from_netcdf(folder / TABLE)
@@ -102,6 +104,7 @@ def test_the_table_says_what_made_it(kept, scenario):
         assert plain.sizes == {"run": 72}
 
 
+@pytest.mark.slow
 def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp_path):
     varied, few = ["joint.geometry.connector_length=0.207 m, 0.208 m"], {"design": "grid", "metrics": ["angle_rmse"]}
     fixed = sweep(scenario, varied, **few)
@@ -118,6 +121,7 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         sweep(scenario, out=tmp_path, resume=True, known=())
 
 
+@pytest.mark.slow
 def test_the_values_are_those_of_the_design(kept, scenario):
     swept, _ = kept
     for name, column in sample(parse_sweeps(OVER, scenario), "sobol", 72, 1).items():
@@ -387,6 +391,7 @@ def test_a_vanished_folder_is_told(scenario, tmp_path):
         sweep(scenario, OVER, out=tmp_path / "out", workers=1, progress=vanish, **SOME)
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
     real, written = journal_module._write_at, []
 
@@ -433,6 +438,7 @@ def test_random_values_and_spreads_made_in_python(scenario):
     assert other.identity != plan.identity
 
 
+@pytest.mark.slow
 def test_half_the_precision_is_near_the_full_one(kept, scenario):
     half = sweep(scenario, OVER, precision=32, samples=8, seed=1, metrics=["angle_rmse"]).table
     assert half["angle_rmse"].dtype == np.float32

@@ -176,6 +176,7 @@ def test_rows_for_people():
         ({"count": 50, "metrics": ("force_max", "angle_max")}, 3 * 4),
     ],
 )
+@pytest.mark.slow
 def test_the_figure(made, panels, tmp_path):
     figure = report.sweep(made_up(**made))
     png, svg = report.save(figure, tmp_path, "sweep")
@@ -192,6 +193,7 @@ def test_the_figure(made, panels, tmp_path):
     assert all(re.search(r"\[.+\]$", label) for label in labels), labels
 
 
+@pytest.mark.slow
 def test_the_figure_shows_the_four_inputs_that_matter_most():
     figure = report.sweep(made_up(count=2000))
     shown = " ".join(axes.get_xlabel().replace("\n", "") for axes in figure.axes)

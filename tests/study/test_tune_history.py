@@ -58,6 +58,7 @@ def whole(method, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("trials", "torn"), [(0, 0), (0, 20), (4, 0), (13, 50)])
+@pytest.mark.slow
 def test_a_search_goes_on_wherever_it_was_cut_off(method, whole, tmp_path, trials, torn):
     undisturbed, complete = whole
     path = tmp_path / "history.journal"
@@ -67,6 +68,7 @@ def test_a_search_goes_on_wherever_it_was_cut_off(method, whole, tmp_path, trial
     assert path.read_bytes() == complete.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_search_that_is_done_is_only_looked_up(method, whole, tmp_path, monkeypatch):
     undisturbed, complete = whole
     path = tmp_path / "history.journal"
@@ -76,6 +78,7 @@ def test_a_search_that_is_done_is_only_looked_up(method, whole, tmp_path, monkey
     assert path.read_bytes() == complete.read_bytes()
 
 
+@pytest.mark.slow
 def test_more_iterations_go_further(method, whole, tmp_path):
     undisturbed, complete = whole
     path = tmp_path / "history.journal"

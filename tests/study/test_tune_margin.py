@@ -61,6 +61,7 @@ def largest_pole(slower, stiffness, damping):
     return np.abs(np.linalg.eigvals(np.array([period(*unit) for unit in np.eye(9)]).T)).max()
 
 
+@pytest.mark.slow
 def test_the_margin_of_the_lag_is_that_of_the_eigenvalues(scenario):
     plant = scenario.plant()
     state, inertia = plant.equilibrium(0.0, stiffness=13.0), float(plant.load.total_inertia)
@@ -114,6 +115,7 @@ def test_the_gain_margin_in_conditions_does_not_depend_on_the_error_of_a_large_r
     assert calm["angle_rmse"].max() < SMALL_STEP < wild["angle_rmse"].max(), "beyond the margin it oscillates"
 
 
+@pytest.mark.slow
 def test_a_loop_that_oscillates_has_no_margin_however_large_its_error(slow):
     fast = with_values(slow, dict(zip(GAINS, (2e5, 2e8, 2e4), strict=True)))
     found = in_conditions(fast, GAINS, {"load.mass2": np.array([0.3, 0.7])}, largest=10.0)

@@ -57,6 +57,7 @@ def found(method, said):
     return tune(STILL, RANGES, COST, method=method, progress=progress, **SMALL)
 
 
+@pytest.mark.slow
 def test_each_method_finds_where_nothing_has_to_move(method):
     tuned = tune(STILL, RANGES, COST, method=method, **SMALL | {"iterations": 30})
     assert tuned.values["start.angle"] == pytest.approx(2 * deg, rel=1e-3)
@@ -68,6 +69,7 @@ def test_each_method_finds_where_nothing_has_to_move(method):
     assert scenario.model_copy(update={"start": STILL.start}) == STILL
 
 
+@pytest.mark.slow
 def test_what_is_told_of_a_search(method, found, said):
     assert len({trial.point for trial in found.trials}) == found.evaluated == len(found.trials)
     assert found.cost <= found.cost_before
@@ -89,12 +91,14 @@ def test_what_is_told_of_a_search(method, found, said):
         assert found.evaluated == 8 * (SMALL["iterations"] + (method is Method.EVOLUTION))
 
 
+@pytest.mark.slow
 def test_the_same_seed_finds_the_same_and_another_something_else(method, found):
     assert same(tune(STILL, RANGES, COST, method=method, **SMALL), found)
     assert not same(tune(STILL, RANGES, COST, method=method, **SMALL | {"seed": 4}), found)
 
 
 @pytest.mark.parametrize("seed", range(2))
+@pytest.mark.slow
 def test_a_start_that_is_best_is_kept(method, seed):
     for angle, stiffness in (("2 deg", 15), ("2.00000123456789 deg", "14.9999987654321")):
         start = starting(angle, stiffness)
@@ -118,6 +122,7 @@ def test_rounding_makes_nothing_worse(method, monkeypatch):
     assert tuned.cost <= tuned.cost_before * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_a_start_outside_its_range_is_moved_to_its_end(method):
     tuned = tune(starting("9 deg", 10.9), RANGES, COST, method=method, **SMALL)
     low, high = np.transpose([(each.low, each.high) for each in RANGES.values()])
@@ -132,6 +137,7 @@ def test_a_start_that_cannot_be_held_costs_nothing_that_is_known(method):
     assert tuned.cost < FAILED_COST
 
 
+@pytest.mark.slow
 def test_a_number_at_an_end_of_its_range_is_named(method):
     """The best angle is 2 deg, above the range; the best stiffness lies within it."""
     ranges = RANGES | {"start.angle": Uniform(-1.23456789 * deg, 1.23456789 * deg)}
@@ -147,6 +153,7 @@ def test_where_nothing_can_be_run_it_says_so(method):
         tune(STILL, ranges, COST, method=method, **SMALL | {"iterations": 1})
 
 
+@pytest.mark.slow
 def test_several_scenarios_are_tuned_at_once():
     """With a second reference of 4 deg the worst of both is least in the middle."""
     other = Scenario.parse(TEXT.replace("angle: 2 deg", "angle: 4 deg"))

@@ -49,6 +49,7 @@ def spread(joint, draws1, draws2):
 
 
 @pytest.mark.parametrize("tendon", [None, SeriesSpring(stiffness=4e4, preload=10.0, travel=0.02)])
+@pytest.mark.slow
 def test_one_fit_for_both_muscles_against_draws(knee, fit, tendon):
     joint = knee if tendon is None else eqx.tree_at(lambda j: j.tendon, knee, tendon)
     bands = joint_bands(joint, fit, ANGLES, PRESSURES, by=Grouping.POINT)
@@ -58,6 +59,7 @@ def test_one_fit_for_both_muscles_against_draws(knee, fit, tendon):
     assert not bands.may_be_slack.any()
 
 
+@pytest.mark.slow
 def test_two_fits_are_independent(knee, fit, other):
     bands = joint_bands(knee, (fit, other), ANGLES, PRESSURES, by=Grouping.POINT)
     expected = spread(knee, drawn(fit), drawn(other, seed=1))

@@ -81,6 +81,7 @@ def series(chart, name):
     return next(one for one in chart.options["series"] if one["name"] == name)
 
 
+@pytest.mark.slow
 def test_the_joint_page_draws_what_the_joint_attains():
     async def visit():
         async with visitor() as user:
@@ -99,6 +100,7 @@ def test_the_joint_page_draws_what_the_joint_attains():
     np.testing.assert_allclose(high, expected[1], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_slider_changes_the_joint_and_a_reload_keeps_it():
     async def visit():
         async with visitor() as user:
@@ -121,6 +123,7 @@ def test_a_joint_that_cannot_be_is_an_error_with_a_remedy(kind):
 
 
 @pytest.mark.parametrize("kind", design.KINDS)
+@pytest.mark.slow
 def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
     """Muscles with their connectors; the part of a cable on a cam is an arc of many points."""
     designed = design.JointDesign(kind=kind, angle=20.0)
@@ -139,6 +142,7 @@ def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
     np.testing.assert_allclose(jax.tree.leaves(kept), jax.tree.leaves(geometry), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_another_kind_of_joint_has_its_own_sliders():
     async def visit():
         async with visitor() as user:
@@ -160,6 +164,7 @@ async def paste(user, text):
     user.find("Read", kind=ui.button).click()
 
 
+@pytest.mark.slow
 def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
     async def visit():
         async with visitor() as user:
@@ -204,6 +209,7 @@ def test_problems_are_listed_by_line_and_shown_as_text():
     assert "<img" in row["2"]  # a cell of a table is text
 
 
+@pytest.mark.slow
 def test_a_ranking_can_be_cancelled():
     async def visit():
         async with visitor() as user:
@@ -249,6 +255,7 @@ def test_a_fit_is_ended_within():
     assert isinstance(ended[0], session._CancelledError)
 
 
+@pytest.mark.slow
 def test_a_parameter_changes_the_run_and_runs_are_overlaid():
     async def visit():
         async with visitor() as user:
@@ -274,6 +281,7 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
 
 
 @pytest.mark.parametrize("wrong", [1e308, -1e308, None])
+@pytest.mark.slow
 def test_a_number_that_cannot_be_is_refused_at_its_field(wrong):
     async def visit():
         async with visitor() as user:
@@ -377,6 +385,7 @@ def test_damaged_scenarios_are_scenarios_or_errors(tmp_path):
             assert str(error)
 
 
+@pytest.mark.slow
 def test_a_test_on_the_simulated_rig_is_vented_or_gives_points():
     async def visit():
         async with visitor() as user:

@@ -57,6 +57,7 @@ def ask(port, path="/", *, method="GET", body=None, **headers):
         return answer, answer.read().decode(errors="replace")
 
 
+@pytest.mark.slow
 def test_it_answers_on_this_machine_and_loads_nothing_from_others(port):
     for path in ("/", "/identify", "/run"):
         answer, text = ask(port, path)
@@ -66,6 +67,7 @@ def test_it_answers_on_this_machine_and_loads_nothing_from_others(port):
 
 
 @pytest.mark.parametrize("host", ["example.com", "127.0.0.1.example.com", "example.com:80", "10.0.0.1"])
+@pytest.mark.slow
 def test_a_foreign_host_is_refused(port, host):
     answer, text = ask(port, Host=host)
     assert answer.status == 400
@@ -73,6 +75,7 @@ def test_a_foreign_host_is_refused(port, host):
 
 
 @pytest.mark.parametrize("origin", ["http://example.com", "null", "http://127.0.0.1:1", "https://localhost"])
+@pytest.mark.slow
 def test_a_foreign_origin_is_refused(port, origin):
     answer, text = ask(port, "/", method="POST", Origin=origin)
     assert answer.status == 403 and text.startswith("refused")
@@ -104,6 +107,7 @@ def test_its_own_pages_may_open_a_websocket(port):
         assert line.recv(timeout=10).startswith("0{")
 
 
+@pytest.mark.slow
 def test_a_large_body_is_refused(port):
     answer, text = ask(port, "/", method="POST", body=b"", Content_Length=str(LARGEST + 1))
     assert answer.status == 413 and "MiB" in text
@@ -131,6 +135,7 @@ def test_an_upload_that_is_no_form_is_refused(port):
         assert "Traceback" not in text
 
 
+@pytest.mark.slow
 def test_a_taken_port_is_an_error_with_a_remedy(port):
     done = subprocess.run(command(port), capture_output=True, text=True, env=OUTSIDE)
     assert done.returncode == 2

@@ -54,6 +54,7 @@ def card():
 
 
 @pytest.mark.parametrize("way", WAYS)
+@pytest.mark.slow
 def test_a_host_that_crashes_is_vented_by_the_second_process(card, way):
     ways = "{" + ", ".join(f"{name!r}: {code}" for name, code in WAYS.items()) + "}"
     host = [sys.executable, "-c", HOST.format(ways=ways), card.address, way]

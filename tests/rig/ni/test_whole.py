@@ -82,6 +82,7 @@ def stopping(after, twin):
     return report
 
 
+@pytest.mark.slow
 def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands(on_card, tmp_path, watched):
     twin, checked = on_card()
     shown = list(readings(tmp_path / "p.yaml"))

@@ -130,6 +130,7 @@ STEP = SIMPLE | repeated(SIMPLE) | repeated(repeated(SIMPLE))  # a file is neste
 
 @given(steps=st.lists(STEP, min_size=1, max_size=4))
 @settings(max_examples=60)
+@pytest.mark.slow
 def test_any_typed_steps_are_written_and_read_back_to_the_last_bit(steps):
     text = RigTest.parse(STEPS).model_copy(update={"protocol": typed.Steps(steps=tuple(steps))}).dumps()
     assert RigTest.parse(text).protocol == typed.Steps(steps=tuple(steps))

@@ -60,6 +60,7 @@ def test_a_folder_has_the_protocol_the_record_and_the_dataset(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.slow
 def test_a_signal_stops_it_vented_and_it_goes_on(tmp_path, number):
     handlers = signal.getsignal(number)
     if number != signal.SIGINT:
@@ -104,6 +105,7 @@ def test_a_protocol_that_is_damaged_or_missing_is_read_from_the_record(tmp_path,
         assert path.read_bytes() == left
 
 
+@pytest.mark.slow
 def test_a_finished_test_never_moves_again_whatever_bit_of_it_is_damaged(tmp_path, monkeypatch):
     made = run_test(checked(), tmp_path)
     monkeypatch.setattr("mckibben.rig.simulated.SimulatedRig.open", lambda rig: pytest.fail("it is opened"))

@@ -1,0 +1,14 @@
+"""Pages whose examples take seconds: `make verify` runs them, `make test` does not."""
+
+from pathlib import Path
+
+import pytest
+
+SLOW = {"batches.md", "extending.md", "laws.md", "stiffness.md", "tuning.md", "your-muscle.md"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the slow pages."""
+    for item in items:
+        if item.path.parent == Path(__file__).parent and item.path.name in SLOW:
+            item.add_marker(pytest.mark.slow)
