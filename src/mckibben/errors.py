@@ -124,6 +124,10 @@ class ExportError(McKibbenError, ValueError):
     """A model or function cannot be expressed in another language or format."""
 
 
+class CompilerError(ExportError):
+    """The machine's C compiler, or the program that it wrote, does not work."""
+
+
 class RigError(McKibbenError, RuntimeError):
     """A test rig is missing, or cannot execute a command."""
 

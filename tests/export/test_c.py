@@ -7,6 +7,7 @@ import subprocess
 import pytest
 
 from mckibben.codegen import write_c
+from mckibben.codegen.c import comment_text
 from mckibben.codegen.native import compiler
 from mckibben.errors import ExportError, FileError, ParameterError
 from mckibben.export import export
@@ -69,6 +70,31 @@ def test_it_fits_a_cortex_m7_and_runs_there(board, scenarios, tmp_path):
     assert 8 < size.stack < 1024
     if shutil.which(board.EMULATOR):
         assert board.replayed(tmp_path, "knee", steps=20_000).deviation < 1e-12
+
+
+HOSTILE = ("a /* b", "a */ b", "/*/", "a \\", "a ??/", "???/", "a\\\nb", 'a" \\', "a // b", "%s $name `x`", "** /")
+
+
+@pytest.mark.parametrize("title", HOSTILE)
+def test_no_name_changes_the_program(scenarios, title, tmp_path):
+    """As C and as the C++ of the sketch, with all warnings as errors; trigraphs are read in C99."""
+    module, _ = controller_program(controller_functions(scenarios["PID"]), "knee")
+    header, source = write_c(module, f"{title}\n{title!r}\n{title}", units={"setpoint.angle": title.split("\n")[0]})
+    (tmp_path / "knee.h").write_text(header)
+    (tmp_path / "knee.c").write_text(source)
+    text = comment_text(" ".join(title.split()))
+    line = f'// "{text}"'
+    (tmp_path / "line.c").write_text(f"{line}\n// {text}\nint line(void);\n")
+    command = [compiler(), "-std=c99", "-Wall", "-Wextra", "-Wcomment", "-Wtrigraphs", "-Werror", "-fsyntax-only"]
+    done = subprocess.run([*command, "knee.c", "line.c"], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.slow
+def test_a_scenario_of_any_name_is_exported_and_built(scenarios, tmp_path):
+    scenario = scenarios["PID"].model_copy(update={"name": "knee /* 1 ??/ */ \\"})
+    export(scenario, "c", tmp_path, name="knee")
+    subprocess.run(["make", "-s", "check"], cwd=tmp_path, check=True, capture_output=True)
 
 
 @pytest.mark.slow

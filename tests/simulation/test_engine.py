@@ -9,7 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.codegen import native
 from mckibben.codegen.native import compiler
-from mckibben.errors import ParameterError
+from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -142,8 +142,10 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     parts = plant, scenario.control(), scenario.reference()
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
+    monkeypatch.setattr(native, "_WARNED", [])
     monkeypatch.setattr("mckibben.simulation.engine.native_episode._known", {})
-    assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
+    with pytest.warns(McKibbenWarning):
+        assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
 
 
 @pytest.mark.parametrize("engine", ["", "c", None])

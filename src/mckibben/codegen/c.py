@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -21,6 +22,12 @@ class Sources(NamedTuple):
 
     header: str
     source: str
+
+
+def comment_text(text: str) -> str:
+    """Text that neither ends a comment of C, nor opens one in it, nor continues it on the next line."""
+    spaced = re.sub(r"\*(?=/)|/(?=\*)|\?(?=\?/)", r"\g<0> ", text)
+    return re.sub(r"\\(?=\s*$)", r"\\.", spaced, flags=re.MULTILINE)
 
 
 def write_c(
@@ -47,7 +54,8 @@ class _Writing:
     ) -> None:
         self._module = module
         self._name = module.name
-        self._comment = "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in comment.splitlines()) + " */\n"
+        lines = [f" * {line}".rstrip() for line in comment_text(comment).splitlines()]
+        self._comment = "\n".join(["/*", *lines, " */\n"])
         self._language = c_language("float" if single else "double")
         self._units = units
         self._wide = wide_inputs(module, wide) if single else frozenset[str]()
@@ -98,7 +106,7 @@ class _Writing:
         for member in members:
             unit = self._units.get(f"{name}.{member.path}", "")
             size = f"[{member.size}]" if member.shape else ""
-            comment = f" /* {unit} */" if unit else ""
+            comment = f" /* {comment_text(unit)} */" if unit else ""
             lines.append(f"    {self._type(name, member)} {member.name}{size};{comment}")
         return "\n".join([*lines, f"}} {self._name}_{name};\n"])
 

@@ -9,10 +9,13 @@ import os
 import pickle
 import platform
 import shutil
+import signal
 import struct
 import subprocess
+import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +30,7 @@ from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.source_module import inputs_of
 from mckibben.codegen.vectors import HEADERS, SUFFIX, VectorWriter, prelude, width
 from mckibben.codegen.writer import Writer
-from mckibben.errors import ExportError
+from mckibben.errors import CompilerError, ExportError, McKibbenWarning
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
 from mckibben.numerics.runtime import programs_folder
 
@@ -45,6 +48,13 @@ _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
 _LONGEST = 3_000_000  # characters of a source
+_COMPILING = 60.0, 5000.0  # s: time limit of the compiler, plus a second per so many characters
+_TRYING = 20.0  # s: time limit of a first call
+_TRIAL = "import ctypes; ctypes.CDLL('./library.so').run(None, None, None, ctypes.c_int64(0))"  # of no runs
+_OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
+_OTHER_FOLDER = (
+    "set TMPDIR to a folder that allows execution, or CC to another compiler; engine='xla' needs neither of them"
+)
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 
 
@@ -57,6 +67,17 @@ def compiler() -> str | None:
 def _own_flags() -> list[str]:
     """The user's compiler options."""
     return os.environ.get("MCKIBBEN_CFLAGS", "").split()
+
+
+_FAILED: list[CompilerError] = []  # the failure after which nothing is compiled in this process
+_WARNED: list[CompilerError] = []
+
+
+def warn_of_fallback(error: ExportError) -> None:
+    """Warn that XLA computes in place of compiled C, once per process and only if the compiler is the reason."""
+    if isinstance(error, CompilerError) and not _WARNED:
+        _WARNED.append(error)
+        warnings.warn(f"XLA computes in place of compiled C: {error}", McKibbenWarning, stacklevel=3)
 
 
 class NativeFunction:
@@ -99,9 +120,8 @@ class NativeFunction:
         folder, path = programs_folder(), None
         if folder is not None:
             path = program_path(folder, self._function, (shared.key, lanes.key, single), _compiler_state(), "native")
-        if path is not None and (content := read_program(path)) is not None:
-            library, leaves, tree = pickle.loads(content)
-            return _Compiled(load_library(library), leaves, jax.tree.structure(tree), width(single))
+        if path is not None and (found := _stored(path, width(single))) is not None:
+            return found
 
         def function(given: Sequence[Any], varying: Sequence[Any]) -> Any:
             return self._function(shared.filled(given), lanes.filled(varying))
@@ -110,9 +130,10 @@ class NativeFunction:
         source, leaves, tree = write_native(function, shared.arrays, varying, single=single)
         flags = (*_FOR_LANES, *(_FOR_SHORT if len(source) < _SHORT else ())) if varying else _ALONE
         library = compile_library(source, flags)
+        found = _Compiled(load_library(library), leaves, tree, width(single))
         if path is not None:
             write_program(path, pickle.dumps((library, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
-        return _Compiled(load_library(library), leaves, tree, width(single))
+        return found
 
 
 @dataclass(frozen=True)
@@ -176,6 +197,17 @@ class _Compiled:
             return jax.tree.unflatten(self.tree, values)
 
         return compute
+
+
+def _stored(path: Path, width: int) -> _Compiled | None:
+    """The program of a file of the cache; None if it is missing or cannot be loaded."""
+    if (content := read_program(path)) is None:
+        return None
+    try:
+        library, leaves, tree = pickle.loads(content)
+        return _Compiled(load_library(library), leaves, jax.tree.structure(tree), width)
+    except Exception:  # another content, or a library that does not load here: it is compiled again and replaced
+        return None
 
 
 def compile_alone(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
@@ -285,27 +317,72 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 
 
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
-    """Compile a source to a shared library; raises `ExportError` if that fails."""
-    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *flags, *_own_flags(), "source.c", "-o", "library.so", "-lm"]
-    with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
-        Path(folder, "source.c").write_text(source, encoding="utf-8")
-        try:
-            subprocess.run(command, cwd=folder, check=True, capture_output=True, stdin=subprocess.DEVNULL)
+    """Compile a source to a shared library that loads and can be called; raises `CompilerError` if that fails."""
+    if _FAILED:
+        raise _FAILED[0]
+    name = compiler() or "cc"
+    command = [name, "-std=gnu11", *_FLAGS, *flags, *_own_flags(), "source.c", "-o", "library.so", "-lm"]
+    trial = [sys.executable, "-I", "-S", "-c", _TRIAL]  # in another process, which may crash
+    try:
+        with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
+            Path(folder, "source.c").write_text(source, encoding="utf-8")
+            seconds = _COMPILING[0] + len(source) / _COMPILING[1]
+            _call(command, folder, seconds, f"{name} does not compile the program", _OTHER_COMPILER)
+            _call(trial, folder, _TRYING, f"what {name} compiled does not run", _OTHER_FOLDER)
             return Path(folder, "library.so").read_bytes()
-        except (OSError, subprocess.CalledProcessError) as error:
-            reason = getattr(error, "stderr", b"").decode(errors="replace").splitlines()[:1]
-            raise ExportError(
-                f"{command[0]} does not compile the program: {' '.join(reason) or error}",
-                remedy="use engine='xla', or set another compiler in the environment variable CC",
-            ) from error
+    except OSError as error:
+        raise CompilerError(f"no program can be compiled: {error}", remedy=_OTHER_FOLDER) from error
+
+
+def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> None:
+    """Run a command in a folder; raises `CompilerError` if it fails or takes longer than a time limit."""
+    with Path(folder, "messages.txt").open("w+b") as messages:  # not a pipe, which a hanging child would hold open
+        process = subprocess.Popen(
+            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages, start_new_session=True
+        )
+        try:
+            status = process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            status = None
+        finally:
+            if process.returncode is None:
+                _kill(process)
+        if status == 0:
+            return
+        messages.seek(0)
+        lines = messages.read(10_000).decode(errors="replace").strip().splitlines() or [f"exit status {status}"]
+    reason = lines[0]
+    if command[0] == sys.executable:
+        reason = lines[-1]  # of a traceback
+    if status is None:
+        reason = f"it takes longer than {seconds:.0f} s"
+    elif status < 0:
+        reason = f"it ends by signal {-status}"
+    error = CompilerError(f"{failure}: {reason}", value=command[0], remedy=remedy)
+    if status is None or command[0] == sys.executable:  # the next program would fail, too
+        _FAILED.append(error)
+    raise error
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End a process and its children."""
+    if hasattr(os, "killpg"):
+        os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.wait()
 
 
 def load_library(library: bytes) -> Any:
-    """The function of a shared library."""
-    with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:  # accessible to this user only, with a unique name
-        path = Path(folder, "library.so")
-        path.write_bytes(library)
-        run = ctypes.CDLL(str(path)).run
+    """The function of a shared library; raises `CompilerError` if it cannot be loaded."""
+    try:
+        # accessible to this user only, with a unique name
+        with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
+            path = Path(folder, "library.so")
+            path.write_bytes(library)
+            run = ctypes.CDLL(str(path)).run
+    except (OSError, AttributeError) as error:
+        raise CompilerError(f"a compiled program cannot be loaded: {error}", remedy=_OTHER_FOLDER) from error
     run.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64]
     run.restype = None
     return run
@@ -317,7 +394,10 @@ def _compiler_state() -> str:
     name = compiler()
     if name is None:
         return ""
-    status = Path(name).resolve().stat()
+    try:
+        status = Path(name).resolve().stat()
+    except OSError:  # removed since it was found
+        return ""
     options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, _own_flags()
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 

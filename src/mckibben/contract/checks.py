@@ -25,7 +25,7 @@ from mckibben.config.document import to_text
 from mckibben.contract.probes import PERIOD, Identity, Probe, Probes, Ranges, plant_scope, probes_of
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
-from mckibben.errors import McKibbenError, ParameterError, printable
+from mckibben.errors import CompilerError, McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
 from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
 
@@ -383,7 +383,10 @@ class _Sampled:
         if compiler() is None:
             raise _SkippedError("there is no C compiler")
         given = self.probe.function, numeric(self.component)
-        emitted = np.array([_flat(_NATIVE((*given, *row))) for row in self.arguments])
+        try:
+            emitted = np.array([_flat(_NATIVE((*given, *row))) for row in self.arguments])
+        except CompilerError as error:
+            raise _SkippedError(str(error)) from None
         if (at := _difference(emitted, self.values, _EQUAL, self.values)) is not None:
             raise _BrokenError(f"emitted C gives {at[0]:.6g}, JAX {at[1]:.6g}", "report it, with the class")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from string import Template
 
 import mckibben
-from mckibben.codegen.c import write_c
+from mckibben.codegen.c import comment_text, write_c
 from mckibben.export.controller import controller_module
 from mckibben.export.targets import Exported
 from mckibben.scenario import Scenario
@@ -25,7 +25,8 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
         f"Controller of the scenario {scenario.name!r}, written by mckibben {version}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
-    sources = write_c(module, comment.replace("*/", "* /"), single=single, wide=("setpoint",), units=made.units)
+    title = comment_text(" ".join(scenario.name.split()))
+    sources = write_c(module, comment, single=single, wide=("setpoint",), units=made.units)
     table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
     left_out = "".join(f"- {one}\n" for one in made.left_out)
     values = {
@@ -48,7 +49,7 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
         "README.md": filled("README.md", values),
         "replay.c": filled("replay.c", values),
         "Makefile": filled("Makefile", values),
-        f"sketch/{name}/{name}.ino": filled("sketch.ino", values),
+        f"sketch/{name}/{name}.ino": filled("sketch.ino", {**values, "title": title}),
         f"sketch/{name}/{name}.h": sources.header,
         f"sketch/{name}/{name}.c": sources.source,
     }

@@ -18,7 +18,7 @@ from pathlib import Path
 from string import Template
 
 import mckibben
-from mckibben.codegen.c import write_c
+from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.graph import Kind
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.source_module import Function, SourceModule, is_scalar
@@ -116,7 +116,7 @@ def _values(unit: FunctionalUnit, variables: Sequence[ScalarVariable]) -> dict[s
         "state_references": ", ".join(map(str, states)) or "0",
         "rate_references": ", ".join(map(str, rates)) or "0",
         "name": module.name,
-        "title": unit.title.replace("*/", "* /"),
+        "title": comment_text(" ".join(unit.title.split())),
         "variables": len(variables),
         "states": len(states),
         "model_exchange": int(unit.model_exchange),

@@ -211,7 +211,7 @@ def plugin_files(
     """Contents of the files of a model: MJCF, the plugin, and instructions."""
     name = module.name
     comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
-    sources = write_c(module, comment.replace("*/", "* /"), single=False)
+    sources = write_c(module, comment, single=False)
     listed = "".join(f"- {one}\n" for one in left_out)
     return {
         f"{name}.xml": xml,

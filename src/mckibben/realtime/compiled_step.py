@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.codegen.native import compile_alone
+from mckibben.codegen.native import compile_alone, warn_of_fallback
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.errors import ExportError, SimulationError
 from mckibben.numerics.compiled import compiled, numeric
@@ -203,7 +203,8 @@ def compile_flat(function: Callable[..., Any], *sizes: int) -> Callable[..., Any
     """Compile a function of arrays by the C compiler; by XLA for the CPU where that cannot be done."""
     try:
         return compile_alone(function, *sizes)
-    except ExportError:
+    except ExportError as error:
+        warn_of_fallback(error)
         return _compile_loop(function, *sizes)
 
 

@@ -28,6 +28,8 @@ from mckibben.units import bar, mm, percent
 
 _SETTLING = 1.5  # s of a change of pressure, besides a ramp
 _HOLDING = 20.0  # s until a force is reached
+_LONGEST = 365 * 86400.0  # s of a test
+_MOST_ROWS = 10**10  # of its record
 
 
 class DryRun(StepInterpreter):
@@ -44,6 +46,7 @@ class DryRun(StepInterpreter):
         self._reported: set[str] = set()
         self._place, self._by_force = "", False
         self._set_pressure = 0.0
+        self._slowest = 0.0, ""  # longest step [s], and its place
         self._visited: dict[tuple[int, float], str] = {}  # position and pressure, and the step that went there
 
     def bytes(self, row_size: int) -> int:
@@ -64,6 +67,8 @@ class DryRun(StepInterpreter):
         if limits.pressure > 1.1 * highest:
             message = f"{limits.pressure / bar:g} bar is more than a tenth above the {highest / bar:g} bar of {name}"
             self._report(message, "limits.pressure", "lower it")
+        if self._acquired <= MOST_POINTS:
+            self._check_duration()
         self._check_law()
         self._check_sensors(inputs)
 
@@ -128,8 +133,12 @@ class DryRun(StepInterpreter):
         self._visit()
 
     def _rest(self, duration: float) -> None:
+        self._add(duration, math.ceil(min(duration * self.bench.rate / self.bench.decimation, _MOST_ROWS)) + 1)
+
+    def _add(self, duration: float, rows: int) -> None:
         self.duration += duration
-        self.rows += math.ceil(duration * self.bench.rate / self.bench.decimation) + 1
+        self.rows += rows
+        self._slowest = max(self._slowest, (duration, self._place))
 
     def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
         self._rest(_SETTLING + (0.0 if rate is None else abs(pressure - self._set_pressure) / rate))
@@ -148,8 +157,7 @@ class DryRun(StepInterpreter):
         if self._acquired > MOST_POINTS:
             raise _TooLongError
         every = max(1, round(self.bench.rate * acquire.duration / acquire.samples))
-        self.duration += acquire.duration
-        self.rows += (acquire.samples - 1) * every + 1
+        self._add(acquire.duration, (acquire.samples - 1) * every + 1)
         if acquire.keep:
             self.plateaus += 1
             self.samples += acquire.samples
@@ -235,6 +243,16 @@ class DryRun(StepInterpreter):
             message = f"{acquire.samples} samples in {acquire.duration:g} s are no whole part of {rate:g} Hz"
             remedy = f"take {round(rate * acquire.duration)}, or a whole part of it"
             self._report(message, f"{place}.samples", remedy)
+
+    def _check_duration(self) -> None:
+        duration, place = self._slowest
+        step = f"its longest step {duration:.3g} s"
+        if self.duration > _LONGEST:
+            days = f"{self.duration / 86400:.3g} days, {step}, and {_LONGEST / 86400:g} days at most are allowed"
+            self._report(f"the test takes {days}", place, "raise the speed or rate, or make several tests of it")
+        elif self.rows > _MOST_ROWS:
+            message = f"the record has {self.rows:.3g} rows, {step}, and {_MOST_ROWS:.0e} at most are allowed"
+            self._report(message, place, "sample at a lower rate, or make several tests of it")
 
     def _check_law(self) -> None:
         """Check the force by the law at all points visited."""

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-from mckibben.codegen.native import NativeFunction, compiler
+from mckibben.codegen.native import NativeFunction, compiler, warn_of_fallback
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
@@ -57,13 +57,14 @@ def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False
 def compute_with(
     engine: str, precision: Any, native: Callable[[], R], xla: Callable[[], R], *, many: bool = False
 ) -> tuple[R, str]:
-    """Result and engine of a computation; "auto" takes XLA where the native one cannot be emitted."""
+    """Result and engine of a computation; "auto" takes XLA where the native one cannot be used."""
     if check_engine(engine, precision, many=many) == "native":
         try:
             return native(), "native"
-        except ExportError:
+        except ExportError as error:
             if engine == "native":
                 raise
+            warn_of_fallback(error)
     return xla(), "xla"
 
 

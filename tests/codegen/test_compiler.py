@@ -1,0 +1,238 @@
+"""Compilers, folders and libraries that do not work: XLA computes, and nothing broken is stored."""
+
+import os
+import pickle
+import signal
+import time
+import warnings
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.codegen import native
+from mckibben.codegen.native import compiler
+from mckibben.errors import CompilerError, McKibbenWarning
+from mckibben.numerics import program_cache
+from mckibben.realtime.compiled_step import compile_flat
+from mckibben.simulation.engine import BatchFunction, compute_with
+
+REAL = compiler()
+pytestmark = pytest.mark.skipif(REAL is None, reason="there is no C compiler")
+LANES = np.arange(1.0, 6.0)
+
+
+def double(_, lane):
+    return lane * 2.0
+
+
+double.__module__ = "mckibben.pretended"  # only functions of this package are stored
+
+
+@pytest.fixture
+def programs(tmp_path, monkeypatch):
+    """An empty program cache, in a process in which nothing has been compiled."""
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))
+    monkeypatch.setattr(native, "_FAILED", [])
+    monkeypatch.setattr(native, "_WARNED", [])
+    yield tmp_path / "programs"
+    for one in (compiler, native._compiler_state):
+        one.cache_clear()
+
+
+@pytest.fixture
+def use(tmp_path, monkeypatch, programs):
+    """Use a shell script as the compiler; `$OUT` is the library, `$REAL` the compiler of the machine."""
+
+    def use(script):
+        path = tmp_path / "fakecc"
+        path.write_text(f'#!/bin/sh\nOUT=library.so REAL={REAL}\necho "$$" >> {tmp_path}/started\n{script}\n')
+        path.chmod(0o755)
+        monkeypatch.setenv("CC", str(path))
+        for one in (compiler, native._compiler_state):
+            one.cache_clear()
+        return lambda: len((tmp_path / "started").read_text().split()) if (tmp_path / "started").exists() else 0
+
+    return use
+
+
+SYMBOL = "echo 'void other(void) {}' | $REAL -x c -shared -fPIC - -o $OUT"
+CRASH = "echo '__attribute__((constructor)) void f(void) { *(volatile int *)8 = 1; } void run(void) {}' "
+CRASH += "| $REAL -x c -shared -fPIC - -o $OUT"
+FAULTS = {
+    "exit status": "echo 'out of licences' >&2; exit 3",
+    "garbage": "head -c 5000 /dev/urandom > $OUT",
+    "no library": "exit 0",
+    "empty library": ": > $OUT",
+    "truncated library": '$REAL "$@"; head -c 2000 $OUT > part; mv part $OUT',
+    "no symbol": SYMBOL,
+    "crash when loaded": CRASH,
+    "crash when called": "echo 'void run(void) { __builtin_trap(); }' | $REAL -x c -shared -fPIC - -o $OUT",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_compiler_that_does_not_work_leaves_it_to_xla_with_one_warning(use, programs, fault):
+    use(FAULTS[fault])
+    batch = BatchFunction(double)
+    with pytest.warns(McKibbenWarning) as warned:
+        answers = [batch("auto", None, LANES), BatchFunction(double)("auto", None, LANES)]
+    assert len(warned) == 1
+    assert native._WARNED[0].remedy in str(warned[0].message)
+    for values, engine in answers:
+        assert engine == "xla"
+        np.testing.assert_array_equal(values, 2 * LANES)
+    assert list(programs.glob("*")) == []
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_native_engine_asked_for_is_an_error_if_it_does_not_work(use, programs, fault):
+    use(FAULTS[fault])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(CompilerError) as caught:
+            BatchFunction(double)("native", None, LANES)
+    assert "CC" in caught.value.remedy
+    assert caught.value.value
+    assert list(programs.glob("*")) == []
+
+
+def test_a_compiler_that_hangs_is_ended_with_its_children_and_not_started_again(use, programs, monkeypatch, tmp_path):
+    started = use(f"sleep 600 & echo $! > {tmp_path}/child; wait")
+    monkeypatch.setattr(native, "_COMPILING", (0.5, 1e9))
+    begin = time.monotonic()
+    with pytest.warns(McKibbenWarning) as warned:
+        answers = [BatchFunction(double)("auto", None, LANES)[1] for _ in range(3)]
+    assert time.monotonic() - begin < 10
+    assert (answers, len(warned), started()) == (["xla"] * 3, 1, 1)
+    child = int((tmp_path / "child").read_text())
+    with pytest.raises(ProcessLookupError):
+        for _ in range(50):  # until it is reaped
+            os.kill(child, 0)
+            if Path(f"/proc/{child}/stat").read_text().split()[2] == "Z":
+                raise ProcessLookupError
+            time.sleep(0.1)
+    with pytest.raises(CompilerError):
+        BatchFunction(double)("native", None, LANES)
+
+
+def test_a_program_that_hangs_at_its_first_call_is_ended(use, programs, monkeypatch):
+    use("echo 'void run(void) { for (;;) {} }' | $REAL -O0 -x c -shared -fPIC - -o $OUT")
+    monkeypatch.setattr(native, "_TRYING", 0.5)
+    with pytest.raises(CompilerError) as caught:
+        BatchFunction(double)("native", None, LANES)
+    assert "TMPDIR" in caught.value.remedy
+
+
+def test_a_temporary_folder_that_forbids_execution_leaves_it_to_xla(programs, monkeypatch):
+    """As on a file system mounted noexec: files are written there, and no library is loaded."""
+    refused = "raise OSError('library.so: failed to map segment from shared object: Operation not permitted')"
+    monkeypatch.setattr(native, "_TRIAL", refused)
+    with pytest.warns(McKibbenWarning, match="TMPDIR") as warned:
+        values, engine = BatchFunction(double)("auto", None, LANES)
+    assert (engine, len(warned)) == ("xla", 1)
+    np.testing.assert_array_equal(values, 2 * LANES)
+    assert list(programs.glob("*")) == []
+
+
+def test_a_stored_program_that_the_folder_does_not_let_load_leaves_it_to_xla(programs, monkeypatch):
+    BatchFunction(double)("native", None, LANES)
+    (file,) = programs.iterdir()
+    content = file.read_bytes()
+
+    def refused(path):
+        raise OSError(f"{path}: failed to map segment from shared object: Operation not permitted")
+
+    monkeypatch.setattr(native.ctypes, "CDLL", refused)
+    with pytest.warns(McKibbenWarning, match="TMPDIR"):
+        assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
+    assert file.read_bytes() == content
+
+
+@pytest.mark.parametrize("folder", ["missing", "file"])
+def test_without_a_temporary_folder_xla_computes(programs, monkeypatch, tmp_path, folder):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(native.tempfile, "tempdir", str(tmp_path / folder))
+    with pytest.warns(McKibbenWarning, match="TMPDIR"):
+        assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
+    with pytest.raises(CompilerError):
+        BatchFunction(double)("native", None, LANES)
+
+
+def test_a_compiler_that_was_removed_leaves_it_to_xla(use, programs, tmp_path):
+    use("exit 0")
+    assert compiler() is not None
+    (tmp_path / "fakecc").unlink()
+    with pytest.warns(McKibbenWarning, match="CC"):
+        assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
+
+
+def replaced(file, library):
+    """Write another library into a stored program, with a valid checksum."""
+    _, leaves, tree = pickle.loads(program_cache._read(file))
+    program_cache._write(file, pickle.dumps((library, leaves, tree)))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda file: replaced(file, b"garbage"),
+        lambda file: program_cache._write(file, b"no pickle"),
+        lambda file: program_cache._write(file, pickle.dumps("another content")),
+        lambda file: file.write_bytes(file.read_bytes()[:-1]),
+        lambda file: file.write_bytes(b""),
+    ],
+    ids=["library", "pickle", "content", "truncated", "empty"],
+)
+def test_a_broken_file_of_the_cache_is_replaced(programs, use, damage):
+    started = use('exec $REAL "$@"')
+    BatchFunction(double)("native", None, LANES)
+    (file,) = programs.iterdir()
+    good = program_cache._read(file)
+    damage(file)
+    values, engine = BatchFunction(double)("native", None, LANES)
+    np.testing.assert_array_equal(values, 2 * LANES)
+    assert (engine, started()) == ("native", 2)
+    assert [*programs.iterdir()] == [file]
+    assert pickle.loads(program_cache._read(file))[1:] == pickle.loads(good)[1:]
+    BatchFunction(double)("native", None, LANES)
+    assert started() == 2
+
+
+def test_a_program_that_cannot_be_emitted_is_no_reason_to_warn(programs):
+    def decided(_, lane):
+        return jnp.linalg.svd(lane * jnp.eye(2))[1]
+
+    assert BatchFunction(decided)("auto", None, LANES)[1] == "xla"  # warnings are errors in these tests
+
+
+def test_the_real_time_loop_warns_too(use, programs):
+    use(FAULTS["garbage"])
+    with pytest.warns(McKibbenWarning, match="CC"):
+        step = compile_flat(lambda x: x + 1, 2)
+    np.testing.assert_array_equal(step(np.array([1.0, 2.0])), [2.0, 3.0])
+
+
+def test_an_interrupt_ends_the_compiler(use, programs, monkeypatch, tmp_path):
+    use(f"echo $$ > {tmp_path}/child; exec sleep 600")
+
+    def interrupted(process, seconds=None):
+        while not (tmp_path / "child").exists() or not (tmp_path / "child").read_text():
+            time.sleep(0.01)
+        monkeypatch.undo()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(native.subprocess.Popen, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        native.compile_library("", ())
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "child").read_text()), signal.SIGCONT)
+
+
+def test_only_failures_of_the_compiler_are_passed_over():
+    def broken():
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        compute_with("auto", np.float64, broken, lambda: 1)
