@@ -22,7 +22,7 @@ from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
 from mckibben.simulation.result import attributes
-from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_arrays, read_header, unpack_arrays
+from mckibben.storage.journal import Journal, JournalReader, array_record, header_differences, read_header, unpack_arrays
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
@@ -384,7 +384,7 @@ class _Blocks:
     def keep(self, number: int, columns: dict[str, Floats]) -> None:
         """Append a block."""
         if self._journal is not None:
-            self._journal.append(pack_arrays(_BLOCK, number, columns))
+            self._journal.append(array_record(_BLOCK, number, columns))
 
 
 def _table(

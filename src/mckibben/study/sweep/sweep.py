@@ -17,7 +17,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.scenario import Known, Scenario
 from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
-from mckibben.storage.journal import Journal, JournalReader, pack, pack_arrays, read_header, unpack_arrays
+from mckibben.storage.journal import Journal, JournalReader, JournalRecord, array_record, read_header, unpack_arrays
 from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
 from mckibben.study.sweep.plan import FORMAT, VERSION, Sweepable, SweepOptions, SweepPlan, manifest_differences
 from mckibben.study.sweep.result import SweepResult
@@ -77,7 +77,7 @@ class SweepStore:
     def keep(self, block: int, columns: Columns) -> None:
         """Append the results of a block; thread-safe."""
         assert self._journal is not None
-        self._journal.append(pack_arrays(_BLOCK, block, columns))
+        self._journal.append(array_record(_BLOCK, block, columns))
         self.kept.add(block)
 
     def columns(self) -> Columns:
@@ -96,7 +96,7 @@ class SweepStore:
         """Write the table."""
         swept.to_netcdf(self.folder / TABLE)
         assert self._journal is not None
-        self._journal.append(pack(_TABLE, 0, self._digest()))
+        self._journal.append(JournalRecord(_TABLE, 0, self._digest()))
 
     def read_table(self) -> SweepResult | None:
         """The table, if the file is unchanged."""

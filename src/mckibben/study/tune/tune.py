@@ -18,7 +18,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.scenario import Known, Scenario, with_values
 from mckibben.storage.files import explain_write_errors, file_lock, make_folder
-from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
+from mckibben.storage.journal import Journal, JournalReader, header_differences, json_record, read_header
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
 from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem, parse_cost
@@ -126,8 +126,8 @@ class TuningHistory:
         new = [trial for trial in trials if trial.point not in self._by_point]
         if self._journal is not None and new:
             first = len(self._by_point)
-            records = [pack_json(_TRIAL, first + i, trial._asdict()) for i, trial in enumerate(new)]
-            self._journal.append(b"".join(records))
+            records = [json_record(_TRIAL, first + i, trial._asdict()) for i, trial in enumerate(new)]
+            self._journal.append(*records)
         self._by_point.update((trial.point, trial) for trial in new)
 
 
