@@ -173,7 +173,10 @@ def test_a_journal_of_the_earlier_version_is_named(filled):
     checksum = zlib.crc32(payload, zlib.crc32(front))
     record = struct.pack("<8s1s3xIQQ", b"MCKCHUNK", b"H", checksum, len(payload), 0) + payload
     filled.write_bytes(2 * record)
-    for read, error in ((lambda path: read_header(path, "test journal", 1), FileError), (read_record_header, DatasetError)):
+    for read, error in (
+        (lambda path: read_header(path, "test journal", 1), FileError),
+        (read_record_header, DatasetError),
+    ):
         with pytest.raises(error) as caught:
             read(filled)
         (problem,) = caught.value.problems

@@ -22,7 +22,14 @@ from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
 from mckibben.simulation.result import attributes
-from mckibben.storage.journal import Journal, JournalReader, array_record, header_differences, read_header, unpack_arrays
+from mckibben.storage.journal import (
+    Journal,
+    JournalReader,
+    array_record,
+    header_differences,
+    read_header,
+    unpack_arrays,
+)
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
