@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from mckibben.study.tune import TuningResult
 
 
+_ENGINES = ("auto", "native", "xla")
+
+
 def sweep(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     over: Annotated[
@@ -50,6 +53,9 @@ def sweep(
     precision: Annotated[
         int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 5 digits, fewer with an encoder.")
     ] = None,
+    engine: Annotated[
+        str, Option(metavar="|".join(_ENGINES), help="auto: the C compiler's programs where possible, else XLA's.")
+    ] = "auto",
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder; each finished block is stored.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the sweep in DIR with its options.")] = False,
     dask: Annotated[
@@ -82,6 +88,7 @@ def sweep(
             metrics=names,
             precision=precision,
             known="all" if known == ["all"] else known or None,
+            engine=engine,
             resume=resume,
             dask=dask,
             source=str(scenario),

@@ -54,7 +54,7 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CC", "cc"))
 
 
-def _own_flags() -> list[str]:
+def own_flags() -> list[str]:
     """The user's compiler options."""
     return os.environ.get("MCKIBBEN_CFLAGS", "").split()
 
@@ -286,7 +286,7 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
     """Compile a source to a shared library; raises `ExportError` if that fails."""
-    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *flags, *_own_flags(), "source.c", "-o", "library.so", "-lm"]
+    command = [compiler() or "cc", "-std=gnu11", *_FLAGS, *flags, *own_flags(), "source.c", "-o", "library.so", "-lm"]
     with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
         Path(folder, "source.c").write_text(source, encoding="utf-8")
         try:
@@ -318,7 +318,7 @@ def _compiler_state() -> str:
     if name is None:
         return ""
     status = Path(name).resolve().stat()
-    options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, _own_flags()
+    options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, own_flags()
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,11 +18,12 @@ from mckibben.simulation import Metrics
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.problem import check_frequencies
+from mckibben.simulation.software import software
 from mckibben.storage.journal import header_differences
 from mckibben.study.parameters import Distribution, SweptParameter, Table, parse_sweeps, sample, sweep_parameters
-from mckibben.study.sweep.compute import BatchTask, software
+from mckibben.study.sweep.compute import BatchTask
 
-FORMAT, VERSION = "mckibben sweep", 3
+FORMAT, VERSION = "mckibben sweep", 4
 _SAMPLES = 1024
 _MIN_BATCHES = 16  # of a sweep on a CPU, as long as they fill a vector
 _MAX_BLOCKS = 256
@@ -86,7 +87,15 @@ class SweepPlan:
     manifest: dict[str, Any]  # everything that determines the numbers, as JSON
 
     @classmethod
-    def of(cls, scenario: Scenario, options: SweepOptions, *, folder: str = ".", source: str = "") -> SweepPlan:
+    def of(
+        cls,
+        scenario: Scenario,
+        options: SweepOptions,
+        *,
+        folder: str = ".",
+        source: str = "",
+        engine: str = "auto",
+    ) -> SweepPlan:
         """Make and check the table; `folder` is the base of the manifest's paths, `source` the scenario's origin."""
         method = "sobol" if options.design is None else options.design
         if method == "grid" and options.samples is not None:
@@ -105,7 +114,7 @@ class SweepPlan:
         rows = len(next(iter(table.values())))
         batch_size, block = _sizes(rows, options.block)
         task = BatchTask(
-            scenario, parse_metrics(options.metrics), _precision(options.precision), batch_size, software(), known
+            scenario, parse_metrics(options.metrics), _precision(options.precision), batch_size, software(engine), known
         )
         manifest = {
             "format": FORMAT,
@@ -126,6 +135,12 @@ class SweepPlan:
             "model": digest_of_model(scenario, table, known),
         }
         return cls(task, swept, table, block, manifest)
+
+    def with_engine(self, engine: str) -> SweepPlan:
+        """The plan with all runs by an engine, "native" or "xla"."""
+        found = software(engine)
+        task, manifest = replace(self.task, software=found), {**self.manifest, "software": found}
+        return replace(self, task=task, manifest=manifest)
 
     @property
     def rows(self) -> int:

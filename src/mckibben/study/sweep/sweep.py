@@ -16,6 +16,7 @@ import numpy as np
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.scenario import Known, Scenario
+from mckibben.simulation.software import engine_of_job
 from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, JournalRecord, array_record, read_header, unpack_arrays
 from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
@@ -146,6 +147,7 @@ def sweep(
     workers: int | None = None,
     block: int | None = None,
     known: Known | None = None,
+    engine: str = "auto",
     source: str = "",
     progress: Progress | None = None,
 ) -> SweepResult:
@@ -179,6 +181,8 @@ def sweep(
     known
         Varied plant parameters that the controller's model follows, "all" for all of them. Default: none; the
         controller's model is the scenario's in all runs.
+    engine
+        As for `simulate_many`; one engine computes all runs. Default: that of the sweep that is continued, or "auto".
     source
         Origin of the scenario, for the record.
     progress
@@ -204,20 +208,21 @@ def sweep(
     options = SweepOptions(over, design, samples, seed, metrics, precision, block, known)
     if dask is not None:
         check_cluster(dask)
-    engine = (dask, workers, progress or notebook_progress())
+    settings = (dask, workers, progress or notebook_progress())
     if out is None:
         if resume:
             raise ParameterError("there is no sweep to continue", remedy="give its folder")
         with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
-            store = SweepStore(Path(folder), SweepPlan.of(scenario, options, source=source))
+            store = SweepStore(Path(folder), _planned(scenario, options, source=source, engine=engine))
             with store.lock():
                 store.begin()
-                return _computed(store, *engine)
+                return _computed(store, *settings)
     folder = Path(out)
     if resume:
         manifest = read_manifest(folder)
         source = manifest.get("source", "")
-        plan = SweepPlan.of(scenario, options.completed(manifest), folder=os.fspath(out), source=source)
+        engine = engine_of_job(str, manifest["software"], engine)
+        plan = SweepPlan.of(scenario, options.completed(manifest), folder=os.fspath(out), source=source, engine=engine)
         if found := manifest_differences(manifest, plan.manifest):
             raise FileError(str(folder), found)
         store = SweepStore(folder, plan)
@@ -227,12 +232,18 @@ def sweep(
             if (finished := store.read_table()) is not None:  # by another process in the meantime
                 return finished
             store.resume()
-            return _stored(store, *engine)
+            return _stored(store, *settings)
     check_unused(folder)
-    store = SweepStore(folder, SweepPlan.of(scenario, options, folder=os.fspath(out), source=source))
+    store = SweepStore(folder, _planned(scenario, options, folder=os.fspath(out), source=source, engine=engine))
     with store.lock():
         store.begin()
-        return _stored(store, *engine)
+        return _stored(store, *settings)
+
+
+def _planned(scenario: Scenario, options: SweepOptions, *, engine: str, **about: str) -> SweepPlan:
+    """Plan of a new sweep, whose engine is known to compute its runs."""
+    plan = SweepPlan.of(scenario, options, engine=engine, **about)
+    return plan.with_engine(engine_of_job(lambda: plan.task.engine_used(plan.table), engine=engine))
 
 
 def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:
@@ -253,10 +264,10 @@ def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:
     return report
 
 
-def _stored(store: SweepStore, *engine: Any) -> SweepResult:
+def _stored(store: SweepStore, *settings: Any) -> SweepResult:
     """Compute the missing blocks and write the table."""
     try:
-        swept = _computed(store, *engine)
+        swept = _computed(store, *settings)
         store.write_table(swept)
     except KeyboardInterrupt:
         text = f"{store.runs} of {store.plan.rows} runs are kept in {store.folder}; continue with --resume"

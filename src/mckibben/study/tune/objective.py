@@ -26,6 +26,7 @@ from mckibben.scenario import (
     valid_rows,
 )
 from mckibben.simulation import Metrics, differentiate
+from mckibben.simulation.engine import check_engine
 from mckibben.simulation.problem import SimulationProblem, check_frequencies, split_problem
 from mckibben.simulation.result import attributes
 from mckibben.study.parameters import SweptParameter, Table
@@ -216,6 +217,7 @@ class TuningProblem:
     cost: Cost
     known: Known = ()  # plant parameters that the controllers' models follow
     conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs under every row of them
+    engine: str = "auto"  # of `costs`; gradients are computed by XLA
     _leaf_names: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -279,6 +281,17 @@ class TuningProblem:
         gradient = slopes[0] + (slopes[1] * self._gain_factors() if len(slopes) > 1 else 0.0)
         return total, np.where(total[:, None] < FAILED_COST, gradient, 0.0)
 
+    def engine_used(self) -> str:
+        """Engine of the runs at the nominal values: "native" if it computes all scenarios, else "xla"."""
+        used = set()
+        for scenario in self.scenarios:
+            good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
+            if good.any():
+                table = {name: column[np.argmax(good)][None] for name, column in self._table(rows).items()}
+                batch = run_many(scenario, table, known=self.known, metrics=self.cost.metrics)
+                used.add(batch.table.attrs["engine"])
+        return check_engine("auto", many=True) if not used else "xla" if "xla" in used else "native"
+
     def check_smooth(self) -> None:
         """Raise an error if the cost is not differentiable with respect to the parameters."""
         rough = [name for name in self.cost.metrics if name not in SMOOTH]
@@ -335,7 +348,9 @@ class TuningProblem:
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
         table = self._table(rows)
-        batch = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers)
+        batch = run_many(
+            scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers, engine=self.engine
+        )
         good &= ~batch.failed
         return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
 
