@@ -97,7 +97,7 @@ def test_the_table_says_what_made_it(kept, scenario):
     assert again.table["angle_rmse"].attrs["units"] == "rad"
     assert again.table["outcome"].attrs["flag_meanings"].split() == [outcome.name for outcome in Outcome]
     manifest = read_manifest(folder)
-    assert json.loads(again.table.attrs["manifest"]) == manifest
+    assert json.loads(again.table.attrs["manifest"]).items() <= manifest.items()
     assert Scenario.parse(again.table.attrs["scenario"], folder=folder) == scenario
     assert (manifest["design"], manifest["samples"], manifest["seed"], manifest["block"]) == ("sobol", 72, 1, 16)
     with xr.open_dataset(folder / TABLE, engine="h5netcdf") as plain:
@@ -213,7 +213,7 @@ def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
     store = SweepStore(out, plan)
     with store.lock():
         store.begin()
-    assert read_manifest(out) == plan.manifest
+    assert read_manifest(out) == plan.header
     (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,6\n", encoding="utf-8")
     with pytest.raises(FileError, match="scenario: a file that it names, or the catalog, has changed"):
         sweep(Scenario.read(tmp_path / "s.yaml"), resume=True, out=out)
@@ -475,7 +475,7 @@ def test_a_grid_has_every_combination(scenario):
     plan = SweepPlan.of(scenario, SweepOptions(["load.mass2=0.4 kg, 0.6 kg", "load.mass1=0..1 kg in 3"], "grid"))
     np.testing.assert_array_equal(plan.table["load.mass2"], [0.4, 0.4, 0.4, 0.6, 0.6, 0.6])
     np.testing.assert_array_equal(plan.table["load.mass1"], [0, 0.5, 1, 0, 0.5, 1])
-    assert (plan.rows, plan.blocks, plan.manifest["samples"], plan.manifest["seed"]) == (6, 1, 6, 0)
+    assert (plan.rows, len(plan.blocks), plan.manifest["samples"], plan.manifest["seed"]) == (6, 1, 6, 0)
 
 
 def test_random_values_and_spreads_made_in_python(scenario):

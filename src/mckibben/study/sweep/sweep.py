@@ -20,7 +20,15 @@ from mckibben.simulation.software import engine_of_job
 from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, JournalRecord, array_record, read_header, unpack_arrays
 from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
-from mckibben.study.sweep.plan import FORMAT, VERSION, Sweepable, SweepOptions, SweepPlan, manifest_differences
+from mckibben.study.sweep.plan import (
+    FORMAT,
+    VERSION,
+    Sweepable,
+    SweepOptions,
+    SweepPlan,
+    manifest_differences,
+    parse_part,
+)
 from mckibben.study.sweep.result import SweepResult
 
 JOURNAL = "sweep.journal"
@@ -55,7 +63,7 @@ class SweepStore:
     def begin(self) -> None:
         """Create the journal."""
         check_unused(self.folder)
-        self._journal = Journal.create(self.folder / JOURNAL, self.plan.manifest)
+        self._journal = Journal.create(self.folder / JOURNAL, self.plan.header)
 
     def resume(self) -> None:
         """Open the journal and find the intact blocks; warn of damaged ones, which count as missing."""
@@ -67,7 +75,7 @@ class SweepStore:
     @property
     def missing(self) -> list[int]:
         """Blocks that are not stored."""
-        return [block for block in range(self.plan.blocks) if block not in self.kept]
+        return [block for block in self.plan.blocks if block not in self.kept]
 
     @property
     def runs(self) -> int:
@@ -87,10 +95,10 @@ class SweepStore:
         for record in JournalReader(self.folder / JOURNAL):
             if record.kind == _BLOCK:
                 parts[record.number] = unpack_arrays(record.payload)
-        if len(parts) < self.plan.blocks:
+        if len(parts) < len(self.plan.blocks):
             problem = Problem("blocks are damaged", remedy="recompute them with --resume (resume=True)")
             raise FileError(str(self.folder / JOURNAL), [problem])
-        ordered = [parts[block] for block in range(self.plan.blocks)]
+        ordered = [parts[block] for block in self.plan.blocks]
         return {name: np.concatenate([part[name] for part in ordered]) for name in ordered[0]}
 
     def write_table(self, swept: SweepResult) -> None:
@@ -148,6 +156,7 @@ def sweep(
     block: int | None = None,
     known: Known | None = None,
     engine: str = "auto",
+    part: str | None = None,
     source: str = "",
     progress: Progress | None = None,
 ) -> SweepResult:
@@ -183,6 +192,8 @@ def sweep(
         controller's model is the scenario's in all runs.
     engine
         As for `simulate_many`; one engine computes all runs. Default: that of the sweep that is continued, or "auto".
+    part
+        "k/n": compute the k-th of n parts of the runs only; `merge` joins them. Default: all runs.
     source
         Origin of the scenario, for the record.
     progress
@@ -208,12 +219,13 @@ def sweep(
     options = SweepOptions(over, design, samples, seed, metrics, precision, block, known)
     if dask is not None:
         check_cluster(dask)
+    which = (1, 1) if part is None else parse_part(part)
     settings = (dask, workers, progress or notebook_progress())
     if out is None:
         if resume:
             raise ParameterError("there is no sweep to continue", remedy="give its folder")
         with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
-            store = SweepStore(Path(folder), _planned(scenario, options, source=source, engine=engine))
+            store = SweepStore(Path(folder), _planned(scenario, options, source=source, engine=engine, part=which))
             with store.lock():
                 store.begin()
                 return _computed(store, *settings)
@@ -222,8 +234,10 @@ def sweep(
         manifest = read_manifest(folder)
         source = manifest.get("source", "")
         engine = engine_of_job(str, manifest["software"], engine)
-        plan = SweepPlan.of(scenario, options.completed(manifest), folder=os.fspath(out), source=source, engine=engine)
-        if found := manifest_differences(manifest, plan.manifest):
+        which = tuple(manifest["part"]) if part is None else parse_part(part)
+        about = {"folder": os.fspath(out), "source": source, "engine": engine}
+        plan = SweepPlan.of(scenario, options.completed(manifest), part=which, **about)
+        if found := manifest_differences(manifest, plan.header):
             raise FileError(str(folder), found)
         store = SweepStore(folder, plan)
         if (finished := store.read_table()) is not None:
@@ -234,13 +248,15 @@ def sweep(
             store.resume()
             return _stored(store, *settings)
     check_unused(folder)
-    store = SweepStore(folder, _planned(scenario, options, folder=os.fspath(out), source=source, engine=engine))
+    store = SweepStore(
+        folder, _planned(scenario, options, folder=os.fspath(out), source=source, engine=engine, part=which)
+    )
     with store.lock():
         store.begin()
         return _stored(store, *settings)
 
 
-def _planned(scenario: Scenario, options: SweepOptions, *, engine: str, **about: str) -> SweepPlan:
+def _planned(scenario: Scenario, options: SweepOptions, *, engine: str, **about: Any) -> SweepPlan:
     """Plan of a new sweep, whose engine is known to compute its runs."""
     plan = SweepPlan.of(scenario, options, engine=engine, **about)
     return plan.with_engine(engine_of_job(lambda: plan.task.engine_used(plan.table), engine=engine))
