@@ -347,7 +347,10 @@ def sample(
             raise ParameterError(f"{name} is varied twice", remedy="keep one of them")
     total = count_rows(swept, method, samples)
     start, stop, _ = (rows or slice(None)).indices(total)
-    check_count("the number of rows", stop - start, 1, MAX_ROWS)
+    if stop - start > MAX_ROWS:
+        message = f"{stop - start} combinations are more than {MAX_ROWS}"
+        remedy = "choose fewer, or compute parts of a sweep with --part"
+        raise ParameterError(message, value=stop - start, upper=MAX_ROWS, remedy=remedy)
     if method == "grid":
         return _grid(swept, start, stop)
     check_count("seed", seed, 0, 2**63 - 1)
