@@ -260,7 +260,7 @@ def short_episode():
     return short_episode
 
 
-def invented(suite, runs, controller, sets=1, metrics=Metrics._fields):
+def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="native"):
     """What stands for the simulation of a comparison: metrics that are simple functions of gains and conditions.
 
     The angle's error [rad] is (1 + decades of kp from 3 bar/rad) (mass2 / 0.5 kg) deg, of a controller without kp half
@@ -286,7 +286,7 @@ def invented(suite, runs, controller, sets=1, metrics=Metrics._fields):
     codes = np.where(begins, np.where(lost, OUTCOMES.index(Outcome.SWUNG_OVER), 0), OUTCOMES.index(Outcome.NO_START))
     flags = {"flag_values": np.arange(len(OUTCOMES)), "flag_meanings": " ".join(each.name for each in OUTCOMES)}
     table = {name: ("run", np.where(begins, known.get(name, error), np.nan)) for name in metrics}
-    return Batch(xr.Dataset({**table, "outcome": ("run", codes, flags)}))
+    return Batch(xr.Dataset({**table, "outcome": ("run", codes, flags)}, attrs={"engine": engine}))
 
 
 @pytest.fixture(scope="class")

@@ -66,7 +66,7 @@ def test_a_file_cut_anywhere_keeps_all_whole_chunks(filled):
     (path,) = segments(filled)
     content = path.read_bytes()
     generator = np.random.default_rng(0)
-    header = len(content) - sum(32 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind != HEADER)
+    header = len(content) - sum(48 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind != HEADER)
     for cut in [len(content), *generator.integers(header + 60, len(content), 60).tolist()]:
         path.write_bytes(content[:cut])
         record = read_record(filled)
@@ -92,7 +92,7 @@ def test_a_damaged_chunk_is_skipped_and_the_rows_after_it_keep_their_numbers(fil
 def test_every_damaged_bit_costs_its_chunk_and_is_said(filled):
     (path,) = segments(filled)
     content = path.read_bytes()
-    about = sum(32 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind == HEADER)
+    about = sum(48 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind == HEADER)
     for place in np.random.default_rng(2).integers(0, len(content), 60).tolist():
         path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
         with warnings.catch_warnings(record=True) as said:

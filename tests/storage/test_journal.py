@@ -1,10 +1,14 @@
 """Journals: appended records survive a kill, a torn end and damage in the middle."""
 
 import errno
+import json
 import os
+import re
 import signal
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +17,12 @@ import pytest
 from mckibben.errors import DatasetError, FileError
 from mckibben.rig.record import read_header as read_record_header
 from mckibben.storage import journal as module
-from mckibben.storage.journal import HEADER, Journal, JournalReader, header_differences, pack, pack_json, read_header
+from mckibben.storage.journal import Journal, JournalReader, JournalRecord, header_differences, read_header
 
 ITEM = b"I"
 ABOUT = {"format": "test journal", "version": 1, "seed": 3}
+FRONT = 48  # bytes of a record before its payload
+HEADER_SIZE = FRONT + len(json.dumps(ABOUT))
 
 
 def content_of(number):
@@ -28,7 +34,7 @@ def filled(tmp_path):
     path = tmp_path / "a.journal"
     with Journal.create(path, ABOUT) as journal:
         for number in range(20):
-            journal.append(pack(ITEM, number, content_of(number)))
+            journal.append(JournalRecord(ITEM, number, content_of(number)))
     return path
 
 
@@ -45,7 +51,7 @@ def test_what_is_appended_is_read_back(filled):
 
 def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
     content = filled.read_bytes()
-    ends = np.cumsum([2 * len(pack_json(HEADER, 0, ABOUT)), *(32 + len(content_of(number)) for number in range(20))])
+    ends = np.cumsum([2 * HEADER_SIZE, *(FRONT + len(content_of(number)) for number in range(20))])
     for cut in np.random.default_rng(0).integers(ends[0], len(content), 40).tolist():
         filled.write_bytes(content[:cut])
         kept = list(range(int(np.searchsorted(ends, cut, side="right")) - 1))
@@ -53,14 +59,14 @@ def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
         reader = JournalReader(filled)
         assert ([record.number for record in reader if record.kind == ITEM], reader.damaged) == (kept, 0)
         journal = Journal.resume(reader)
-        journal.append(pack(ITEM, 99, content_of(99)))
+        journal.append(JournalRecord(ITEM, 99, content_of(99)))
         journal.close()
         assert numbers(filled) == [*kept, 99]
 
 
 def test_damage_costs_the_records_that_it_hits_and_is_counted(filled):
     content = filled.read_bytes()
-    for place in np.random.default_rng(1).integers(2 * len(pack_json(HEADER, 0, ABOUT)), len(content), 40).tolist():
+    for place in np.random.default_rng(1).integers(2 * HEADER_SIZE, len(content), 40).tolist():
         changed = bytearray(content)
         changed[place] ^= 0x20
         filled.write_bytes(bytes(changed))
@@ -72,7 +78,7 @@ def test_damage_costs_the_records_that_it_hits_and_is_counted(filled):
 
 def test_a_damaged_header_is_read_from_its_copy(filled):
     content = filled.read_bytes()
-    size = len(pack_json(HEADER, 0, ABOUT))
+    size = HEADER_SIZE
     for place in range(2 * size):
         filled.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
         assert read_header(filled, "test journal", 1) == ABOUT
@@ -83,7 +89,7 @@ def test_a_damaged_header_is_read_from_its_copy(filled):
 
 
 def test_a_journal_without_its_header_is_told_from_another_file(filled, tmp_path):
-    content, size = filled.read_bytes(), len(pack_json(HEADER, 0, ABOUT))
+    content, size = filled.read_bytes(), HEADER_SIZE
     for kept in (b"", content[:5], content[:40], content[: size - 1], content[2 * size :]):
         filled.write_bytes(kept)
         with pytest.raises(FileError) as caught:
@@ -103,17 +109,22 @@ def test_a_journal_that_was_removed_or_moved_is_not_written_on_in_silence(filled
     reader = JournalReader(filled)
     list(reader)
     with Journal.resume(reader) as journal:
-        journal.append(pack(ITEM, 20, content_of(20)))
+        journal.append(JournalRecord(ITEM, 20, content_of(20)))
         lose(filled)
         with pytest.raises(FileNotFoundError):
-            journal.append(pack(ITEM, 21, content_of(21)))
+            journal.append(JournalRecord(ITEM, 21, content_of(21)))
 
 
 def test_a_window_without_a_record_is_searched_in_parts(tmp_path, monkeypatch):
-    path = tmp_path / "a"
+    monkeypatch.setattr(module, "_WINDOW", 64)
     for length in range(60, 80):
-        path.write_bytes(bytes(length) + pack(ITEM, 5, content_of(5)))
-        monkeypatch.setattr(module, "_WINDOW", 64)
+        path = tmp_path / f"{length}"
+        with Journal.create(path, ABOUT) as journal:
+            journal.append(JournalRecord(ITEM, 4, bytes(length)))
+            journal.append(JournalRecord(ITEM, 5, content_of(5)))
+        content = bytearray(path.read_bytes())
+        content[2 * HEADER_SIZE : 2 * HEADER_SIZE + 8] = b"damaged!"
+        path.write_bytes(content)
         assert numbers(path) == [5]
 
 
@@ -129,10 +140,10 @@ def test_a_failed_append_leaves_nothing(filled, monkeypatch):
     with Journal.resume(reader) as journal:
         monkeypatch.setattr(module, "_write_at", full)
         with pytest.raises(OSError, match="No space left"):
-            journal.append(pack(ITEM, 20, content_of(20)))
+            journal.append(JournalRecord(ITEM, 20, content_of(20)))
         assert filled.stat().st_size == size
         monkeypatch.undo()
-        journal.append(pack(ITEM, 20, content_of(20)))
+        journal.append(JournalRecord(ITEM, 20, content_of(20)))
     assert numbers(filled) == list(range(21))
 
 
@@ -142,16 +153,100 @@ def test_an_existing_file_is_not_taken(filled):
     assert numbers(filled) == list(range(20))
 
 
-@pytest.mark.parametrize("content", [b"text", pack_json(HEADER, 0, {"format": "other"})])
-def test_another_file_has_no_header_of_ours(tmp_path, content):
-    (tmp_path / "a").write_bytes(content)
+def test_another_file_has_no_header_of_ours(tmp_path):
+    (tmp_path / "text").write_bytes(b"text")
+    Journal.create(tmp_path / "other", {"format": "other"}).close()
+    for name in ("text", "other"):
+        with pytest.raises(FileError) as refused:
+            read_header(tmp_path / name, "test journal", 1)
+        assert "it is not a test journal" in refused.value.problems[0].message
+    Journal.create(tmp_path / "newer", {**ABOUT, "version": 2}).close()
     with pytest.raises(FileError) as refused:
-        read_header(tmp_path / "a", "test journal", 1)
-    assert "it is not a test journal" in refused.value.problems[0].message
-    (tmp_path / "a").write_bytes(pack_json(HEADER, 0, {**ABOUT, "version": 2}))
-    with pytest.raises(FileError) as refused:
-        read_header(tmp_path / "a", "test journal", 1)
+        read_header(tmp_path / "newer", "test journal", 1)
     assert "version 2" in refused.value.problems[0].message
+
+
+def test_a_journal_of_the_earlier_version_is_named(filled):
+    """Version 1: a front of 32 bytes with a CRC-32 of itself and the payload alone."""
+    payload = json.dumps(ABOUT).encode()
+    front = struct.pack("<8s1s3xIQQ", b"MCKCHUNK", b"H", 0, len(payload), 0)
+    checksum = zlib.crc32(payload, zlib.crc32(front))
+    record = struct.pack("<8s1s3xIQQ", b"MCKCHUNK", b"H", checksum, len(payload), 0) + payload
+    filled.write_bytes(2 * record)
+    for read, error in (
+        (lambda path: read_header(path, "test journal", 1), FileError),
+        (read_record_header, DatasetError),
+    ):
+        with pytest.raises(error) as caught:
+            read(filled)
+        (problem,) = caught.value.problems
+        assert (problem.field, problem.value) == ("version", 0) and problem.remedy
+
+
+def records_of(content):
+    """The records of a journal, each as its bytes."""
+    starts = [place.start() for place in re.finditer(b"MCKCHUNK", content)]
+    return [content[begin:end] for begin, end in zip(starts, [*starts[1:], len(content)], strict=True)]
+
+
+@pytest.fixture
+def records(filled):
+    """Records of a journal, of one of another seed and of one of other payloads: two headers, then 20 items each."""
+    other, again = filled.with_name("other"), filled.with_name("again")
+    with Journal.create(other, {**ABOUT, "seed": 4}) as journal, Journal.create(again, ABOUT) as repeated:
+        for number in range(20):
+            journal.append(JournalRecord(ITEM, number, content_of(number)))
+            repeated.append(JournalRecord(ITEM, number, content_of(19 - number)))
+    ours, theirs, shuffled = (records_of(path.read_bytes()) for path in (filled, other, again))
+    assert [len(each) for each in (ours, theirs, shuffled)] == [22, 22, 22] and len(ours[0]) == len(theirs[0])
+    return ours, theirs, shuffled
+
+
+@pytest.mark.parametrize(
+    ("splice", "place"),
+    [
+        (lambda ours, theirs, again: [*ours, theirs[9]], 22),  # appended
+        (lambda ours, theirs, again: [*ours[:9], theirs[9], *ours[10:]], 9),  # in place of ours, of the same size
+        (lambda ours, theirs, again: [*ours[:9], theirs[4], *ours[9:]], 9),  # inserted
+        (lambda ours, theirs, again: [*ours, ours[9]], 22),  # repeated
+        (lambda ours, theirs, again: [*ours[:9], ours[10], ours[9], *ours[11:]], 9),  # exchanged
+        (lambda ours, theirs, again: [*ours[:9], *ours[10:]], 9),  # removed
+        (lambda ours, theirs, again: [*ours, *theirs], 22),  # two journals
+        (lambda ours, theirs, again: [*ours, *again], 22),  # two journals of the same header
+        (lambda ours, theirs, again: [*ours[:5], *again[5:]], 5),  # continued by another of the same header
+        (lambda ours, theirs, again: [*theirs[:2], *ours[2:]], 2),  # the header of another journal
+        (lambda ours, theirs, again: [ours[0], theirs[1], *ours[2:]], 1),  # its copy alone
+        (lambda ours, theirs, again: [theirs[0], *ours[1:]], 1),
+    ],
+)
+def test_records_of_other_journals_and_places_are_refused_by_place(filled, records, splice, place):
+    spliced = splice(*records)
+    filled.write_bytes(b"".join(spliced))
+    reader = JournalReader(filled)
+    with pytest.raises(FileError) as caught:
+        list(reader)
+    (problem,) = caught.value.problems
+    start = sum(len(one) for one in spliced[:place])
+    assert (problem.field, problem.value) == ("record", start) and problem.remedy
+    assert reader.end == start and f"byte {start}" in problem.message
+    with pytest.raises(DatasetError):
+        list(JournalReader(filled, DatasetError))
+
+
+def test_a_record_cut_out_of_the_end_is_an_unfinished_journal(filled, records):
+    filled.write_bytes(b"".join(records[0][:-1]))
+    assert numbers(filled) == list(range(19))
+
+
+def test_no_flipped_bit_gives_other_content(filled):
+    content = filled.read_bytes()
+    whole = [(record.kind, record.number, record.payload) for record in JournalReader(filled)]
+    for place in np.random.default_rng(3).integers(0, 8 * len(content), 400).tolist():
+        changed = bytearray(content)
+        changed[place // 8] ^= 1 << place % 8
+        filled.write_bytes(changed)
+        found = [tuple(record) for record in JournalReader(filled)]
+        assert len(found) == len(whole) - 1 and set(found) <= set(whole)
 
 
 def test_differences_name_the_item_that_differs():
@@ -180,7 +275,7 @@ JOB = """
 import sys
 from pathlib import Path
 import numpy as np
-from mckibben.storage.journal import Journal, JournalReader, pack
+from mckibben.storage.journal import Journal, JournalReader, JournalRecord
 path = Path(sys.argv[1])
 if path.exists():
     reader = JournalReader(path)
@@ -192,7 +287,7 @@ else:
 for number in range(kept, 400):
     if number == kept + 60:
         print("under way", flush=True)
-    journal.append(pack(b"I", number, np.random.default_rng(number).bytes(50 + 13 * number)))
+    journal.append(JournalRecord(b"I", number, np.random.default_rng(number).bytes(50 + 13 * number)))
 """
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from mckibben.errors import FileError
 from mckibben.storage.files import check_seal, explain_write_errors, make_subfolder, sealed, sync_folder
-from mckibben.storage.journal import Journal, JournalReader, pack
+from mckibben.storage.journal import Journal, JournalReader, JournalRecord
 
 
 def test_any_flipped_bit_of_a_sealed_file_is_found(tmp_path):
@@ -78,7 +78,7 @@ def test_a_power_cut_after_an_append_leaves_what_was_appended(tmp_path, monkeypa
     path = tmp_path / "job.journal"
     with Journal.create(path, {"format": "test", "version": 1}) as journal:
         for number in range(3):
-            journal.append(pack(b"R", number, bytes(100)))
+            journal.append(JournalRecord(b"R", number, bytes(100)))
             left = tmp_path / f"left-{number}"
             left.write_bytes(content[names[tmp_path]["job.journal"]])
             reader = JournalReader(left)

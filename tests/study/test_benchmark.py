@@ -385,7 +385,7 @@ def test_every_set_meets_every_run(suite, monkeypatch):
     monkeypatch.setattr(benchmark, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
     runs = draw(suite, 4, 1)
     control = _controller(runs, runs.groups[0], "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
-    benchmark._simulated(suite, runs.groups[0], control, 3, ("air",))
+    benchmark._simulated(suite, runs.groups[0], control, 3, ("air",), "xla")
     plant, controller, reference = given["parts"]
     mass = runs.conditions["load.mass2"]
     assert np.array_equal(plant.load.mass2, [*mass, *mass, *mass])
@@ -394,4 +394,4 @@ def test_every_set_meets_every_run(suite, monkeypatch):
     assert wanted.shape == (4, 60)
     assert np.array_equal(reference.angle.values, [*wanted, *wanted, *wanted])
     assert (given["duration"], given["control_period"], given["substeps"]) == (0.12, 0.002, 1)
-    assert given["metrics"] == ("air",)
+    assert (given["metrics"], given["engine"]) == (("air",), "xla")

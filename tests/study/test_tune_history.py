@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
-from mckibben.storage.journal import JournalReader
+from mckibben.storage.journal import JournalReader, read_header
 from mckibben.study.parameters import LogUniform, Uniform
 from mckibben.study.tune import Cost, Method, read_trials, tune
 from mckibben.study.tune.objective import TuningProblem
@@ -163,7 +164,7 @@ def test_an_existing_history_is_not_overwritten_and_a_missing_one_not_gone_on_wi
     assert path.read_text(encoding="utf-8") == "my own notes"
 
 
-@pytest.mark.parametrize("content", [b"", b"my own notes\n", b'{"kind": "tuning"}\n', b"MCKCHUNK" + bytes(100)])
+@pytest.mark.parametrize("content", [b"", b"my own notes\n", b'{"kind": "tuning"}\n', b"MCKCHUNKI\2" + bytes(100)])
 def test_what_is_no_history_is_refused_and_left_alone(tmp_path, content):
     path = tmp_path / "history.journal"
     path.write_bytes(content)
@@ -172,6 +173,27 @@ def test_what_is_no_history_is_refused_and_left_alone(tmp_path, content):
     cut = content[:8] in (b"", b"MCKCHUNK")
     assert (caught.value.problems[0].field == "header") is cut
     assert path.read_bytes() == content
+
+
+def test_a_search_is_not_continued_by_another_engine(tmp_path, monkeypatch):
+    path = tmp_path / "history.journal"
+    run(path, iterations=1)
+    kept = read_header(path, "mckibben tuning history", 3)["software"]
+    assert kept["engine"] == ("xla" if compiler() is None else "native")
+    before = path.read_bytes()
+    monkeypatch.setattr("mckibben.simulation.engine.compiler", lambda: None)
+    if kept["engine"] == "native":
+        with pytest.raises(FileError) as caught:
+            run(path, resume=True)
+        (problem,) = [problem for problem in caught.value.problems if problem.field == "software engine"]
+        assert "native" in problem.message and "xla" in problem.message
+        assert path.read_bytes() == before
+    by_xla = tmp_path / "xla.journal"
+    first = run(by_xla, iterations=2)
+    cut(by_xla, 9)
+    monkeypatch.undo()
+    assert run(by_xla, iterations=2, resume=True) == first  # by XLA too, though there is a compiler
+    assert read_header(by_xla, "mckibben tuning history", 3)["software"]["engine"] == "xla"
 
 
 @pytest.mark.usefixtures("for_free")

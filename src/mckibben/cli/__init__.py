@@ -42,7 +42,7 @@ from mckibben.cli.options import (
 )
 from mckibben.cli.plan import envelope, margins, plan, stiffness
 from mckibben.cli.rig import rig
-from mckibben.cli.sweep import sweep, tune
+from mckibben.cli.sweep import merge, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
@@ -163,6 +163,7 @@ app.command()(stiffness)
 app.command()(margins)
 app.command()(plan)
 app.command()(sweep)
+app.command()(merge)
 app.command()(tune)
 app.command()(compare)
 app.command()(calibrate)

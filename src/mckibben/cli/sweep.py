@@ -1,4 +1,4 @@
-"""`mckibben sweep` and `mckibben tune`."""
+"""`mckibben sweep`, `mckibben merge` and `mckibben tune`."""
 
 from __future__ import annotations
 
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from mckibben.study.tune import TuningResult
 
 
+_ENGINES = ("auto", "native", "xla")
+
+
 def sweep(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     over: Annotated[
@@ -51,8 +54,14 @@ def sweep(
     precision: Annotated[
         int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 5 digits, fewer with an encoder.")
     ] = None,
+    engine: Annotated[
+        str, Option(metavar="|".join(_ENGINES), help="auto: the C compiler's programs where possible, else XLA's.")
+    ] = "auto",
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder; each finished block is stored.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the sweep in DIR with its options.")] = False,
+    part: Annotated[
+        str | None, Option(metavar="K/N", help="Compute the K-th of N parts of the runs; `mckibben merge` joins them.")
+    ] = None,
     dask: Annotated[
         str | None,
         Option(metavar="CLUSTER", help="local (processes of this machine), or tcp://HOST:PORT of a dask scheduler."),
@@ -83,6 +92,8 @@ def sweep(
             metrics=names,
             precision=precision,
             known="all" if known == ["all"] else known or None,
+            engine=engine,
+            part=part,
             resume=resume,
             dask=dask,
             source=str(scenario),
@@ -91,27 +102,60 @@ def sweep(
     _show(swept, out, json)
 
 
+def merge(
+    parts: Annotated[list[Path], Argument(metavar="DIR...", help="Folders of all parts of a sweep, in any order.")],
+    out: Annotated[
+        Path | None, Option(metavar="DIR", help="Output folder: the table and statistics of the sweep.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Join the parts of a sweep that `mckibben sweep --part` computed."""
+    out = required_folder(out, "sweep")
+    from mckibben.study.sweep import merge as run
+
+    check_free(out, ("results.json",))
+    swept = run(parts, out)
+    with keeping(out, "make room, and merge again"):
+        numbers = _write_statistics(swept, out)
+    if json:
+        echo(to_json(numbers))
+    else:
+        _print(swept.count, numbers)
+    echo(f"wrote sweep.nc and results.json to {out}", err=json)
+
+
+def _write_statistics(swept: SweepResult, out: Path) -> dict[str, Any]:
+    from mckibben.study.sweep import summary
+
+    numbers = summary(swept)
+    write_json(out / "results.json", numbers)
+    return numbers
+
+
+def _print(runs: int, numbers: dict[str, Any]) -> None:
+    from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
+
+    table(f"{numbers['scenario']}: {runs} runs", ("runs", "share", "outcome"), outcome_rows(numbers))
+    headers = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "")
+    table("Runs that completed", headers, metric_rows(numbers))
+    ranked = ("parameter", "metric", "Spearman")
+    table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
+    echo(feasibility_sentence(numbers))
+
+
 def _show(swept: SweepResult, out: Path, json: bool) -> None:
     """Write and print the statistics, and write the figure."""
     from mckibben import report
-    from mckibben.study.sweep import summary
-    from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
 
-    numbers = summary(swept)
     with keeping(out, "make room, and continue with --resume"):
-        write_json(out / "results.json", numbers)
+        numbers = _write_statistics(swept, out)
         report.save(report.sweep(swept), out, "sweep")
     if json:
         echo(to_json(numbers))
     else:
         if not swept.computed:
             echo(f"the sweep in {out} is already complete")
-        table(f"{numbers['scenario']}: {swept.count} runs", ("runs", "share", "outcome"), outcome_rows(numbers))
-        headers = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "")
-        table("Runs that completed", headers, metric_rows(numbers))
-        ranked = ("parameter", "metric", "Spearman")
-        table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
-        echo(feasibility_sentence(numbers))
+        _print(swept.count, numbers)
     echo(f"wrote sweep.nc, results.json, sweep.png and sweep.svg to {out}", err=json)
 
 

@@ -64,7 +64,7 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CC", "cc"))
 
 
-def _own_flags() -> list[str]:
+def own_flags() -> list[str]:
     """The user's compiler options."""
     return os.environ.get("MCKIBBEN_CFLAGS", "").split()
 
@@ -321,7 +321,7 @@ def compile_library(source: str, flags: Sequence[str]) -> bytes:
     if _FAILED:
         raise _FAILED[0]
     name = compiler() or "cc"
-    command = [name, "-std=gnu11", *_FLAGS, *flags, *_own_flags(), "source.c", "-o", "library.so", "-lm"]
+    command = [name, "-std=gnu11", *_FLAGS, *flags, *own_flags(), "source.c", "-o", "library.so", "-lm"]
     trial = [sys.executable, "-I", "-S", "-c", _TRIAL]  # in another process, which may crash
     try:
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
@@ -398,7 +398,7 @@ def _compiler_state() -> str:
         status = Path(name).resolve().stat()
     except OSError:  # removed since it was found
         return ""
-    options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, _own_flags()
+    options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, own_flags()
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 

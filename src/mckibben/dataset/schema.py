@@ -223,11 +223,13 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
         sibling.write_bytes(sealed(content))
 
 
-def load_netcdf(path: Path) -> xr.Dataset:
-    """Read a NetCDF file; raises a `DatasetError` if it is missing or damaged."""
+def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
+    """Read a NetCDF file, or open it (`lazy`); raises a `DatasetError` if it is missing or damaged."""
     try:
         check_seal(path)
         check_hdf5(path, "NetCDF", netcdf=True)
+        if lazy:
+            return xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False)
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
     except FileError as error:
         raise DatasetError(str(path), error.problems) from None

@@ -11,7 +11,6 @@ import equinox as eqx
 import numpy as np
 from numpy.typing import NDArray
 
-import mckibben
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LEG_UNITS, LegMetrics
@@ -22,7 +21,15 @@ from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
 from mckibben.simulation.result import attributes
-from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_arrays, read_header, unpack_arrays
+from mckibben.simulation.software import engine_of_job, software
+from mckibben.storage.journal import (
+    Journal,
+    JournalReader,
+    array_record,
+    header_differences,
+    read_header,
+    unpack_arrays,
+)
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
@@ -35,7 +42,7 @@ BEST_WITHIN = 0.02
 """The softest stiffness whose force on the trunk is within this part of the least one is the best."""
 ROWS = 4096
 """Landings of a block, which a journal keeps."""
-_BLOCK, _FORMAT = b"B", "mckibben landings"
+_BLOCK, _FORMAT, _VERSION = b"B", "mckibben landings", 2
 _SHUT = 1e-6  # of the conductance
 EDGES = (5.0, 95.0)
 """Percentiles of the draws that are an interval."""
@@ -268,25 +275,39 @@ def study_landing(
     blocks = [slice(begin, begin + ROWS) for begin in range(0, draw.size, ROWS)]
     total, engines = len(valves) * len(blocks), set()
     tables: list[dict[str, Floats]] = []
-    with _Blocks(journal, scenario, resume) as kept:
+
+    def land(valve: Any, rows: slice, engine: str, report: Progress) -> xr.Dataset:
+        commands = tuple(pressures[level[rows]].T)
+        speeds = -np.sqrt(2 * nominal.gravity * drops[drop[rows]])
+        return simulate_legs(
+            take(eqx.tree_at(lambda x: x.valve, drawn, valve), draw[rows]),
+            PressureSchedule(tuple((one,) for one in commands)),
+            LegStart(angles, commands, 0.0, speeds),
+            duration=scenario.whole_steps(landing.duration),
+            control_period=scenario.step,
+            engine=engine,
+            progress=report,
+        )
+
+    def engine_used() -> str:
+        used = {land(valve, slice(0, 1), "auto", silent).attrs["engine"] for valve in valves.values()}
+        return "xla" if "xla" in used else "native"
+
+    if journal is not None:
+        software_before = read_header(journal, _FORMAT, _VERSION).get("software") if resume else None
+        engine = engine_of_job(engine_used, software_before, engine)
+        engines.add(engine)
+    with _Blocks(journal, scenario, engine, resume) as kept:
         for place, (name, valve) in enumerate(valves.items()):
-            plant: Any = eqx.tree_at(lambda x: x.valve, drawn, valve)
             parts = []
             for block, rows in enumerate(blocks):
                 number = place * len(blocks) + block
                 if (columns := kept.found(number)) is None:
-                    commands = tuple(pressures[level[rows]].T)
-                    speeds = -np.sqrt(2 * nominal.gravity * drops[drop[rows]])
-                    found = simulate_legs(
-                        take(plant, draw[rows]),
-                        PressureSchedule(tuple((one,) for one in commands)),
-                        LegStart(angles, commands, 0.0, speeds),
-                        duration=scenario.whole_steps(landing.duration),
-                        control_period=scenario.step,
-                        engine=engine,
-                        progress=lambda what, part, n=name, k=number: (progress or silent)(
-                            f"{n}: {what}", (k + part) / total
-                        ),
+                    found = land(
+                        valve,
+                        rows,
+                        engine,
+                        lambda what, part, n=name, k=number: (progress or silent)(f"{n}: {what}", (k + part) / total),
                     )
                     if found["diverged"].any():
                         remedy = "give a shorter `step`"
@@ -299,7 +320,7 @@ def study_landing(
             tables.append({metric: np.concatenate([one[metric] for one in parts]) for metric in LegMetrics._fields})
     shape = (len(valves), drops.size, stiffness.size, draws)
     table = _table(tables, shape, list(valves), drops, stiffness)
-    table.attrs["engine"] = ", ".join(sorted(engines)) or "of the journal"
+    table.attrs["engine"] = ", ".join(sorted(engines))
     masses = {"weight": drawn.leg.total_mass, "trunk_weight": drawn.leg.trunk.mass}
     for name, mass in masses.items():
         table[name] = ("draw", np.broadcast_to(np.asarray(mass), (draws,)) * nominal.gravity, {"units": "N"})
@@ -352,17 +373,17 @@ def _scaled(valve: AirValve, factor: float) -> AirValve:
 class _Blocks:
     """Finished blocks of landings, kept in a journal if there is one."""
 
-    def __init__(self, path: Path | None, scenario: LegScenario, resume: bool) -> None:
+    def __init__(self, path: Path | None, scenario: LegScenario, engine: str, resume: bool) -> None:
         self._kept: dict[int, bytes] = {}
         self._journal: Journal | None = None
-        header = {"format": _FORMAT, "version": 1, "mckibben": mckibben.__version__, "leg": scenario.dumps()}
+        header = {"format": _FORMAT, "version": _VERSION, "software": software(engine), "leg": scenario.dumps()}
         if path is None:
             return
         if not resume:
             self._journal = Journal.create(path, header)
             return
         remedy = "continue with the same leg, or begin anew with --force"
-        if problems := header_differences(read_header(path, _FORMAT, 1), header, "the study", remedy=remedy):
+        if problems := header_differences(read_header(path, _FORMAT, _VERSION), header, "the study", remedy=remedy):
             raise FileError(str(path), problems)
         reader = JournalReader(path)
         self._kept = {record.number: record.payload for record in reader if record.kind == _BLOCK}
@@ -384,7 +405,7 @@ class _Blocks:
     def keep(self, number: int, columns: dict[str, Floats]) -> None:
         """Append a block."""
         if self._journal is not None:
-            self._journal.append(pack_arrays(_BLOCK, number, columns))
+            self._journal.append(array_record(_BLOCK, number, columns))
 
 
 def _table(

@@ -17,7 +17,7 @@ from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
 from mckibben.storage.journal import HEADER, JournalReader
 
-VERSION = 1
+VERSION = 2
 
 SAMPLES, EVENT = b"S", b"E"
 """Kinds of journal records after the header; their index is the number of rows before them."""
@@ -56,7 +56,7 @@ def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarr
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
     """Content of a segment's header and its columns; `DatasetError` if the file is no record of this version."""
-    content = JournalReader(path).checked_header(DatasetError)
+    content = JournalReader(path, DatasetError).checked_header()
     if content is None or "columns" not in content:
         raise DatasetError(str(path), [Problem("is no record of a rig", remedy="give the folder of `rig run --out`")])
     if content["version"] != VERSION:
@@ -128,7 +128,7 @@ def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
     expected, damaged = 0, False
     for path in segments(Path(folder)):
         _, columns = read_header(path)
-        reader, known = JournalReader(path), 0
+        reader, known = JournalReader(path, DatasetError), 0
         for record in reader:
             gap, lost = record.number - expected, reader.damaged - known
             known, damaged = reader.damaged, damaged or lost > 0

@@ -20,7 +20,7 @@ import mckibben
 from mckibben.errors import FileError, Problem, RangeError, RigError
 from mckibben.rig.record import EVENT, SAMPLES, VERSION, Column, pack_rows, read_header, rows_in, segments
 from mckibben.storage.files import make_folder
-from mckibben.storage.journal import Journal, pack, pack_json
+from mckibben.storage.journal import Journal, JournalRecord, json_record
 
 PERIOD = 0.25
 """Interval [s] at which appended rows are written and synced to the disk."""
@@ -44,7 +44,7 @@ class Recorder:
         self._rows = first  # appended
         self._is_empty = True
         self._written = first  # of those, in the file
-        self._pending: list[list[np.ndarray] | bytes] = []
+        self._pending: list[list[np.ndarray] | JournalRecord] = []
         self._bytes = 0
         self._failure: Exception | None = None
         self._closing = self._hurry = False
@@ -120,7 +120,7 @@ class Recorder:
         """Record an event between the rows before and after it: a kind (one word), a text, data for JSON."""
         content = {"kind": kind, "text": text, "data": data}
         with self._change:
-            chunk = pack_json(EVENT, self._rows, content)
+            chunk = json_record(EVENT, self._rows, content)
             self._raise_closed()
             self._raise_failure(but_full=True)
             self._pending.append(chunk)
@@ -183,7 +183,7 @@ class Recorder:
                 self._bytes, self._hurry = 0, False
             try:
                 if pending and not lost:
-                    self._write(b"".join(self._packed(pending)))
+                    self._write(self._packed(pending))
             except Exception as error:  # whatever it is: a thread that ends here would lose the rest in silence
                 lost = True  # what comes later would stand after a gap
                 with self._change:
@@ -194,31 +194,32 @@ class Recorder:
                 if closing and not self._pending:
                     return
 
-    def _packed(self, pending: list[list[np.ndarray] | bytes]) -> list[bytes]:
+    def _packed(self, pending: list[list[np.ndarray] | JournalRecord]) -> list[JournalRecord]:
         """Rows in a row as one chunk."""
-        packed: list[bytes] = []
+        packed: list[JournalRecord] = []
         together: list[list[np.ndarray]] = []
-        for one in [*pending, b""]:
+        for one in [*pending, None]:
             if isinstance(one, list):
                 together.append(one)
                 continue
             if together:
                 arrays = [np.concatenate(parts) for parts in zip(*together, strict=True)]
-                packed.append(pack(SAMPLES, self._written, pack_rows(self.columns, arrays)))
+                packed.append(JournalRecord(SAMPLES, self._written, pack_rows(self.columns, arrays)))
                 self._written += len(arrays[0])
                 together = []
-            packed.append(one)
+            if one is not None:
+                packed.append(one)
         return packed
 
-    def _write(self, content: bytes) -> None:
+    def _write(self, records: list[JournalRecord]) -> None:
         """Append to the journal, on a full disk in the room of the reserve."""
         try:
-            self._journal.append(content)
+            self._journal.append(*records)
         except OSError as error:
             if error.errno not in _FULL:
                 raise
             self._reserve.unlink(missing_ok=True)
-            self._journal.append(content)
+            self._journal.append(*records)
             with self._change:
                 self._failure = error  # it is kept, but nothing more should come
 

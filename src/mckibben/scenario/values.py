@@ -367,6 +367,7 @@ def run_many(
     precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
+    engine: str = "auto",
     progress: Progress | None = None,
 ) -> Batch:
     """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
@@ -383,5 +384,6 @@ def run_many(
         precision=precision,
         chunk=chunk,
         workers=workers,
+        engine=engine,
         progress=progress or silent,
     )

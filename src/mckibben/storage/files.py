@@ -100,6 +100,14 @@ def sealed(content: bytes | memoryview) -> bytes:
     return b"".join((content, _SEAL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
 
 
+def append_seal(path: Path) -> None:
+    """Append the checksum of `sealed` to a file."""
+    with path.open("r+b") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        file.seek(0, os.SEEK_END)
+        file.write(_SEAL + digest.encode() + b"\n")
+
+
 def check_seal(path: Path) -> None:
     """Verify the checksum in the last line of a file; files without one, written by hand or by other programs, pass.
 

@@ -7,7 +7,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,9 @@ from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
 from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
+from mckibben.simulation.engine import check_engine
 from mckibben.simulation.result import OUTCOMES
+from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.statistics import (
     MAIN,
@@ -37,7 +38,7 @@ from mckibben.study.benchmark.statistics import (
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
-from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory
+from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory, kept_software
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -233,7 +234,7 @@ class ControllerTuning:
     def _starts(self) -> int:
         return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
 
-    def evaluate(self, values: Vector) -> Evaluated:
+    def evaluate(self, values: Vector, engine: str = "auto") -> Evaluated:
         """Mean cost and median metrics of rows of values [SI] over the training runs that can start.
 
         With a delay margin the cost is the larger of two, without and with the longer delay of the commands.
@@ -243,8 +244,7 @@ class ControllerTuning:
         if not good.any():
             return Evaluated(np.full(len(values), FAILED_COST))
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-        asked = tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
-        batch = _simulated_all(self.runs, self.controller, table, len(values), asked)
+        batch = _simulated_all(self.runs, self.controller, table, len(values), self._metrics, engine)
         started, shape = _started(batch), (len(values), self.runs.count)
         if not started.any():
             raise _none_starts("training")
@@ -258,7 +258,8 @@ class ControllerTuning:
         costs = costs_of(batch)
         if margin := self.suite.tuning.delay_margin:
             late = self.runs.delayed(margin)
-            costs = np.maximum(costs, costs_of(_simulated_all(late, self.controller, table, len(values), asked)))
+            batch_late = _simulated_all(late, self.controller, table, len(values), self._metrics, engine)
+            costs = np.maximum(costs, costs_of(batch_late))
         costs = np.where(good, costs, FAILED_COST)
         started, usable = started.reshape(shape), batch.usable.reshape(shape)
         columns = {name: batch.metrics[name].reshape(shape) for name in TRADED}
@@ -271,14 +272,30 @@ class ControllerTuning:
 
         return Evaluated(costs, metrics=[medians(row) for row in range(len(values))])
 
-    def about(self) -> dict[str, Any]:
+    def _engine_used(self) -> str:
+        """Engine of the runs with the nominal values: "native" if it computes all groups, else "xla"."""
+        table = dict(zip(self.space.names, self.space.nominal[:, None], strict=True))
+        if not valid_rows(self._scenario, table).all():
+            return check_engine("auto", many=True)
+        used = set()
+        for group in self.runs.groups:
+            control = _controller(self.runs, group, self.controller, table, 1)
+            batch = _simulated(self.suite, group, control, 1, self._metrics, "auto")
+            used.add(batch.table.attrs["engine"])
+        return "xla" if "xla" in used else "native"
+
+    @property
+    def _metrics(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
+
+    def about(self, engine: str = "auto") -> dict[str, Any]:
         """Everything that determines the trials."""
         parts = [(group.rows, group.plant, group.reference) for group in self.runs.groups]
         leaves = jax.tree.leaves((parts, self._scenario.control()))
         content = repr([np.asarray(leaf).tolist() for leaf in leaves if eqx.is_array_like(leaf)])
         tuning = self.suite.tuning
         return {
-            "mckibben": version("mckibben"),
+            "software": software(engine),
             "controller": self.controller,
             "runs": hashlib.sha256(content.encode()).hexdigest(),
             "duration": self.suite.duration,
@@ -299,8 +316,13 @@ class ControllerTuning:
         tuning, space = self.suite.tuning, self.space
         check_method(Method.CMA, numbers=max(len(space), 2), population=tuning.population)
         path = None if folder is None else folder / f"{filename(self.controller)}.journal"
-        with TuningHistory.open(path, self.about(), resume=resume and path is not None and path.exists()) as past:
-            costs = Evaluator(space, past, tuning.population, self.evaluate).costs
+        resume = resume and path is not None and path.exists()
+        engine = "auto"
+        if path is not None:
+            engine = engine_of_job(self._engine_used, kept_software(path) if resume else None)
+        evaluate = partial(self.evaluate, engine=engine)
+        with TuningHistory.open(path, self.about(engine), resume=resume) as past:
+            costs = Evaluator(space, past, tuning.population, evaluate).costs
             first = space.point(space.nominal)
             costs(first[None])
             size = self._starts, max(tuning.candidates, 1), len(space)
@@ -398,12 +420,14 @@ def _tiled(tree: Any, sets: int) -> Any:
     )
 
 
-def _simulated_all(runs: Runs, controller: str, table: dict[str, Any], sets: int, metrics: tuple[str, ...]) -> Batch:
+def _simulated_all(
+    runs: Runs, controller: str, table: dict[str, Any], sets: int, metrics: tuple[str, ...], engine: str = "auto"
+) -> Batch:
     """Simulate all runs with sets of values [SI], one group of runs after the other."""
     batches, lanes = [], []
     for group in runs.groups:
         control = _controller(runs, group, controller, table, sets)
-        batches.append(_simulated(runs.suite, group, control, sets, metrics))
+        batches.append(_simulated(runs.suite, group, control, sets, metrics, engine))
         lanes.append(_lanes(group.rows, runs.count, sets))
     if len(batches) == 1:
         return batches[0]
@@ -413,7 +437,9 @@ def _simulated_all(runs: Runs, controller: str, table: dict[str, Any], sets: int
     return Batch(whole.isel(run=np.argsort(np.concatenate(lanes))))
 
 
-def _simulated(suite: Suite, group: Group, controller: Controller, sets: int, metrics: tuple[str, ...]) -> Batch:
+def _simulated(
+    suite: Suite, group: Group, controller: Controller, sets: int, metrics: tuple[str, ...], engine: str
+) -> Batch:
     """Simulate the runs of a group with a controller of sets of values."""
     plant, reference = (_tiled(part, sets) for part in (group.plant, group.reference))
     return simulate_many(
@@ -424,6 +450,7 @@ def _simulated(suite: Suite, group: Group, controller: Controller, sets: int, me
         control_period=suite.control_period,
         substeps=suite.substeps,
         metrics=metrics,
+        engine=engine,
         progress=silent,
     )
 

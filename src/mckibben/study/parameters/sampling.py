@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn
@@ -291,6 +292,9 @@ def _prefixed(text: str, error: ParameterError) -> ParameterError:
     return ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields)  # type: ignore[arg-type]
 
 
+MAX_TOTAL = 2**30
+"""Most rows of a table of which parts are computed: the length of a Sobol sequence."""
+
 Table = dict[str, NDArray]
 """Values [SI] by name, float64 or int64, one row a run."""
 
@@ -299,7 +303,11 @@ SamplingMethod = Literal["sobol", "random", "grid"]
 
 
 def sample(
-    swept: Sequence[SweptParameter], method: SamplingMethod = "sobol", samples: int = 1024, seed: int = 0
+    swept: Sequence[SweptParameter],
+    method: SamplingMethod = "sobol",
+    samples: int = 1024,
+    seed: int = 0,
+    rows: slice | None = None,
 ) -> Table:
     """Sample combinations of values.
 
@@ -312,6 +320,8 @@ def sample(
         rows of a longer table are the shorter one. "grid": all combinations; the last parameter runs fastest.
     samples, seed
         Number of rows, and seed of the scrambling or the draws; not of a grid.
+    rows
+        Rows of the table to compute, start and end. Default: all.
 
     Raises
     ------
@@ -335,42 +345,62 @@ def sample(
     for name in names:
         if names.count(name) > 1:
             raise ParameterError(f"{name} is varied twice", remedy="keep one of them")
+    total = count_rows(swept, method, samples)
+    start, stop, _ = (rows or slice(None)).indices(total)
+    if stop - start > MAX_ROWS:
+        message = f"{stop - start} combinations are more than {MAX_ROWS}"
+        remedy = "choose fewer, or compute parts of a sweep with --part"
+        raise ParameterError(message, value=stop - start, upper=MAX_ROWS, remedy=remedy)
     if method == "grid":
-        return _grid(swept)
-    check_count("samples", samples, 1, MAX_ROWS)
+        return _grid(swept, start, stop)
     check_count("seed", seed, 0, 2**63 - 1)
     if method == "sobol":
-        quantiles = _sobol(len(swept), samples, seed)
+        quantiles = _sobol(len(swept), start, stop, seed)
     elif method == "random":
-        quantiles = _generator(seed).random((samples, len(swept)))
+        bits = np.random.PCG64(seed).advance(start * len(swept))
+        quantiles = np.random.Generator(bits).random((stop - start, len(swept)))
     else:
         raise ParameterError(f"there is no design {method!r}", remedy="choose sobol, random or grid")
     return {each.name: each.distribution.ppf(quantiles[:, i]) for i, each in enumerate(swept)}
 
 
-def _grid(swept: Sequence[SweptParameter]) -> Table:
+def count_rows(swept: Sequence[SweptParameter], method: str, samples: int) -> int:
+    """Number of rows of a table; raises ParameterError if there are too many, or a grid has no number of points."""
+    if method == "grid":
+        rows = math.prod(len(axis) for axis in _axes(swept))
+        if rows > MAX_TOTAL:
+            message = f"the grid has {rows} combinations, more than {MAX_TOTAL}"
+            raise ParameterError(message, value=rows, upper=MAX_TOTAL, remedy="choose fewer points")
+        return rows
+    check_count("samples", samples, 1, MAX_TOTAL)
+    return samples
+
+
+def _axes(swept: Sequence[SweptParameter]) -> list[NDArray]:
     axes = []
     for each in swept:
         try:
             axes.append(each.distribution.grid())
         except ParameterError as error:
             raise ParameterError(f"{each.text}: {error.message}", remedy=error.remedy) from None
-    rows = math.prod(len(axis) for axis in axes)
-    if rows > MAX_ROWS:
-        raise ParameterError(f"the grid has {rows} combinations, more than {MAX_ROWS}", remedy="choose fewer points")
-    columns = np.meshgrid(*axes, indexing="ij")
-    return {each.name: column.ravel() for each, column in zip(swept, columns, strict=True)}
+    return axes
 
 
-def _sobol(dimensions: int, samples: int, seed: int) -> NDArray[np.float64]:
+def _grid(swept: Sequence[SweptParameter], start: int, stop: int) -> Table:
+    axes = _axes(swept)
+    places = np.unravel_index(np.arange(start, stop), [len(axis) for axis in axes])
+    return {each.name: axis[place] for each, axis, place in zip(swept, axes, places, strict=True)}
+
+
+def _sobol(dimensions: int, start: int, stop: int, seed: int) -> NDArray[np.float64]:
     from scipy.stats import qmc
 
-    sequence = qmc.Sobol(dimensions, scramble=True, rng=_generator(seed))
-    return sequence.random_base2(max(samples - 1, 0).bit_length())[:samples]
-
-
-def _generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.Generator(np.random.PCG64(seed)))
+    if start:
+        sequence.fast_forward(start)
+    with warnings.catch_warnings():  # of a number that is not a power of two
+        warnings.simplefilter("ignore", UserWarning)
+        return sequence.random(stop - start)
 
 
 def check_count(what: str, value: object, least: int, most: int) -> None:

@@ -19,7 +19,6 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-import mckibben
 from mckibben.component.extensions import load_missing, loaded_extensions
 from mckibben.control.base import Reference
 from mckibben.errors import McKibbenError, ParameterError, SimulationError
@@ -30,6 +29,7 @@ from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, run_many
 from mckibben.simulation.problem import sample_reference, sampling_times
 from mckibben.simulation.simulate import attainable_band
+from mckibben.simulation.software import software
 from mckibben.study.parameters import Table
 
 FEASIBILITY = {
@@ -98,11 +98,6 @@ Columns = dict[str, NDArray]
 """Results by name, one value per run."""
 
 
-def software() -> dict[str, str]:
-    """Versions and platform, which determine the last bits."""
-    return {"mckibben": mckibben.__version__, "jax": jax.__version__, "platform": jax.default_backend()}
-
-
 @dataclass(frozen=True)
 class BatchTask:
     """Computation of the rows of a table; picklable."""
@@ -111,12 +106,12 @@ class BatchTask:
     metrics: tuple[str, ...]
     precision: int  # bits
     batch_size: int  # tables are padded to a multiple, so that runs do not depend on one another
-    software: dict[str, str]  # versions required of the process
+    software: dict[str, str]  # versions, engine and compiler required of the process
     known: tuple[str, ...] = ()  # plant parameters that the controller's model follows
 
     def __call__(self, table: Table) -> Columns:
         """Return the results of some rows; raises SimulationError if the software differs."""
-        here = software()
+        here = software("xla" if self.software["engine"] == "xla" else "auto")
         if here != self.software:
             raise SimulationError(
                 f"a worker has {_listed(here)}, the sweep {_listed(self.software)}",
@@ -133,10 +128,19 @@ class BatchTask:
             precision=self.precision,
             chunk=self.batch_size,
             workers=1,
+            engine=self.software["engine"],
         )
         results = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome")}
         results |= feasibility(self.scenario, full, self.batch_size)
         return {name: column[:rows] for name, column in results.items()}
+
+    def engine_used(self, table: Table) -> str:
+        """Engine of the first run of a table where it is chosen automatically."""
+        first = {name: column[:1] for name, column in table.items()}
+        batch = run_many(
+            self.scenario, first, known=self.known, metrics=self.metrics, precision=self.precision, workers=1
+        )
+        return batch.table.attrs["engine"]
 
 
 def _listed(software: dict[str, str]) -> str:

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from mckibben.errors import ParameterError, Problem, suggest
+from mckibben.errors import ParameterError, Problem, quoted, suggest
 from mckibben.scenario import Known, Scenario, batched, known_names
 from mckibben.simulation import Metrics
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.problem import check_frequencies
+from mckibben.simulation.software import software
 from mckibben.storage.journal import header_differences
 from mckibben.study.parameters import Distribution, SweptParameter, Table, parse_sweeps, sample, sweep_parameters
-from mckibben.study.sweep.compute import BatchTask, software
+from mckibben.study.parameters.sampling import count_rows
+from mckibben.study.sweep.compute import BatchTask
 
-FORMAT, VERSION = "mckibben sweep", 3
+FORMAT, VERSION = "mckibben sweep", 4
 _SAMPLES = 1024
 _MIN_BATCHES = 16  # of a sweep on a CPU, as long as they fill a vector
 _MAX_BLOCKS = 256
@@ -83,10 +86,21 @@ class SweepPlan:
     swept: tuple[SweptParameter, ...]
     table: Table  # one row per run
     block: int  # rows that are computed and stored together
-    manifest: dict[str, Any]  # everything that determines the numbers, as JSON
+    manifest: dict[str, Any]  # everything that determines the numbers of the whole sweep, as JSON
+    part: tuple[int, int] = (1, 1)  # of so many parts, the number of this one from 1
+    first: int = 0  # row of the whole sweep with which the table begins
 
     @classmethod
-    def of(cls, scenario: Scenario, options: SweepOptions, *, folder: str = ".", source: str = "") -> SweepPlan:
+    def of(
+        cls,
+        scenario: Scenario,
+        options: SweepOptions,
+        *,
+        folder: str = ".",
+        source: str = "",
+        engine: str = "auto",
+        part: tuple[int, int] = (1, 1),
+    ) -> SweepPlan:
         """Make and check the table; `folder` is the base of the manifest's paths, `source` the scenario's origin."""
         method = "sobol" if options.design is None else options.design
         if method == "grid" and options.samples is not None:
@@ -99,13 +113,15 @@ class SweepPlan:
         known = known_names(scenario, options.known or (), [each.name for each in swept])
         samples = _SAMPLES if options.samples is None else options.samples
         seed = 0 if options.seed is None or method == "grid" else options.seed
-        table = sample(swept, method, samples, seed)  # type: ignore[arg-type]  # checks the method itself
+        rows = count_rows(swept, method, samples)
+        batch_size, block = _sizes(rows, options.block)
+        piece = _rows_of_part(part, rows, block)
+        table = sample(swept, method, samples, seed, piece)  # type: ignore[arg-type]  # checks the method itself
+        first = sample(swept, method, samples, seed, slice(0, 1))  # type: ignore[arg-type]
         many = batched(scenario, table)  # find invalid combinations before the computation
         check_frequencies(many.reference(), scenario.control_period)
-        rows = len(next(iter(table.values())))
-        batch_size, block = _sizes(rows, options.block)
         task = BatchTask(
-            scenario, parse_metrics(options.metrics), _precision(options.precision), batch_size, software(), known
+            scenario, parse_metrics(options.metrics), _precision(options.precision), batch_size, software(engine), known
         )
         manifest = {
             "format": FORMAT,
@@ -122,20 +138,31 @@ class SweepPlan:
             "block": block,
             "batch_size": batch_size,
             "software": task.software,
-            "values": _digest_of_table(table),
-            "model": digest_of_model(scenario, table, known),
+            "first": {name: column[0].item() for name, column in first.items()},
+            "model": digest_of_model(scenario, first, known),
         }
-        return cls(task, swept, table, block, manifest)
+        return cls(task, swept, table, block, manifest, part, piece.start)
+
+    def with_engine(self, engine: str) -> SweepPlan:
+        """The plan with all runs by an engine, "native" or "xla"."""
+        found = software(engine)
+        task, manifest = replace(self.task, software=found), {**self.manifest, "software": found}
+        return replace(self, task=task, manifest=manifest)
 
     @property
     def rows(self) -> int:
-        """The number of runs."""
+        """The number of runs of this part."""
         return len(next(iter(self.table.values())))
 
     @property
-    def blocks(self) -> int:
-        """The number of blocks."""
-        return -(-self.rows // self.block)
+    def blocks(self) -> range:
+        """Numbers of the blocks of this part."""
+        return range(self.first // self.block, -(-(self.first + self.rows) // self.block))
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """The manifest, with the part and a digest of its values."""
+        return {**self.manifest, "part": list(self.part), "values": _digest_of_table(self.table)}
 
     @property
     def identity(self) -> str:
@@ -144,8 +171,9 @@ class SweepPlan:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def block_rows(self, block: int) -> slice:
-        """Rows of a block."""
-        return slice(block * self.block, min((block + 1) * self.block, self.rows))
+        """Rows of a block in the table."""
+        start = block * self.block - self.first
+        return slice(start, min(start + self.block, self.rows))
 
     def block_table(self, block: int) -> Table:
         """Values of a block."""
@@ -200,6 +228,32 @@ def _sizes(rows: int, block: int | None) -> tuple[int, int]:
     if isinstance(block, bool) or not isinstance(block, int) or block < 1:
         raise ParameterError(f"a block of {block!r} runs", value=block, remedy="give a whole number, 1 or more")
     return min(batch_size, _full_vectors(block)), block
+
+
+def _rows_of_part(part: tuple[int, int], rows: int, block: int) -> slice:
+    """Rows of a part: whole blocks, so that they are computed as in the undivided sweep."""
+    number, parts = part
+    blocks = -(-rows // block)
+    if not 1 <= number <= parts:
+        raise ParameterError(f"there is no part {number} of {parts}", field="part", value=number, lower=1, upper=parts)
+    if parts > blocks:
+        message = f"{rows} runs in blocks of {block} cannot be divided into {parts} parts"
+        remedy = f"choose at most {blocks} parts"
+        raise ParameterError(message, field="part", value=parts, upper=blocks, remedy=remedy)
+    start, stop = ((number - 1) * blocks // parts * block, number * blocks // parts * block)
+    return slice(start, min(stop, rows))
+
+
+def parse_part(text: str) -> tuple[int, int]:
+    """A part and the number of parts from text such as "3/8"; raises ParameterError for another text.
+
+    >>> parse_part("3/8")
+    (3, 8)
+    """
+    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text.strip())
+    if not found:
+        raise ParameterError(f"{quoted(text)} is not a part", field="part", value=text, remedy="write it like 3/8")
+    return int(found[1]), int(found[2])
 
 
 def _full_vectors(rows: int) -> int:

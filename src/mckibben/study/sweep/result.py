@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.schema import load_netcdf, write_netcdf
+from mckibben.dataset.schema import load_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, attributes
+from mckibben.storage.files import atomic_write, sealed
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan, digest_of_model
 
@@ -73,6 +75,8 @@ class SweepResult:
             "mckibben_version": plan.task.software["mckibben"],
             "jax_version": plan.task.software["jax"],
         }
+        if plan.part != (1, 1):
+            attrs |= {"part": "{}/{}".format(*plan.part), "first_run": plan.first}
         return cls(xr.Dataset(variables, attrs=attrs), computed)
 
     def __repr__(self) -> str:
@@ -88,6 +92,11 @@ class SweepResult:
     def count(self) -> int:
         """Number of runs."""
         return self.table.sizes["run"]
+
+    @property
+    def first(self) -> int:
+        """Number of the first run: of a part, in the whole sweep."""
+        return int(self.table.attrs.get("first_run", 0))
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -115,30 +124,38 @@ class SweepResult:
         `folder` is the sweep's folder, for a scenario that names files. Raises ParameterError if there is no such run,
         and FileError if a file or catalog entry that the scenario names has changed since.
         """
-        if not 0 <= run < self.count:
-            raise ParameterError(f"there is no run {run}", value=run, remedy=f"choose 0 to {self.count - 1}")
+        row, last = run - self.first, self.first + self.count - 1
+        if not 0 <= row < self.count:
+            raise ParameterError(f"there is no run {run}", value=run, remedy=f"choose {self.first} to {last}")
         nominal = Scenario.parse(self.table.attrs["scenario"], folder=folder)
-        columns = {name: self.table[name].to_numpy() for name in self.inputs}
         manifest = json.loads(self.table.attrs["manifest"])
-        if digest_of_model(nominal, columns, manifest["known"]) != manifest["model"]:
+        first = {name: np.array([value]) for name, value in manifest["first"].items()}
+        if digest_of_model(nominal, first, manifest["known"]) != manifest["model"]:
             problem = Problem(
                 "a file or catalog entry that the scenario names has changed, or another version made the sweep",
                 remedy="give the sweep's folder with the original files, and use the version in its manifest",
             )
             raise FileError(os.fspath(folder), [problem])
         return with_values(
-            nominal, {name: values[run].item() for name, values in columns.items()}, known=manifest["known"]
+            nominal, {name: self.table[name][row].item() for name in self.inputs}, known=manifest["known"]
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write a NetCDF file atomically, replacing an existing one; the same sweep gives the same bytes."""
-        write_netcdf(self.table, Path(path))
+        content = io.BytesIO()
+        columns = {str(name): [column.to_numpy()] for name, column in self.table.items()}
+        write_columns(content, self.table, self.count, columns)
+        with atomic_write(path, overwrite=True) as sibling:
+            sibling.write_bytes(sealed(content.getbuffer()))
 
     @classmethod
-    def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file written by `to_netcdf`; raises FileError if it is missing, damaged, or not a sweep."""
+    def from_netcdf(cls, path: str | os.PathLike[str], *, lazy: bool = False) -> Self:
+        """Read a file written by `to_netcdf`, or open it so that columns are read when they are used (`lazy`).
+
+        Raises FileError if it is missing, damaged, or not a sweep.
+        """
         source = str(path)
-        table = load_netcdf(Path(path))
+        table = load_netcdf(Path(path), lazy=lazy)
         missing = [name for name in ("outcome", *FEASIBILITY) if name not in table or table[name].dims != ("run",)]
         if table.attrs.get("kind") != _KIND or missing:
             raise FileError(source, [Problem("it is not a sweep", remedy="give the sweep.nc of `mckibben sweep`")])
@@ -146,6 +163,27 @@ class SweepResult:
         if codes.dtype.kind not in "iu" or np.any((codes < 0) | (codes >= len(OUTCOMES))):
             raise FileError(source, [Problem("it has unknown outcomes", field="outcome")])
         return cls(table)
+
+
+def write_columns(target: BinaryIO, like: xr.Dataset, runs: int, columns: Mapping[str, Iterable[NDArray]]) -> None:
+    """Write a NetCDF file with the attributes and types of a table; each column in pieces, in the order of the runs.
+
+    The pieces do not determine the bytes.
+    """
+    import h5netcdf
+
+    with h5netcdf.File(target, "w") as file:
+        file.attrs.update({name: value for name, value in like.attrs.items() if name not in ("part", "first_run")})
+        if runs == like.sizes["run"]:
+            file.attrs.update({name: like.attrs[name] for name in ("part", "first_run") if name in like.attrs})
+        file.dimensions = {"run": runs}
+        for name, pieces in columns.items():
+            variable = file.create_variable(name, ("run",), like[name].dtype)
+            variable.attrs.update(like[name].attrs)
+            at = 0
+            for piece in pieces:
+                variable[at : at + len(piece)] = piece
+                at += len(piece)
 
 
 MAIN = ("angle_rmse", "stiffness_rmse", "coupling")
@@ -215,7 +253,7 @@ def _percentiles(sweep: SweepResult, name: str, valid: NDArray[np.bool_]) -> dic
         "percentile_5": float(low),
         "percentile_95": float(high),
         "worst": float(values[worst]),
-        "worst_run": worst,
+        "worst_run": sweep.first + worst,
         "runs": int(valid.sum()),
     }
 
@@ -243,7 +281,7 @@ def _infeasible_runs(sweep: SweepResult) -> dict[str, Any]:
     return {
         "runs_stiffness_infeasible": int(stiffness.sum()),
         "shortfall_max": float(short[worst]),
-        "shortfall_max_run": worst if stiffness.any() else None,
+        "shortfall_max_run": sweep.first + worst if stiffness.any() else None,
         "runs_angle_infeasible": int(angle.sum()),
         "runs_infeasible": int(np.sum(stiffness | angle)),
     }

@@ -16,10 +16,19 @@ import numpy as np
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.scenario import Known, Scenario
+from mckibben.simulation.software import engine_of_job
 from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
-from mckibben.storage.journal import Journal, JournalReader, pack, pack_arrays, read_header, unpack_arrays
+from mckibben.storage.journal import Journal, JournalReader, JournalRecord, array_record, read_header, unpack_arrays
 from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
-from mckibben.study.sweep.plan import FORMAT, VERSION, Sweepable, SweepOptions, SweepPlan, manifest_differences
+from mckibben.study.sweep.plan import (
+    FORMAT,
+    VERSION,
+    Sweepable,
+    SweepOptions,
+    SweepPlan,
+    manifest_differences,
+    parse_part,
+)
 from mckibben.study.sweep.result import SweepResult
 
 JOURNAL = "sweep.journal"
@@ -54,7 +63,7 @@ class SweepStore:
     def begin(self) -> None:
         """Create the journal."""
         check_unused(self.folder)
-        self._journal = Journal.create(self.folder / JOURNAL, self.plan.manifest)
+        self._journal = Journal.create(self.folder / JOURNAL, self.plan.header)
 
     def resume(self) -> None:
         """Open the journal and find the intact blocks; warn of damaged ones, which count as missing."""
@@ -66,7 +75,7 @@ class SweepStore:
     @property
     def missing(self) -> list[int]:
         """Blocks that are not stored."""
-        return [block for block in range(self.plan.blocks) if block not in self.kept]
+        return [block for block in self.plan.blocks if block not in self.kept]
 
     @property
     def runs(self) -> int:
@@ -77,7 +86,7 @@ class SweepStore:
     def keep(self, block: int, columns: Columns) -> None:
         """Append the results of a block; thread-safe."""
         assert self._journal is not None
-        self._journal.append(pack_arrays(_BLOCK, block, columns))
+        self._journal.append(array_record(_BLOCK, block, columns))
         self.kept.add(block)
 
     def columns(self) -> Columns:
@@ -86,17 +95,17 @@ class SweepStore:
         for record in JournalReader(self.folder / JOURNAL):
             if record.kind == _BLOCK:
                 parts[record.number] = unpack_arrays(record.payload)
-        if len(parts) < self.plan.blocks:
+        if len(parts) < len(self.plan.blocks):
             problem = Problem("blocks are damaged", remedy="recompute them with --resume (resume=True)")
             raise FileError(str(self.folder / JOURNAL), [problem])
-        ordered = [parts[block] for block in range(self.plan.blocks)]
+        ordered = [parts[block] for block in self.plan.blocks]
         return {name: np.concatenate([part[name] for part in ordered]) for name in ordered[0]}
 
     def write_table(self, swept: SweepResult) -> None:
         """Write the table."""
         swept.to_netcdf(self.folder / TABLE)
         assert self._journal is not None
-        self._journal.append(pack(_TABLE, 0, self._digest()))
+        self._journal.append(JournalRecord(_TABLE, 0, self._digest()))
 
     def read_table(self) -> SweepResult | None:
         """The table, if the file is unchanged."""
@@ -146,6 +155,8 @@ def sweep(
     workers: int | None = None,
     block: int | None = None,
     known: Known | None = None,
+    engine: str = "auto",
+    part: str | None = None,
     source: str = "",
     progress: Progress | None = None,
 ) -> SweepResult:
@@ -179,6 +190,10 @@ def sweep(
     known
         Varied plant parameters that the controller's model follows, "all" for all of them. Default: none; the
         controller's model is the scenario's in all runs.
+    engine
+        As for `simulate_many`; one engine computes all runs. Default: that of the sweep that is continued, or "auto".
+    part
+        "k/n": compute the k-th of n parts of the runs only; `merge` joins them. Default: all runs.
     source
         Origin of the scenario, for the record.
     progress
@@ -204,21 +219,25 @@ def sweep(
     options = SweepOptions(over, design, samples, seed, metrics, precision, block, known)
     if dask is not None:
         check_cluster(dask)
-    engine = (dask, workers, progress or notebook_progress())
+    which = (1, 1) if part is None else parse_part(part)
+    settings = (dask, workers, progress or notebook_progress())
     if out is None:
         if resume:
             raise ParameterError("there is no sweep to continue", remedy="give its folder")
         with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
-            store = SweepStore(Path(folder), SweepPlan.of(scenario, options, source=source))
+            store = SweepStore(Path(folder), _planned(scenario, options, source=source, engine=engine, part=which))
             with store.lock():
                 store.begin()
-                return _computed(store, *engine)
+                return _computed(store, *settings)
     folder = Path(out)
     if resume:
         manifest = read_manifest(folder)
         source = manifest.get("source", "")
-        plan = SweepPlan.of(scenario, options.completed(manifest), folder=os.fspath(out), source=source)
-        if found := manifest_differences(manifest, plan.manifest):
+        engine = engine_of_job(str, manifest["software"], engine)
+        which = tuple(manifest["part"]) if part is None else parse_part(part)
+        about = {"folder": os.fspath(out), "source": source, "engine": engine}
+        plan = SweepPlan.of(scenario, options.completed(manifest), part=which, **about)
+        if found := manifest_differences(manifest, plan.header):
             raise FileError(str(folder), found)
         store = SweepStore(folder, plan)
         if (finished := store.read_table()) is not None:
@@ -227,12 +246,20 @@ def sweep(
             if (finished := store.read_table()) is not None:  # by another process in the meantime
                 return finished
             store.resume()
-            return _stored(store, *engine)
+            return _stored(store, *settings)
     check_unused(folder)
-    store = SweepStore(folder, SweepPlan.of(scenario, options, folder=os.fspath(out), source=source))
+    store = SweepStore(
+        folder, _planned(scenario, options, folder=os.fspath(out), source=source, engine=engine, part=which)
+    )
     with store.lock():
         store.begin()
-        return _stored(store, *engine)
+        return _stored(store, *settings)
+
+
+def _planned(scenario: Scenario, options: SweepOptions, *, engine: str, **about: Any) -> SweepPlan:
+    """Plan of a new sweep, whose engine is known to compute its runs."""
+    plan = SweepPlan.of(scenario, options, engine=engine, **about)
+    return plan.with_engine(engine_of_job(lambda: plan.task.engine_used(plan.table), engine=engine))
 
 
 def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:
@@ -253,10 +280,10 @@ def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:
     return report
 
 
-def _stored(store: SweepStore, *engine: Any) -> SweepResult:
+def _stored(store: SweepStore, *settings: Any) -> SweepResult:
     """Compute the missing blocks and write the table."""
     try:
-        swept = _computed(store, *engine)
+        swept = _computed(store, *settings)
         store.write_table(swept)
     except KeyboardInterrupt:
         text = f"{store.runs} of {store.plan.rows} runs are kept in {store.folder}; continue with --resume"

@@ -26,6 +26,7 @@ from mckibben.scenario import (
     valid_rows,
 )
 from mckibben.simulation import Metrics, differentiate
+from mckibben.simulation.engine import check_engine
 from mckibben.simulation.problem import SimulationProblem, check_frequencies, split_problem
 from mckibben.simulation.result import attributes
 from mckibben.study.parameters import SweptParameter, Table
@@ -239,6 +240,7 @@ class TuningProblem:
     cost: Cost
     known: Known = ()  # plant parameters that the controllers' models follow
     conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs under every row of them
+    engine: str = "auto"  # of `costs`; gradients are computed by XLA
     _leaf_names: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -312,6 +314,17 @@ class TuningProblem:
         gradient = slopes[0] + (slopes[1] * self._gain_factors() if len(slopes) > 1 else 0.0)
         return total, np.where(total[:, None] < FAILED_COST, gradient, 0.0)
 
+    def engine_used(self) -> str:
+        """Engine of the runs at the nominal values: "native" if it computes all scenarios, else "xla"."""
+        used = set()
+        for scenario in self.scenarios:
+            good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
+            if good.any():
+                table = {name: column[np.argmax(good)][None] for name, column in self._table(rows).items()}
+                batch = run_many(scenario, table, known=self.known, metrics=self.cost.metrics)
+                used.add(batch.table.attrs["engine"])
+        return check_engine("auto", many=True) if not used else "xla" if "xla" in used else "native"
+
     def check_smooth(self) -> None:
         """Raise an error if the cost is not differentiable with respect to the parameters."""
         rough = [name for name in self.cost.metrics if name not in SMOOTH]
@@ -372,8 +385,8 @@ class TuningProblem:
         good, rows = self._valid(scenario, rows)
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
-        table = self._table(scenario, rows)
-        batch = run_many(scenario, table, known=self._known(scenario), metrics=self.cost.metrics, workers=workers)
+        table, known = self._table(scenario, rows), self._known(scenario)
+        batch = run_many(scenario, table, known=known, metrics=self.cost.metrics, workers=workers, engine=self.engine)
         good &= batch.usable
         return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
 
@@ -383,7 +396,7 @@ class TuningProblem:
         if not good.any():
             return np.full(len(rows), np.nan), np.zeros_like(rows)
         table, known = self._table(scenario, rows), self._known(scenario)
-        good &= run_many(scenario, table, known=known, metrics=self.cost.metrics).usable
+        good &= run_many(scenario, table, known=known, metrics=self.cost.metrics, engine=self.engine).usable
         many = batched(scenario, table, known=known)
         leaves = [self._leaves(scenario, each) for each in self.space.swept]
         found = differentiate(

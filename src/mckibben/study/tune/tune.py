@@ -6,8 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib.metadata import version
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -17,8 +16,9 @@ import numpy as np
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.scenario import Known, Scenario, with_values
+from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.files import explain_write_errors, file_lock, make_folder
-from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
+from mckibben.storage.journal import Journal, JournalReader, header_differences, json_record, read_header
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
 from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem, parse_cost
@@ -33,7 +33,7 @@ from mckibben.study.tune.search import (
     parse_ranges,
 )
 
-FORMAT, VERSION = "mckibben tuning history", 2
+FORMAT, VERSION = "mckibben tuning history", 3
 _TRIAL = b"T"
 _MAX_SEED = 2**32 - 1  # arguments common to all methods
 
@@ -126,8 +126,8 @@ class TuningHistory:
         new = [trial for trial in trials if trial.point not in self._by_point]
         if self._journal is not None and new:
             first = len(self._by_point)
-            records = [pack_json(_TRIAL, first + i, trial._asdict()) for i, trial in enumerate(new)]
-            self._journal.append(b"".join(records))
+            records = [json_record(_TRIAL, first + i, trial._asdict()) for i, trial in enumerate(new)]
+            self._journal.append(*records)
         self._by_point.update((trial.point, trial) for trial in new)
 
 
@@ -136,6 +136,11 @@ def _trials(reader: JournalReader) -> list[Trial]:
     return [
         Trial(tuple(c["point"]), c["cost"], c["gradient"] and tuple(c["gradient"]), c.get("metrics")) for c in contents
     ]
+
+
+def kept_software(path: Path | None) -> dict[str, str] | None:
+    """Software that a history names; None if there is no history."""
+    return read_header(path, FORMAT, VERSION).get("software") if path is not None and path.is_file() else None
 
 
 def read_trials(path: Path) -> list[Trial]:
@@ -252,8 +257,15 @@ def tune(
     if method is Method.GRADIENT:
         problem.check_smooth()
     folder = Path() if history is None else history.parent
+    if method is Method.GRADIENT:
+        engine = "xla"
+    elif history is None:
+        engine = "auto"
+    else:
+        engine = engine_of_job(problem.engine_used, kept_software(history) if resume else None)
+    problem = replace(problem, engine=engine)
     about = {
-        "mckibben": version("mckibben"),
+        "software": software(engine),
         "scenarios": [scenario.dumps(folder=folder) for scenario in several],
         "models": [_digest(scenario) for scenario in several],
         "parameters": [each.text for each in problem.space.swept],

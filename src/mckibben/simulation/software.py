@@ -1,0 +1,54 @@
+"""Software that determines the last bits of results: versions, platform, engine and compiler."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+
+import jax
+
+import mckibben
+from mckibben.codegen.native import compiler, own_flags
+from mckibben.simulation.engine import check_engine
+
+_PATIENCE = 20.0  # s for a compiler to state its version
+
+
+def software(engine: str = "auto") -> dict[str, str]:
+    """Versions, platform, the engine of batches and, of the native one, the compiler and the user's options for it."""
+    found = {
+        "mckibben": mckibben.__version__,
+        "jax": jax.__version__,
+        "scipy": version("scipy"),
+        "platform": jax.default_backend(),
+        "engine": check_engine(engine, many=True),
+    }
+    if found["engine"] == "native":
+        found["compiler"] = " ".join([_compiler_version(compiler() or ""), *own_flags()])
+    return found
+
+
+@functools.cache
+def _compiler_version(path: str) -> str:
+    """Name and version of a compiler: the first line that it prints of them, or its path."""
+    try:
+        done = subprocess.run(
+            [path, "--version"], capture_output=True, stdin=subprocess.DEVNULL, timeout=_PATIENCE, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return path
+    return next(iter(done.stdout.decode(errors="replace").splitlines()), path)
+
+
+def engine_of_job(trial: Callable[[], str], kept: Mapping[str, str] | None = None, engine: str = "auto") -> str:
+    """Engine of all results of a job that is stored, "native" or "xla".
+
+    Of a new job, the one that a trial run reports; of a continued one, XLA if its `kept` software names it.
+    """
+    if engine != "auto":
+        return check_engine(engine, many=True)
+    if kept is not None:
+        return "xla" if kept.get("engine") == "xla" else check_engine("auto", many=True)
+    return "xla" if check_engine("auto", many=True) == "xla" else trial()
