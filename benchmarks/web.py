@@ -308,8 +308,8 @@ def loads(count: int) -> None:
                     r"client_id\D{1,9}([0-9a-f-]{36})", text
                 )
                 assert client is not None
-                words = f"client_id={client[1]}&tab_id={number}&document_id={number}&next_message_id=0&implicit_handshake=true"
-                where = f"ws://{host}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&{words}"
+                words = f"client_id={client[1]}&tab_id={number}&document_id={number}&next_message_id=0"
+                where = f"ws://{host}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&implicit_handshake=true&{words}"
                 with connect(
                     where, origin=address, additional_headers={"Cookie": "; ".join([cookie, *cookies])}
                 ) as line:
