@@ -3,6 +3,8 @@
     python benchmarks/web.py                      # latency
     python benchmarks/web.py --images docs/images # pictures for the docs
     python benchmarks/web.py --hostile 1000       # damaged and hostile uploads
+    python benchmarks/web.py --loads 1000         # memory of the server; without Chromium
+    python benchmarks/web.py --attack             # a hostile page on another port
 
 Chromium is driven through its DevTools protocol; nothing but Chromium and the extra `web` is needed.
 """
@@ -12,6 +14,8 @@ from __future__ import annotations
 import argparse
 import base64
 import collections
+import http.client
+import http.server
 import io
 import itertools
 import json
@@ -24,10 +28,11 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +52,20 @@ def free_port() -> int:
 
 @contextmanager
 def served() -> Iterator[str]:
-    """Address of a server in a process of its own."""
+    """Address of a server in a process of its own, with its token."""
+    with started() as (_, address):
+        yield address
+
+
+@contextmanager
+def started() -> Iterator[tuple[int, str]]:
+    """Number of the process of a server, and its address with the token."""
     command = [sys.executable, "-m", "mckibben", "web", "--no-browser", "--port", str(free_port())]
     ours = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}  # NiceGUI looks for it
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=ours) as process:
         try:
             assert process.stdout is not None
-            yield process.stdout.readline().split()[0]
+            yield process.pid, process.stdout.readline().split()[0]
         finally:
             process.terminate()
 
@@ -66,6 +78,7 @@ class Tab:
         self._number = itertools.count(1)
         self.errors: list[str] = []
         self.requests: list[str] = []
+        self.statuses: list[tuple[str, int]] = []
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.send(f"{domain}.enable")
 
@@ -85,6 +98,8 @@ class Tab:
         told = event.get("params", {})
         if event["method"] == "Network.requestWillBeSent":
             self.requests.append(told["request"]["url"])
+        elif event["method"] == "Network.responseReceived":
+            self.statuses.append((told["response"]["url"], told["response"]["status"]))
         elif event["method"] == "Runtime.exceptionThrown":
             self.errors.append(str(told["exceptionDetails"])[:400])
         elif event["method"] == "Log.entryAdded" and told["entry"]["level"] == "error":
@@ -105,14 +120,21 @@ class Tab:
                 raise TimeoutError(condition)
             time.sleep(0.05)
 
-    def open(self, address: str, width: int = 1200, height: int = 900) -> None:
-        """Open an address in a window of a size."""
+    def enter(self, address: str) -> str:
+        """Open an address with its token; that without it."""
+        self.open(address)
+        self.wait("location.search === '' && document.querySelector('.nicegui-content')")
+        return address.partition("/?")[0]
+
+    def open(self, address: str, width: int = 1200, height: int = 900, *, wait: bool = True) -> None:
+        """Open an address in a window of a size, and wait for the connection to the server."""
         self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
         )
         self.send("Emulation.setScrollbarsHidden", hidden=True)
         self.send("Page.navigate", url=address)
-        self.wait("document.readyState === 'complete' && window.did_handshake !== false")
+        if wait:
+            self.wait("document.readyState === 'complete' && window.did_handshake !== false")
 
     def press(self, key: str, code: int) -> None:
         """Press and release a key."""
@@ -234,11 +256,21 @@ def main() -> None:
     parser.add_argument("--images", type=Path, help="folder of the pictures, in place of the latency")
     parser.add_argument("--width", type=int, default=1200)
     parser.add_argument("--hostile", type=int, metavar="N", help="upload so many damaged files instead")
+    parser.add_argument(
+        "--loads", type=int, metavar="N", help="load so many pages, each in a session of its own, instead"
+    )
+    parser.add_argument("--attack", action="store_true", help="open a hostile page of another port instead")
     asked = parser.parse_args()
-    with served() as address, browser() as tab:
+    if asked.loads:
+        loads(asked.loads)
+        return
+    with served() as printed, browser() as tab:
+        address = tab.enter(printed)
         if asked.images:
             asked.images.mkdir(parents=True, exist_ok=True)
             pictures(tab, address, asked.images, asked.width)
+        elif asked.attack:
+            attack(tab, address)
         elif asked.hostile:
             hostile(tab, address, asked.hostile)
         else:
@@ -254,6 +286,119 @@ def main() -> None:
             if not one.startswith((address, address.replace("http", "ws"), "data:", "blob:", "about:"))
         ]
         print(f"{len(tab.requests)} requests, to others {len(outside)} {outside[:3]}; errors {tab.errors[:3]}")
+
+
+def loads(count: int) -> None:
+    """Memory of the server while pages are loaded, shown by a websocket, and left, each in a new session."""
+    with started() as (process, printed):
+        address, _, query = printed.partition("/?")
+        host = address.partition("//")[2]
+        cookie = get(host, f"/?{query}", "")[1][0]
+
+        def memory() -> float:
+            found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{process}/status").read_text())
+            assert found is not None
+            return int(found[1]) / 1024
+
+        for path in ("/", "/identify", "/run", "/rig"):
+            figures = [f"{memory():.0f}"]
+            for number in range(count):
+                text, cookies = get(host, path, cookie)
+                client = re.search(r'"client_id": ?"([0-9a-f-]{36})"', text) or re.search(
+                    r"client_id\D{1,9}([0-9a-f-]{36})", text
+                )
+                assert client is not None
+                words = f"client_id={client[1]}&tab_id={number}&document_id={number}&next_message_id=0"
+                where = f"ws://{host}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&implicit_handshake=true&{words}"
+                with connect(
+                    where, origin=address, additional_headers={"Cookie": "; ".join([cookie, *cookies])}
+                ) as line:
+                    line.recv(timeout=60)
+                    line.send("40")
+                    assert line.recv(timeout=60).startswith("40"), "the handshake was refused"
+                    if path == "/run":
+                        time.sleep(0.05)  # the simulation has begun
+                if (number + 1) % max(1, count // 10) == 0:
+                    figures.append(f"{memory():.0f}")
+            time.sleep(10.0)
+            print(f"{path}: {count} loads, memory [MiB] {' '.join(figures)}, 10 s later {memory():.0f}", flush=True)
+
+
+def get(host: str, path: str, cookie: str) -> tuple[str, list[str]]:
+    """Text of a page, and the cookies that it sets."""
+    with closing(http.client.HTTPConnection(host, timeout=60)) as line:
+        line.request("GET", path, headers={"Cookie": cookie})
+        answer = line.getresponse()
+        assert answer.status in (200, 303), answer.status
+        return answer.read().decode(), [one.split(";")[0] for one in answer.headers.get_all("Set-Cookie", [])]
+
+
+_ATTACK = """<!doctype html><title>hostile</title><body><script>
+  const site = %s, count = {tried: 0};
+  for (let i = 0; i < 40; i++) {
+    const image = new Image();
+    image.src = site + ['/', '/run', '/identify', '/rig'][i %% 4] + '?' + i;
+    document.body.append(image);
+    count.tried++;
+  }
+  for (const path of ['/', '/run']) {
+    const frame = document.createElement('iframe'), form = document.createElement('form');
+    frame.name = 'f' + path; form.target = frame.name; form.method = 'post'; form.action = site + path;
+    document.body.append(frame, form);
+    form.submit();
+    fetch(site + path, {mode: 'no-cors', credentials: 'include'}).catch(() => 0);
+    const other = document.createElement('iframe');
+    other.src = site + path;
+    document.body.append(other);
+  }
+  const line = new WebSocket(site.replace('http', 'ws') + '/_nicegui_ws/socket.io/?EIO=4&transport=websocket');
+  window.opened = false;
+  line.onopen = () => { window.opened = true; };
+  setTimeout(() => { window.done = true; }, 4000);
+</script>"""
+
+
+def attack(tab: Tab, address: str) -> None:
+    """Data of a session after a page of another port, and one of another site, tried to reach the server."""
+    tab.open(f"{address}/identify")
+    tab.wait("document.querySelector('input[type=file]')")
+    time.sleep(1.0)
+    upload(tab, DATA)
+    points = "document.body.innerText.includes('204 points, 31 slack')"
+    tab.wait(points)
+    page = (_ATTACK % json.dumps(address)).encode()
+
+    class Hostile(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(page)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            return
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Hostile) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        for host in ("127.0.0.1", "localhost"):
+            before, folders = len(tab.statuses), session_folders()
+            tab.open(f"http://{host}:{server.server_port}/", wait=False)
+            tab.wait("window.done === true")
+            opened = tab.evaluate("window.opened")
+            tab.evaluate("1")
+            seen = collections.Counter(code for url, code in tab.statuses[before:] if url.startswith(address))
+            print(f"from {host}, another port: answers {dict(seen)}; websocket opened: {opened}")
+            if opened or set(seen) - {403} or session_folders() != folders:
+                raise RuntimeError("the page was reached")
+        server.shutdown()
+    tab.errors.clear()
+    tab.open(f"{address}/identify")
+    tab.wait(points)
+    print("the uploaded data are still there")
+
+
+def session_folders() -> set[str]:
+    return {one.name for one in Path(tempfile.gettempdir()).glob("mckibben-web-*")}
 
 
 def upload(tab: Tab, path: Path) -> None:

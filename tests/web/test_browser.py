@@ -51,8 +51,8 @@ FAINT = """(() => {
 @pytest.fixture(scope="module")
 def opened():
     """Address of a server, and a tab."""
-    with chrome.served() as address, chrome.browser() as tab:
-        yield address, tab
+    with chrome.served() as printed, chrome.browser() as tab:
+        yield tab.enter(printed), tab
 
 
 @pytest.fixture

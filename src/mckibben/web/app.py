@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import secrets
 import socket
+import sys
 from collections.abc import Callable
 
 from nicegui import app, background_tasks, ui
 from nicegui.server import Server
+from starlette.middleware.sessions import SessionMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from mckibben.errors import ParameterError
+from mckibben.storage.files import handle_signals
 from mckibben.web import identify, joint, rig, run
-from mckibben.web.security import LOCAL, Guard
-from mckibben.web.session import collect_warnings
+from mckibben.web.security import LOCAL, Access, Guard
+from mckibben.web.session import collect_warnings, end_sessions
 
 HOST = LOCAL[0]
+_SHUTDOWN = 2  # s for open requests
 
 
 def pages() -> None:
@@ -29,7 +34,7 @@ def pages() -> None:
 
 
 def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
-    """Serve the pages on this machine until Ctrl-C.
+    """Serve the pages on this machine until Ctrl-C, to browsers that open the address with its token.
 
     Parameters
     ----------
@@ -38,7 +43,7 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
     show
         Whether to open a browser.
     ready
-        Called with the address as soon as it answers.
+        Called with the address and its token as soon as it answers.
 
     Raises
     ------
@@ -47,24 +52,37 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
     """
     _check_free(port)
     pages()
-    app.add_middleware(Guard)
+    gc.set_threshold(700, 10, 10)  # Python's own: a page that was left is a cycle, and the command line collects rarely
+    access, secret, signals = Access(port), secrets.token_urlsafe(32), []
+    # the last one is called first; NiceGUI adds its own behind these
+    app.add_middleware(SessionMiddleware, secret, f"mckibben-session-{port}", max_age=None, same_site="strict")
+    app.add_middleware(Guard, access)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(LOCAL))
 
     async def announce() -> None:
         while not Server.instance.started:
             await asyncio.sleep(0.01)
-        ready(f"http://{HOST}:{port}")
+        ready(f"http://{HOST}:{port}/?token={access.token}")
+
+    def stop(number: int) -> None:
+        signals.append(number)
+        Server.instance.handle_exit(number, None)
 
     app.on_startup(lambda: background_tasks.create(announce(), name="announce"))
-    ui.run(
-        host=HOST,
-        port=port,
-        show=show,
-        reload=False,
-        title="mckibben",
-        storage_secret=secrets.token_urlsafe(32),  # of this server alone: cookies of an earlier one are void
-        show_welcome_message=False,
-    )
+    app.on_shutdown(end_sessions)
+    with handle_signals(stop):  # a closed terminal too, which would otherwise leave the files of sessions
+        ui.run(
+            host=HOST,
+            port=port,
+            show=f"/?token={access.once}" if show else False,
+            reload=False,
+            title="mckibben",
+            storage_secret=secret,  # of this server alone: cookies of an earlier one are void
+            show_welcome_message=False,
+            timeout_graceful_shutdown=_SHUTDOWN,
+        )
+    if signals:
+        sys.exit(128 + signals[0])
 
 
 def _check_free(port: int) -> None:

@@ -90,8 +90,10 @@ def checked(text: str, folder: Path) -> CheckedTest:
     return found
 
 
-def measure(state: RigState, text: str, folder: Path) -> IsobaricDataset:
-    """Run a test that appends rows to the state; the event `vent` stops it."""
+def measure(
+    state: RigState, text: str, folder: Path, shown: Callable[[str, float], None] = lambda _step, _part: None
+) -> IsobaricDataset:
+    """Run a test that appends rows to the state; the event `vent` stops it, and whatever `shown` raises."""
     test = checked(text, folder.parent)
     shutil.rmtree(folder, ignore_errors=True)
     state.rows, state.points, state.total = [], 0, max(1, test.dry_run.plateaus)
@@ -100,6 +102,7 @@ def measure(state: RigState, text: str, folder: Path) -> IsobaricDataset:
     def report(progress: Progress) -> None:
         if state.vent.is_set():
             raise RigError("vented by hand")
+        shown("test", progress.points / state.total)
         latest = progress.latest
         row = latest.time, latest.pressure / bar, latest.force, progress.contraction / percent
         state.rows.append(row)
@@ -177,8 +180,8 @@ class _Page:
         state.error = state.data = None
         text = state.text
 
-        def compute(_: Callable[[str, float], None]) -> IsobaricDataset:
-            return measure(state, text, folder)
+        def compute(shown: Callable[[str, float], None]) -> IsobaricDataset:
+            return measure(state, text, folder, shown)
 
         def done(found: IsobaricDataset, _: list[str]) -> None:
             state.data = found

@@ -112,7 +112,12 @@ class _Page:
                     self.scene = JointScene()
             with panel("Numbers"):
                 self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
+        ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
+
+    def begin(self) -> None:
+        """Run the joint of another page, or the first scenario."""
+        state, folder = self.state, self.folder
         if state.joint:
             text = START if state.current is None else state.current.text
             joint, state.joint = state.joint, ""

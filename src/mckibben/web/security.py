@@ -1,13 +1,14 @@
-"""Request filter of the server: only its own pages on this machine, and limited size."""
+"""Request filter of the server: only its own pages, in a browser that was given the token, and limited size."""
 
 from __future__ import annotations
 
-from urllib.parse import urlsplit
+import secrets
+from urllib.parse import parse_qs, quote, urlencode, urlsplit
 
 from python_multipart.exceptions import FormParserError
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import ClientDisconnect
-from starlette.responses import PlainTextResponse
+from starlette.requests import ClientDisconnect, cookie_parser
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 LOCAL = ("127.0.0.1", "localhost")
@@ -21,15 +22,73 @@ _POLICY = (
 )
 
 
+_NO_ACCESS = (
+    "this browser has no access to the page.\n\nOpen the address that `mckibben web` printed in its terminal, with its "
+    "token: http://.../?token=...\nEach start of the server has a new token. Links on other pages work only with it."
+)
+
+
 class _TooLargeError(Exception):
     """A request body is too long."""
 
 
-class Guard:
-    """Refuses other origins and oversized bodies; prevents pages from loading external content."""
+class Access:
+    """Who may use the server: browsers that once opened its address with the token, by a cookie.
 
-    def __init__(self, app: ASGIApp, largest: int = LARGEST) -> None:
-        self._app, self._largest = app, largest
+    `once` is a second token, for the address that a browser is started with: other users see it in the list of
+    processes, so it is void after its first use.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.token, self.once = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
+        self.cookie = f"mckibben-{port}"  # browsers send a cookie to every port of a host
+        self._value = secrets.token_urlsafe(32)
+
+    def holds(self, headers: Headers) -> bool:
+        """Whether a request has the cookie."""
+        return _equal(cookie_parser(headers.get("cookie", "")).get(self.cookie, ""), self._value)
+
+    def admit(self, scope: Scope, headers: Headers) -> Response | None:
+        """Answer to an address with the token: the cookie, and the same address without it; None to others."""
+        if scope["type"] != "http" or scope["method"] != "GET":
+            return None
+        query = parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        given = query.pop("token", [""])[0]
+        if not (navigates(headers) and (_equal(given, self.token) or _equal(given, self.once))):
+            return None
+        if _equal(given, self.once):
+            self.once = ""
+        where = "/" + quote(scope["path"].lstrip("/\\")) + ("?" + urlencode(query, doseq=True) if query else "")
+        if foreign(headers):  # a redirect would still count as the other site's, and go without the cookie
+            answer = HTMLResponse(headers={"Refresh": f"0; url={where}"})
+        else:
+            answer = RedirectResponse(where, 303)
+        answer.headers["Cache-Control"] = "no-store"
+        answer.set_cookie(self.cookie, self._value, httponly=True, samesite="strict")
+        return answer
+
+
+def _equal(given: str, expected: str) -> bool:
+    """Whether a secret was given, compared in constant time."""
+    return bool(expected) and secrets.compare_digest(given.encode(), expected.encode())
+
+
+def foreign(headers: Headers) -> bool:
+    """Whether a page of another site, or of another port, is the cause of a request."""
+    return headers.get("sec-fetch-site") in ("cross-site", "same-site")
+
+
+def navigates(headers: Headers) -> bool:
+    """Whether a request opens a page, unlike an image or a frame; old browsers do not say."""
+    mode, target = headers.get("sec-fetch-mode", "navigate"), headers.get("sec-fetch-dest", "document")
+    return (mode, target) == ("navigate", "document")
+
+
+class Guard:
+    """Refuses other sites, requests without access and oversized bodies; pages cannot load external content."""
+
+    def __init__(self, app: ASGIApp, access: Access, largest: int = LARGEST) -> None:
+        self._app, self._access, self._largest = app, access, largest
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Forward a request, or answer it."""
@@ -40,6 +99,12 @@ class Guard:
         origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != headers.get("host"):
             await _refuse(scope, receive, send, 403, "another site may not use this page")
+            return
+        if (admitted := self._access.admit(scope, headers)) is not None:
+            await admitted(scope, receive, send)
+            return
+        if foreign(headers) or not self._access.holds(headers):
+            await _refuse(scope, receive, send, 403, _NO_ACCESS)
             return
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > self._largest:

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from nicegui import app, background_tasks
+from nicegui import Client, app, background_tasks
 
 from mckibben.errors import McKibbenError, McKibbenWarning, printable
 from mckibben.notebook import stop_check
@@ -20,10 +20,12 @@ from mckibben.notebook import stop_check
 T = TypeVar("T")
 
 _MOST_SESSIONS = 32
+_MOST_WAITING = 16
+"""Pages sent whose browser has not connected yet; NiceGUI alone would keep each for 60 s."""
 
 
 class Session:
-    """State of the pages of one browser, in memory, and a folder for its files."""
+    """State of the pages of one browser, in memory, and a folder for its files, until its `end`."""
 
     def __init__(self) -> None:
         self._states: dict[type, Any] = {}
@@ -31,12 +33,20 @@ class Session:
 
     @property
     def folder(self) -> Path:
-        """Folder of the session's files; removed at the end of the server."""
+        """Folder of the session's files."""
         return Path(self._folder.name)
 
     def state(self, kind: type[T]) -> T:
         """The state of a kind, created on first use."""
         return self._states.setdefault(kind, kind())
+
+    def end(self) -> None:
+        """Cancel the jobs, forget the states, and remove the folder."""
+        for state in self._states.values():
+            if isinstance(jobs := getattr(state, "jobs", None), Jobs):
+                jobs.cancel()
+        self._states.clear()
+        self._folder.cleanup()
 
 
 _sessions: OrderedDict[str, Session] = OrderedDict()
@@ -48,8 +58,17 @@ def session() -> Session:
     found = _sessions.pop(name, None) or Session()
     _sessions[name] = found
     if len(_sessions) > _MOST_SESSIONS:
-        _sessions.popitem(last=False)
+        _sessions.popitem(last=False)[1].end()
+    waiting = [one for one in Client.instances.values() if not one.has_socket_connection and not one._delete_tasks]
+    for one in waiting[:-_MOST_WAITING]:
+        one.delete()
     return found
+
+
+def end_sessions() -> None:
+    """End all sessions."""
+    while _sessions:
+        _sessions.popitem()[1].end()
 
 
 class _CancelledError(Exception):

@@ -21,6 +21,7 @@ from mckibben.rig.ni.driver import Driver, Terminals
 
 if TYPE_CHECKING:
     from mckibben.rig.bench import Drive
+    from mckibben.rig.ni.watchdog import WatchdogLink
 
 _BUFFER = 10.0  # s of samples in the buffer of the driver
 _OFF = 1e-3  # V from the signal at rest
@@ -73,6 +74,7 @@ class NiBackend(Backend):
         self._lines: dict[str, bool] = {}
         self._taken = 0
         self._watchdog = Watchdog(self.patience)
+        self.watchdog_link: WatchdogLink | None = None  # within `host_watchdog`
         self._facts: dict[str, str] = {}
 
     @property
@@ -151,10 +153,12 @@ class NiBackend(Backend):
                 self._set(hold=True)
 
     def heartbeat(self) -> None:
-        """Reset the watchdog; no effect once it has expired."""
+        """Reset the watchdog, unless it has expired; `RigError` if the process of `host_watchdog` is gone."""
         driver = self._open()
         if self._missed():
             return
+        if self.watchdog_link is not None:
+            self.watchdog_link.beat(time.monotonic())
         with driver.translated("the heartbeat"):
             self._set(heartbeat=not self._lines["heartbeat"])
         self._watchdog.reset(time.monotonic())
@@ -163,6 +167,8 @@ class NiBackend(Backend):
         """Vent: cut the current of the vent valve, then set the signals to rest. Never raises."""
         self._quietly(lambda: self._set(hold=False))
         self._quietly(lambda: self._writer.write_one_sample(np.full(len(self.wiring.outputs), self.wiring.rest)))
+        if (link := self.watchdog_link) is not None:
+            self._quietly(link.rest)
 
     def close(self) -> None:
         """Vent, end the heartbeat, and close the card. Never raises."""
@@ -176,7 +182,7 @@ class NiBackend(Backend):
         self._inputs = self._reader = self._writer = self._switch = None
 
     def host_watchdog(self) -> AbstractContextManager[None]:
-        """A second process that vents the card if this one dies within the block."""
+        """A second process that vents the card if this one dies or hangs within the block, and is watched in turn."""
         from mckibben.rig.ni.watchdog import host_watchdog
 
         return host_watchdog(self)
