@@ -173,7 +173,7 @@ break",unloading,1
         "line 7, repeat: 1.5 is not an integer from 0 up",
         "line 8: has 4 cells, the header 5",
         "line 10, repeat: -1 is not an integer from 0 up",
-        "line 11, pressure_bar: '2,5' has a decimal comma, but line 10 a decimal point; use one decimal sign in the "
+        "line 11, pressure_bar: '2,5' has a decimal comma, but line 4 a decimal point; use one decimal sign in the "
         "whole file, or give decimal (command line: --decimal)",
         "line 11, force_N: 'line\\nbreak' is not a number",
         "line 13, pressure_bar: '1_000' is not a number",
