@@ -191,7 +191,8 @@ def test_the_sign_of_a_load_cell_is_turned(written, tmp_path):
     assert turned.table.identical(read(written(pressure, contraction, force)).table)
     path = tmp_path / "points.nc"
     turned.to_netcdf(path)
-    np.testing.assert_array_equal(read_dataset(path, force_sign=-1).force, -turned.force)
+    with pytest.warns(McKibbenWarning, match="force_sign=-1"):
+        np.testing.assert_array_equal(read_dataset(path, force_sign=-1).force, -turned.force)
     with pytest.raises(RangeError):
         read_dataset(path, force_sign=0)
 

@@ -59,7 +59,9 @@ def test_netcdf_gives_the_same_dataset_back(data, tmp_path):
     path = tmp_path / "data.nc"
     data.to_netcdf(path)
     assert_same(IsobaricDataset.from_netcdf(path), data)
-    assert_same(read_dataset(path), data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", McKibbenWarning)  # no points of a muscle
+        assert_same(read_dataset(path), data)
     assert [file.name for file in tmp_path.iterdir()] == ["data.nc"]
 
 
@@ -79,12 +81,12 @@ def test_csv_has_the_plateau_means(tmp_path):
         pressure=[2e5],
         contraction=[0.1],
         force=[0],
-        force_samples=[[1.0, 2.0]],
+        force_samples=[[10.0, 20.0]],
         pressure_samples=[[1e5, 3e5]],
     )
     data.to_csv(tmp_path / "data.csv")
     again = read_dataset(tmp_path / "data.csv")
-    assert (again.force.tolist(), again.pressure.tolist()) == ([1.5], [2e5])
+    assert (again.force.tolist(), again.pressure.tolist()) == ([15.0], [2e5])
 
 
 def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):

@@ -11,6 +11,7 @@ from typer import Argument, Option
 from mckibben.cli.options import (
     Column,
     Data,
+    Decimal,
     Force,
     ForceSign,
     InitialLength,
@@ -82,6 +83,7 @@ def points(
     specimen: Annotated[str, Option(metavar="NAME", help="Name of the specimen.")] = "",
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
+    decimal: Decimal = "",
     json: Json = False,
 ) -> None:
     """Extract points from a raw recording: steady plateaus, or pressure levels at a fixed length."""
@@ -100,6 +102,7 @@ def points(
         slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
         force_sign=force_sign,
         on_corrupt="report" if skip_corrupt else "raise",
+        decimal=decimal,  # type: ignore[arg-type]  # checked by the reader
     )
     between = parse_optional_quantity("--gap", gap, "s")
     tolerance = parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1")
@@ -218,6 +221,7 @@ def identify(
     force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
+    decimal: Decimal = "",
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -236,7 +240,9 @@ def identify(
     law_type = law_type_named(law) if law != _ALL else None
     if (friction_form or no_drift) and not hysteresis:
         raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
-    points = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
+    points = read_data(
+        data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt, decimal=decimal
+    )
     if law_type is None:
         if profile or bootstrap or hysteresis or level != _LEVEL:
             raise ParameterError(
@@ -314,6 +320,7 @@ def validate(
     force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
+    decimal: Decimal = "",
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -323,7 +330,9 @@ def validate(
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
-    points = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
+    points = read_data(
+        data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt, decimal=decimal
+    )
     from mckibben.identification import validate as run
 
     validation = run({Path(law).name if Path(law).is_absolute() else law: known}, points)

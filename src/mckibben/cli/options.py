@@ -44,6 +44,9 @@ Known = Annotated[
         "controller's model keeps the values of the file.",
     ),
 ]
+Decimal = Annotated[
+    str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
+]
 SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows without numbers, and report them.")]
 
 
@@ -55,6 +58,7 @@ def read_data(
     force_sign: int = 1,
     *,
     skip_corrupt: bool = False,
+    decimal: str = "",
 ) -> IsobaricDataset:
     """Read a data file or a dataset from the catalog; report ignored columns and preprocessing on standard error."""
     from mckibben.study.inputs import data_named
@@ -66,6 +70,7 @@ def read_data(
         slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
         force_sign=force_sign,
         skip_corrupt=skip_corrupt,
+        decimal=decimal,
     )
     report_ignored_columns(found.table.attrs)
     for note in found.table.attrs.get("preprocessing", "").splitlines():

@@ -11,6 +11,7 @@ from typer import Argument, Exit, Option
 from mckibben.cli.options import (
     Column,
     Data,
+    Decimal,
     Force,
     ForceSign,
     InitialLength,
@@ -84,6 +85,7 @@ def plan(
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
     skip_corrupt: SkipCorrupt = False,
+    decimal: Decimal = "",
     column: Column = None,
     json: Json = False,
     out: Out = None,
@@ -101,7 +103,7 @@ def plan(
     known = specimen_named(specimen) if specimen else None
     quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
-    read = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
+    read = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt, decimal=decimal)
     in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
     muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
     length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)

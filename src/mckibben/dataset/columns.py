@@ -155,11 +155,12 @@ _SHOWN = 40  # names of the file's columns in a message
 
 @dataclass
 class Layout:
-    """Columns of a file by quantity (index and header), ignored headers, and problems of the header."""
+    """Columns of a file by quantity (index and header), ignored headers, problems and doubts about the header."""
 
     places: dict[str, tuple[int, Header]] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
+    suspect: list[str] = field(default_factory=list)
 
 
 def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
@@ -215,8 +216,27 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
             wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
             remedy = f"name it {wanted}, or assign it by {_BY_NAME}"
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
+    layout.suspect += [
+        f"{name!r} may be the {quantity} as well; read is {header[layout.places[quantity][0]]!r}"
+        for channel in sheet.channels
+        if (name := channel.name) in layout.ignored
+        and (quantity := _candidate(channel.label)) in layout.places
+        and quantity not in asked
+    ]
     _same_length(sheet, layout)
     return layout
+
+
+def _candidate(header: str) -> str:
+    """Quantity that an unknown header may be, such as "Force filtered [N]"; empty if there is none."""
+    if len(header) > _LONGEST:
+        return ""
+    match = _WITH_UNIT.fullmatch(" ".join(header.split()))
+    unit = _bare(next(filter(None, match.groups()[1:]))) if match else ""
+    words = re.split(r"[\s_.\-]+", match["name"].lower() if match else header.lower())
+    found = next((name for name in ("pressure", "force", "contraction", "length") if name in words), "")
+    known = not unit or any(_same_unit(unit, one, found) for one in ACCEPTED.get(found, ()))
+    return found if known else ""
 
 
 def _swapped(given: str, name: str, header: Sequence[str]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, unreadable
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, unreadable
 from mckibben.errors import DatasetError, Problem
 
 _ROWS = 1_048_576  # of a sheet of Excel
@@ -25,6 +26,8 @@ _LARGEST = 2**28  # bytes of a workbook's content
 _BESIDES = 2**25  # bytes of texts, styles and names in it
 _MOST_COLUMNS = 4096
 _MOST_CELLS = 10_000_000
+_LISTED = 10  # hidden rows in a warning
+_HIDDEN = re.compile(rb'<(?:[a-z]+:)?(?:row|col)\b[^<>]*\bhidden="(?:1|true)"[^<>]*>')
 
 
 def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> RawTable:
@@ -45,6 +48,9 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
             raise DatasetError(str(path), [Problem(f"is a workbook that would unpack to {size} bytes")])
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
         tables = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
+        hidden = {sheet.title for sheet in book.worksheets if sheet.sheet_state != "visible"}
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in book.worksheets}
     except DatasetError:
         raise
     except Exception as error:  # openpyxl raises almost any exception on a damaged file
@@ -52,6 +58,18 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     sheet = RawTable(kind=RowProblem)
     found = {title: _table(rows, known) for title, rows in tables.items()}
     filled = {title: channels for title, channels in found.items() if channels}
+    shown = [title for title in filled if title not in hidden]
+    if any(known(each.name, each.unit) for title in shown for each in filled[title]):
+        skipped = [
+            title
+            for title in filled
+            if title in hidden and not any(known(f"{title}/{each.name}", "") for each in filled[title])
+        ]
+        sheet.suspect += [f"the hidden sheet {title!r} is not read" for title in skipped]
+        filled = {title: channels for title, channels in filled.items() if title not in skipped}
+    for title in filled:
+        note = f"{'is hidden; ' if title in hidden else ''}{notes[title]}".removesuffix("; ")
+        sheet.suspect += [f"sheet {title!r} {note}"] if note else []
     for title, channels in filled.items():
         prefix = f"{title}/" if len(filled) > 1 else ""
         sheet.channels += [
@@ -61,6 +79,24 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     if not sheet.channels:
         raise DatasetError(str(path), [Problem("has no sheet with a header and rows")])
     return sheet
+
+
+def _hidden(archive: zipfile.ZipFile, part: str) -> str:
+    """Hidden rows and columns of a sheet, which are read as all others; empty if there are none."""
+    rows, columns, rest = [], 0, b""
+    with archive.open(part.lstrip("/")) as stream:
+        while block := stream.read(2**20):
+            text, _, after = (rest + block).rpartition(b">")
+            for tag in _HIDDEN.findall(text + b">"):
+                if number := re.search(rb'\br="([0-9]+)"', tag):
+                    rows.append(number[1].decode())
+                else:
+                    columns += tag.lstrip(b"<").startswith((b"col", b"x:col"))
+            rest = after
+    shown = f"{', '.join(rows[:_LISTED])}{' ...' if len(rows) > _LISTED else ''}"
+    found = [f"rows {shown}"] if rows else []
+    found += [f"{columns} column{'s' if columns > 1 else ''}"] if columns else []
+    return f"has hidden {' and '.join(found)}, which are read" if found else ""
 
 
 def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
@@ -212,4 +248,4 @@ def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float]) -> Non
     if isinstance(step, (int, float)) and np.isfinite(step) and step > 0:
         intervals.add(float(step))
     rows = range(1, len(cells) + 1)
-    sheet.channels.append(RawColumn(name, cells, rows, short=channel.name, unit=unit))
+    sheet.channels.append(RawColumn(name, cells, rows, short=channel.name, unit=unit, notes=at_type_limit(values)))

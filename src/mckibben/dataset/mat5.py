@@ -20,6 +20,7 @@ _SQUEEZED = 20  # largest compression ratio of a large file
 _DEEPEST = 20  # nested arrays
 _INTEGERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i8", 13: "u8", 16: "u1", 17: "u2"}
 _KINDS = {**_INTEGERS, 7: "f4", 9: "f8"}
+_INTEGER_CLASSES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"), 8))
 _KINDS_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _CHAR, _FIRST_NUMBER, _LAST_NUMBER, _OPAQUE = 1, 2, 4, 6, 15, 17
@@ -159,7 +160,7 @@ def _array(content: memoryview, order: str, depth: int) -> tuple[str, Value]:
     values = reader.numbers()
     if len(values) != count:
         raise CorruptFileError(f"{name or 'a variable'} has {len(values)} values for dimensions {dims}")
-    return name, values.astype(np.float64).reshape(dims, order="F")
+    return name, values.astype(_INTEGER_CLASSES.get(kind, "f8")).reshape(dims, order="F")
 
 
 def _struct(reader: _Reader, count: int, order: str, depth: int) -> Value:

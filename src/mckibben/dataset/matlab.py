@@ -11,7 +11,7 @@ import numpy as np
 
 from mckibben.dataset.hdf5_check import check_hdf5
 from mckibben.dataset.mat5 import CorruptFileError, MatlabObject, Value, variables
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, unreadable
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, unreadable
 from mckibben.errors import DatasetError, Problem
 
 _DEEPEST = 6  # nested structs
@@ -83,15 +83,19 @@ def _one(cell: Value) -> object:
     return cell if isinstance(cell, str) else None
 
 
-def _columns(sheet: RawTable, name: str, array: np.ndarray, separator: str = ".", unit: str = "") -> None:
+def _columns(
+    sheet: RawTable, name: str, array: np.ndarray, separator: str = ".", unit: str = "", notes: tuple[str, ...] = ()
+) -> None:
     """Add the columns of a matrix, numbered as in MATLAB."""
+    notes += at_type_limit(array)
     matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
     if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
         sheet.ignored.append(name)
         return
     for column, values in enumerate(np.ascontiguousarray(matrix.T, dtype=np.float64)):
         full = name if matrix.shape[1] == 1 else f"{name}(:,{column + 1})"
-        sheet.channels.append(RawColumn(full, values, range(1, len(values) + 1), full.rpartition(separator)[2], unit))
+        rows = range(1, len(values) + 1)
+        sheet.channels.append(RawColumn(full, values, rows, full.rpartition(separator)[2], unit, notes))
 
 
 def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -122,9 +126,41 @@ def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
     elif kind == "char" or node.dtype.kind not in "biuf":
         sheet.ignored.append(name)
     else:
-        values = node[()]
+        try:
+            values, notes = (node[()], ()) if matlab else _unpacked(node)
+        except (TypeError, ValueError) as error:
+            sheet.problems.append(Problem(f"its packing is not numeric: {error}", field=name))
+            return
         unit = "" if matlab else _text(node.attrs, "units") or _text(node.attrs, "unit")
-        _columns(sheet, name, values.T if matlab else values, "." if matlab else "/", unit)
+        _columns(sheet, name, values.T if matlab else values, "." if matlab else "/", unit, notes)
+
+
+_NOT_APPLIED = ("gain", "offset", "scale", "scaling", "factor", "slope", "intercept", "conversion", "multiplier")
+
+
+def _unpacked(node: Any) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Values by the conventions of NetCDF (missing ones are NaN, scale and offset are applied), and notes on them."""
+    raw = np.asarray(node[()])
+    attributes = {name.lower(): value for name, value in node.attrs.items()}
+
+    def numbers(name: str) -> np.ndarray:
+        return np.ravel(np.asarray(attributes[name], np.float64)) if name in attributes else np.empty(0)
+
+    if _text(node.attrs, "_Unsigned").lower() == "true" and raw.dtype.kind == "i":
+        raw = raw.view(f"u{raw.dtype.itemsize}")
+    missing = np.isin(raw, np.concatenate([numbers("_fillvalue"), numbers("missing_value")]).astype(raw.dtype))
+    lower, upper = numbers("valid_min"), numbers("valid_max")
+    if len(limits := numbers("valid_range")) == 2:
+        lower, upper = limits[:1], limits[1:]
+    missing |= (raw < lower.max(initial=-np.inf)) | (raw > upper.min(initial=np.inf))
+    scale, offset = numbers("scale_factor"), numbers("add_offset")
+    if len(scale) > 1 or len(offset) > 1:
+        raise ValueError("scale_factor and add_offset are single numbers")
+    values = raw * (scale[0] if len(scale) else 1) + (offset[0] if len(offset) else 0)
+    if missing.any():
+        values = np.where(missing, np.nan, values)
+    notes = tuple(f"has the attribute {name!r}, which is not applied" for name in _NOT_APPLIED if name in attributes)
+    return values, notes if values.dtype == raw.dtype else at_type_limit(raw[~missing]) + notes
 
 
 def _referred(file: Any, reference: Any) -> str:

@@ -17,7 +17,8 @@ Floats = NDArray[np.float64]
 
 _PRESSURES = (0.08 * bar, 0.9 * bar, 12 * bar, 16 * bar)
 """Highest pressure of a muscle test: impossible below, usual from, usual to, impossible above."""
-_DIAMETERS = (0.8 * mm, 120 * mm)
+_DIAMETERS = (0.8 * mm, 1.7 * mm, 80 * mm, 120 * mm)
+"""Implied diameter: impossible below, usual from, usual to, impossible above. Thin muscles are sold from 1.8 mm."""
 _BLOCKED_FORCE = 8.2
 """Force of a muscle at its initial length over p pi d^2/4 at a braid angle of 25 deg; 14 at 20 deg, 5 at 30 deg.
 
@@ -28,6 +29,9 @@ _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contra
 _FIRST = 0.1  # smallest contraction of a test that begins near the initial length
 _COPIED = 4  # repeated rows in the same order that count as copies
 _SMALL_FORCE = 0.05  # of the largest one
+_CLEARLY = 0.1  # of the largest force: certainly taut
+_REPEATED = 3  # equal largest values that may be saturated
+_MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
 _UNIT = (
     "check the unit: arrays are in SI, and columns={...} gives the unit of a file's column (command line: "
@@ -61,6 +65,9 @@ def check_points(
             *_contractions(contraction, force > slack_force, initial_length),
             *check_pressures(float(pressure.max())),
             *_forces(pressure, force, specimen),
+            *_clipped("force", force, 1.0, "N"),
+            *_clipped("pressure", pressure, bar, "bar"),
+            *_zeros(pressure, contraction, force),
             *_copies(np.column_stack([pressure, contraction, force])),
         ):
             if impossible:
@@ -121,16 +128,70 @@ def _copies(rows: Floats) -> Iterator[tuple[Problem, bool]]:
         yield Problem(text, remedy="leave them out"), False
 
 
-def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Iterator[tuple[Problem, bool]]:
+_NINES = np.array([*(10.0**n - 10.0**-m for n in range(2, 7) for m in range(3)), 999.25])
+
+
+def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
+    """Values such as -9999 or 999.9, which mark missing values, and whether they are far from all other values."""
+    size = np.abs(values)
+    close = np.isclose(size[:, None], _NINES, rtol=1e-12, atol=0) if len(values) < _MANY else None
+    marks = np.isin(size, _NINES) if close is None else np.asarray(close.any(axis=1))
+    others = values[~marks & np.isfinite(values)]
+    if not marks.any() or not others.size:
+        return np.zeros(len(values), bool), False
+    low, high = float(others.min()), float(others.max())
+    distance = np.maximum(low - values[marks], values[marks] - high)
+    negative = low >= 0 and bool((values[marks] < 0).all())
+    isolated = negative or bool((distance > max(high - low, 0.5 * abs(high))).all())
+    three = bool((size[marks] >= 100).all())
+    return (marks, isolated) if isolated or three else (np.zeros(len(values), bool), False)
+
+
+def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tuple[Problem, bool]]:
+    """Message on a largest value that repeats, where no other does."""
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) > 2 and counts[-1] >= _REPEATED and counts[-1] > 2 * counts[:-1][levels[:-1] != 0].max(initial=1):
+        text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
+        yield Problem(text, field=name, remedy="check the range of the sensor"), False
+
+
+def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
+    """Message on forces of exactly 0 where the muscle pulls at less pressure and a larger contraction."""
+    taut = np.flatnonzero(force > _CLEARLY * force.max())
+    found = [
+        at
+        for at in np.flatnonzero(force == 0)
+        if ((pressure[taut] <= 1.01 * pressure[at]) & (contraction[taut] >= contraction[at])).any()
+    ]
+    if found:
+        at = found[0]
+        text = (
+            f"{len(found)} forces are 0, first at {pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} %, "
+            "but the muscle pulls at less pressure and a larger contraction"
+        )
+        yield Problem(text, field="force", remedy="leave out points without a measurement"), False
+
+
+def implied_diameter(pressure: Floats, force: Floats) -> float | None:
+    """Diameter of a muscle [m] that exerts the largest force at its initial length; None for a slack muscle."""
     at = int(np.argmax(force))
-    if force[at] <= 0 or pressure[at] <= 0:
+    if not (force[at] > 0 and pressure[at] > 0):
+        return None
+    return math.sqrt(4 * force[at] / (math.pi * _BLOCKED_FORCE * pressure[at]))
+
+
+def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Iterator[tuple[Problem, bool]]:
+    at, diameter = int(np.argmax(force)), implied_diameter(pressure, force)
+    if diameter is None:
         return
-    diameter = math.sqrt(4 * force[at] / (math.pi * _BLOCKED_FORCE * pressure[at]))
     text = f"{force[at]:.4g} N at {pressure[at] / bar:.3g} bar is the force of a muscle of about {diameter / mm:.2g} mm"
-    if not _DIAMETERS[0] <= diameter <= _DIAMETERS[1]:
+    smallest, least, most, largest = _DIAMETERS
+    if not smallest <= diameter <= largest:
         yield Problem(text, field="force", remedy=_UNIT), True
     elif specimen is not None and (given := specimen.initial_diameter):
         low, high, limit = _LIKE_SPECIMEN
         if not low <= diameter / given <= high:
             text = f"{text}, but {specimen.name} has {given / mm:.3g} mm"
             yield Problem(text, field="force", remedy=f"{_UNIT}; also for pressures"), diameter / given > limit
+    elif not least <= diameter <= most:
+        yield Problem(text, field="force", remedy=_UNIT), False

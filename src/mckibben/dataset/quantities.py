@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset.columns import find_columns
-from mckibben.dataset.schema import VACUUM, WORDS, unquote
+from mckibben.dataset.plausibility import missing_marks
+from mckibben.dataset.schema import VACUUM, WORDS, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, quantity
 
 OnCorrupt = Literal["raise", "report"]
 """Treatment of corrupt rows: raise an error, or leave them out and report each."""
+
+Decimal = Literal["", ".", ","]
+"""Decimal sign of texts; empty if the file determines it."""
 
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
@@ -45,7 +49,12 @@ class ColumnConverter:
     """Converts the cells of a file to SI columns; collects `problems`, `corrupt` rows and `suspect` values."""
 
     def __init__(
-        self, sheet: RawTable, mapping: Mapping[str, str], initial_length: float | None, needed: Sequence[str]
+        self,
+        sheet: RawTable,
+        mapping: Mapping[str, str],
+        initial_length: float | None,
+        needed: Sequence[str],
+        decimal: str = "",
     ) -> None:
         self.sheet = sheet
         self.initial_length = initial_length
@@ -54,15 +63,17 @@ class ColumnConverter:
         self.ignored = layout.ignored
         self.problems = layout.problems + sheet.problems
         self.corrupt = list(sheet.corrupt)
-        self.suspect = list(sheet.suspect)
+        self.suspect = sheet.suspect + layout.suspect
         read = [sheet.channels[index] for index, _ in self.places.values()]
         if len({len(channel.cells) for channel in read}) > 1:  # then there are no rows
             self.places, read = {}, []
         self.lines: Sequence[int] = read[0].lines if read else []
-        numeric = [
-            sheet.channels[index].cells for index, column in self.places.values() if column.quantity not in WORDS
-        ]
-        self.decimal = decimal_sign(numeric, self.lines, sheet.delimiter)
+        numeric = [sheet.channels[index] for index, column in self.places.values() if column.quantity not in WORDS]
+        self.suspect += [f"{channel.name}: {note}" for channel in numeric for note in channel.notes]
+        others = [channel for channel in sheet.channels if all(channel is not one for one in read)]
+        self.decimal, question = decimal_sign(numeric, others, sheet.delimiter, decimal)
+        if question is not None:
+            self.problems.append(sheet.kind(question.message, question.line, question.field, question.remedy))
 
     def attributes(self, path: Path, specimen: str, slack_force: float | None) -> dict[str, Any]:
         """Attributes from the comments; arguments take precedence."""
@@ -112,7 +123,8 @@ class ColumnConverter:
         for text in self.suspect:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
         attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}
-        for name in ("preprocessing", "repairs"):  # of the file from which this one was made
+        ours = written_by_us(self.sheet.names, self.sheet.comments)
+        for name in ("preprocessing", "repairs") if ours else ():  # of the file from which this one was made
             if (text := self.sheet.comments.get(name, (0, "none"))[1]) != "none":
                 attrs[name] = unquote(text)
         if self.corrupt:
@@ -164,6 +176,7 @@ class ColumnConverter:
             kind=self.sheet.kind,
         )
         self.corrupt += problems
+        self._report_marks(channel.name, values)
         with np.errstate(over="ignore"):
             si = values * factor(column.unit) if column.unit else values
         unit = f" {column.unit}" if column.unit else ""
@@ -188,6 +201,20 @@ class ColumnConverter:
             wrong = (si < 0) | (si != np.round(si)) | (si > 2**53)
             self._refuse(name, values, wrong & ~np.isnan(si), "{:g} is not an integer from 0 up")
         return si
+
+    def _report_marks(self, header: str, values: NDArray[np.float64]) -> None:
+        """Rows with a number such as -9999 that marks a missing value: corrupt if far from the others, else suspect."""
+        marks, isolated = missing_marks(values)
+        if isolated:
+            self.corrupt += [
+                self.sheet.kind(f"{values[row]:g} marks a missing value", line=self.lines[int(row)], field=header)
+                for row in np.flatnonzero(marks)
+            ]
+        elif marks.any():
+            count, first = int(marks.sum()), int(np.argmax(marks))
+            times = f" in {count} rows" if count > 1 else ""
+            text = f"{values[first]:g}{times}, first {self.sheet.unit} {self.lines[first]}, may mark a missing value"
+            self.suspect.append(f"{header}: {text}")
 
     def _refuse(
         self, name: str, values: NDArray[np.float64], bad: NDArray[np.bool_], message: str, remedy: str = ""

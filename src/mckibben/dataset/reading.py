@@ -16,8 +16,9 @@ from mckibben.dataset.columns import parse_header
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.quantities import ColumnConverter, OnCorrupt
+from mckibben.dataset.quantities import ColumnConverter, Decimal, OnCorrupt
 from mckibben.dataset.recording import Recording
+from mckibben.dataset.schema import written_by_us
 from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import SIGNATURE, decode, read_bytes, read_lvm, read_text
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
@@ -27,7 +28,7 @@ _OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
+def read_sheet(path: Path, mapping: Mapping[str, str], decimal: str = "") -> RawTable:
     """Columns of a text, .xlsx, .mat, .tdms, .lvm or HDF5 file; `mapping` assigns quantities to its headers."""
     data = read_bytes(path)
 
@@ -57,8 +58,8 @@ def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
         )
     text, zeros = decode(data, str(path))
     if text.startswith(SIGNATURE):
-        return read_lvm(text, str(path), known, zeros=zeros)
-    return read_text(text, str(path), known, zeros=zeros)
+        return read_lvm(text, str(path), known, zeros=zeros, decimal=decimal)
+    return read_text(text, str(path), known, zeros=zeros, decimal=decimal)
 
 
 _NEEDED = ("pressure", "contraction", "force")
@@ -73,6 +74,7 @@ def read_dataset(
     slack_force: float | None = None,
     force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
+    decimal: Decimal = "",
 ) -> IsobaricDataset:
     """Read the points of isobaric tests from a file.
 
@@ -108,6 +110,9 @@ def read_dataset(
     on_corrupt
         "raise": a truncated row, or a cell without a number, is an error. "report": such rows are left out with a
         warning, and the attribute ``repairs`` lists them.
+    decimal
+        Decimal sign of texts, "." or ",". Default: of the first number that determines it; if there is none, a number
+        such as 1.234 is an error, which gives both readings.
 
     Raises
     ------
@@ -122,24 +127,30 @@ def read_dataset(
     McKibbenWarning
         If forces, pressures or contractions are unusual for a muscle, or rows are left out.
     """
-    _check_arguments(force_sign, initial_length=initial_length, slack_force=slack_force)
+    _check_arguments(force_sign, decimal, initial_length=initial_length, slack_force=slack_force)
     path = Path(path)
     if path.suffix.lower() == ".nc":
         given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-        return _from_netcdf(IsobaricDataset, path, columns, force_sign, given)
+        found = _from_netcdf(IsobaricDataset, path, columns, force_sign, given)
+        return check_dataset(found, str(path), only_warn=True)
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
+    file = ColumnConverter(read_sheet(path, mapping, decimal), mapping, initial_length, _NEEDED, decimal)
     attrs = file.attributes(path, specimen, slack_force)
     slack_known = slack_force is not None or "slack_force" in file.sheet.comments
     data, found = file.settle(path, file.columns(force_sign), on_corrupt)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    if "preprocessing" in file.sheet.comments:  # written by `IsobaricDataset.to_csv`
-        return dataset
+    if written_by_us(file.sheet.names, file.sheet.comments):
+        return check_dataset(dataset, str(path), only_warn=True)
     return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=slack_known)), str(path))
 
 
-def check_dataset(dataset: IsobaricDataset, source: str, specimen: Specimen | None = None) -> IsobaricDataset:
-    """Check a dataset; raises a `DatasetError` for points impossible for a muscle, and warns of unusual ones."""
+def check_dataset(
+    dataset: IsobaricDataset, source: str, specimen: Specimen | None = None, *, only_warn: bool = False
+) -> IsobaricDataset:
+    """Check a dataset; raises a `DatasetError` for points impossible for a muscle, and warns of unusual ones.
+
+    With `only_warn`, impossible points cause warnings too: what this program wrote stays readable.
+    """
     attrs = dataset.table.attrs
     found = check_points(
         dataset.pressure,
@@ -149,9 +160,9 @@ def check_dataset(dataset: IsobaricDataset, source: str, specimen: Specimen | No
         attrs.get("initial_length"),
         specimen,
     )
-    if found.problems:
+    if found.problems and not only_warn:
         raise DatasetError(source, found.problems)
-    for text in found.warnings:
+    for text in [*map(str, found.problems), *found.warnings]:
         warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=3)
     return dataset
 
@@ -170,8 +181,11 @@ def _made(
     return kind(made.table.assign_attrs(found)) if found else made
 
 
-def _check_arguments(force_sign: int, **numbers: object) -> None:
+def _check_arguments(force_sign: int, decimal: str, **numbers: object) -> None:
     """Raise `RangeError` for texts in place of numbers, and for an invalid sign."""
+    if decimal not in ("", ".", ","):
+        remedy = "give decimal='.' or decimal=',' (command line: --decimal)"
+        raise RangeError(f"decimal is {decimal!r}", field="decimal", value=decimal, remedy=remedy)
     check_number("reading", **numbers)
     if force_sign not in (1, -1):
         remedy = "give 1 or -1 (command line: --force-sign)"
@@ -207,6 +221,7 @@ def read_recording(
     slack_force: float | None = None,
     force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
+    decimal: Decimal = "",
 ) -> Recording:
     """Read a raw recording from a file of any format of `read_dataset`, with its columns and arguments.
 
@@ -219,7 +234,7 @@ def read_recording(
         Contraction of the test [-], if the file has neither contractions nor lengths.
     sample_rate
         Sample rate [Hz] of a file without times.
-    on_corrupt
+    on_corrupt, decimal
         As for `read_dataset`. Omitted samples leave a gap in time.
 
     Raises
@@ -228,7 +243,7 @@ def read_recording(
         As `read_dataset`, with the same warnings.
     """
     ratios_and_rates = {"contraction": contraction, "sample_rate": sample_rate}
-    _check_arguments(force_sign, initial_length=initial_length, slack_force=slack_force, **ratios_and_rates)
+    _check_arguments(force_sign, decimal, initial_length=initial_length, slack_force=slack_force, **ratios_and_rates)
     path = Path(path)
     if path.suffix.lower() == ".nc":
         given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
@@ -239,8 +254,8 @@ def read_recording(
             raise DatasetError(str(path), [Problem(_OWN_CONTRACTION, remedy="leave contraction out")])
         return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    sheet = read_sheet(path, mapping)
-    file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"))
+    sheet = read_sheet(path, mapping, decimal)
+    file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"), decimal)
     attrs = file.attributes(path, specimen, slack_force)
     data = {name: values for name, values in file.columns(force_sign).items() if name in _KEPT}
     file.ignored += [

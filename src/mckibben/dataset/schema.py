@@ -245,6 +245,12 @@ Held = TypeVar("Held")
 def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
     """Object made from the table of a NetCDF file; errors name the file."""
     table = load_netcdf(path)
+    known = {name: variable.unit for name, variable in {**VARIABLES, **RECORDED}.items() if variable.unit != "1"}
+    missing = [name for name in known if name in table and "units" not in table[name].attrs]
+    if missing:
+        raise DatasetError(
+            str(path), [Problem("has no units", field=name, remedy=f"give it in {known[name]!r}") for name in missing]
+        )
     try:
         return make(table)
     except DatasetError as error:
@@ -279,6 +285,13 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
     text = "\n".join([*comments, header, *map(",".join, rows)])
     with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+
+
+def written_by_us(header: Sequence[str], comments: Iterable[str]) -> bool:
+    """True if a file has the header and the comments of `write_csv`, so that it is not preprocessed again."""
+    return {"specimen", "source", "slack_force", "preprocessing"} <= set(comments) and set(header) <= set(
+        CSV_COLUMNS.values()
+    )
 
 
 def quote(text: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,13 +25,17 @@ class RowProblem(Problem):
 
 @dataclass(frozen=True, eq=False)
 class RawColumn:
-    """Raw column: full name (``group/channel``), cells, line numbers, short name and unit given outside the name."""
+    """Raw column: full name (``group/channel``), cells, line numbers, short name and unit given outside the name.
+
+    `notes` are warnings that matter only if the column is read.
+    """
 
     name: str
     cells: Sequence[str] | NDArray[np.float64]
     lines: Sequence[int]
     short: str = ""
     unit: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -72,42 +76,116 @@ def unreadable(path: Path, what: str, error: Exception, remedy: str = "save it a
     return DatasetError(str(path), [Problem(f"cannot be read as {what}: {text.splitlines()[0]}", remedy=remedy)])
 
 
+class NumberText(str):
+    """Text of a cell that is a number in the file: it says nothing about the decimal sign of other cells."""
+
+    __slots__ = ()
+
+
 def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
     """Cells of a column as numbers if all are numeric, else as texts; an empty cell is an empty text."""
-    if all(isinstance(cell, (int, float, np.integer, np.floating)) and not isinstance(cell, bool) for cell in cells):
+    if all(map(_is_number, cells)):
         try:
             return np.array(cells, dtype=np.float64)
         except OverflowError:  # an integer too large for a float
             pass
-    return ["" if cell is None else str(cell) for cell in cells]
+    return ["" if cell is None else NumberText(cell) if _is_number(cell) else str(cell) for cell in cells]
 
 
-_THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*(?:[.,][0-9]*)?")
+def _is_number(cell: object) -> bool:
+    return isinstance(cell, (int, float, np.integer, np.floating)) and not isinstance(cell, bool)
+
+
+def at_type_limit(values: np.ndarray) -> tuple[str, ...]:
+    """Note on integers at the limit of their type, where a converter saturates."""
+    if values.dtype.kind not in "iu" or not values.size:
+        return ()
+    limits = np.iinfo(values.dtype)
+    ends = [limits.max] if values.dtype.kind == "u" else [limits.min, limits.max]
+    count = int(np.isin(values, ends).sum())
+    return (f"{count} of {values.size} values are at the limit of {values.dtype}: saturated?",) if count else ()
+
+
+_THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*(?:([.,])[0-9]*)?")
+_ONE_SIGN = re.compile(r"[+-]?([0-9]*)([.,])([0-9]*)([eE][+-]?[0-9]+)?")
+_UNDECIDED = "?"
 _DIGITS = frozenset("0123456789+-eE \n")
 _NAMES = {".": "point", ",": "comma"}
 
 
 @dataclass(frozen=True)
 class DecimalSign:
-    """Decimal sign of a file, and the line where it was found (None if it follows from the delimiter)."""
+    """Decimal sign of a file, the line that determines it (None if none does), and True if it was given."""
 
     sign: str
     line: int | None = None
+    given: bool = False
+
+
+def evidence(cell: str) -> str:
+    """Decimal sign that a cell determines; "?" for 1.234 and 1,234, empty if it has none."""
+    text = cell.strip()
+    if isinstance(cell, NumberText):
+        return ""
+    if match := _ONE_SIGN.fullmatch(text):
+        whole, sign, rest, exponent = match.groups()
+        grouped = len(rest) == 3 and not exponent and 0 < len(whole) <= 3 and whole[0] != "0"
+        return _UNDECIDED if grouped else sign if whole or rest else ""
+    if (match := _THOUSANDS.fullmatch(text)) and match[1] != match[2]:
+        return {".": ",", ",": "."}.get(match[1], match[2] or "")
+    return ""
 
 
 def decimal_sign(
-    columns: Iterable[Sequence[str] | NDArray[np.float64]], lines: Sequence[int], delimiter: str
-) -> DecimalSign:
-    """Decimal sign of the first number that has one; always a point in a comma-separated file."""
-    columns = [column for column in columns if not isinstance(column, np.ndarray)]
-    if delimiter == "," or not columns:
-        return DecimalSign(".")
-    for line, row in zip(lines, zip(*columns, strict=True), strict=False):
-        for cell in row:
-            last = max(cell.rfind("."), cell.rfind(","))
-            if last >= 0 and cell.count(cell[last]) == 1 and set(cell) <= _DIGITS | {".", ","}:
-                return DecimalSign(cell[last], line)
-    return DecimalSign(".")
+    columns: Sequence[RawColumn], others: Sequence[RawColumn], delimiter: str, given: str
+) -> tuple[DecimalSign, Problem | None]:
+    """Decimal sign of a file from the columns read, else from other numeric columns; and the question if none decides.
+
+    Between commas, 1.234 has a decimal point.
+    """
+    if given:
+        return DecimalSign(given, given=True), None
+    open_question: tuple[RawColumn, int] | None = None
+    found: DecimalSign | None = None
+    for column in columns:
+        if isinstance(column.cells, np.ndarray):
+            continue
+        for line, cell in zip(column.lines, column.cells, strict=True):
+            if found is not None and found.line is not None and line >= found.line:
+                break
+            sign = evidence(cell)
+            if sign == _UNDECIDED and delimiter == "," and "." in cell:
+                sign = "."
+            if sign == _UNDECIDED:
+                open_question = open_question or (column, line)
+            elif sign:
+                found = DecimalSign(sign, line)
+                break
+    if found is None:
+        found = next(filter(None, map(_sign_of_numbers, others)), None)
+    if found is not None or open_question is None:
+        return found or DecimalSign("."), None
+    column, line = open_question
+    text = column.cells[column.lines.index(line)].strip()
+    sign = "," if "," in text else "."
+    other = "." if sign == "," else ","
+    remedy = (
+        f"for {text.replace(sign, '.')} give decimal={sign!r} (command line: --decimal {sign}), "
+        f"for {text.replace(sign, '')} give decimal={other!r} (command line: --decimal {other})"
+    )
+    message = f"{text!r} is {text.replace(sign, '')} or {text.replace(sign, '.')}; no cell of the file decides"
+    return DecimalSign(sign), Problem(message, line=line, field=column.name, remedy=remedy)
+
+
+def _sign_of_numbers(column: RawColumn) -> DecimalSign | None:
+    """Decimal sign of an unread column, if all its cells are numbers."""
+    if isinstance(column.cells, np.ndarray):
+        return None
+    filled = [(line, cell) for line, cell in zip(column.lines, column.cells, strict=True) if cell.strip()]
+    signs = [(line, evidence(cell)) for line, cell in filled]
+    if any(not sign and not NUMBER.fullmatch(cell.strip()) for (_, sign), (_, cell) in zip(signs, filled, strict=True)):
+        return None
+    return next((DecimalSign(sign, line) for line, sign in signs if sign in (".", ",")), None)
 
 
 def read_numbers(
@@ -138,8 +216,12 @@ def read_numbers(
                 return values, []
     values = np.full(len(cells), np.nan)
     problems: list[Problem] = []
+    settled = decimal.given or (decimal.line is not None and not _only_groups(cells))
     for index, (cell, line) in enumerate(zip(cells, lines, strict=True)):
-        text = _without_thousands(cell.strip(), decimal.sign)
+        if isinstance(cell, NumberText) and np.isfinite(float(cell)):
+            values[index] = float(cell)
+            continue
+        text = _without_thousands(cell.strip().replace("\u2212", "-"), decimal.sign, settled=settled)
         if not text and may_be_empty:
             continue
         message, remedy = _wrong(text, decimal, "line" if kind is Problem else "row")
@@ -150,10 +232,18 @@ def read_numbers(
     return values, problems
 
 
-def _without_thousands(text: str, decimal: str) -> str:
+def _only_groups(cells: Sequence[str]) -> bool:
+    """True if all cells have the form 1,234: then nothing but other columns says that these are thousands."""
+    filled = [cell for cell in cells if cell.strip()]
+    return all(evidence(cell) == _UNDECIDED for cell in filled)
+
+
+def _without_thousands(text: str, decimal: str, *, settled: bool) -> str:
     """Return the number without thousands separators, unless one of them could be a decimal sign."""
     match = _THOUSANDS.fullmatch(text)
-    if match is None or match[1] == decimal or (match[1] in ".," and text.count(match[1]) == 1 and decimal not in text):
+    if match is None or match[1] == decimal or match[1] == match[2]:
+        return text
+    if not settled and match[1] in ".," and text.count(match[1]) == 1 and decimal not in text:
         return text
     return text.replace(match[1], "")
 
@@ -170,7 +260,7 @@ def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
         if decimal.line is None:
             return f"{shown} has a decimal {_NAMES[other]}", f"use a decimal {_NAMES[decimal.sign]}"
         has = f"{shown} has a decimal {_NAMES[other]}, but {place} {decimal.line} a decimal {_NAMES[decimal.sign]}"
-        return has, "use one decimal sign in the whole file"
+        return has, "use one decimal sign in the whole file, or give decimal (command line: --decimal)"
     if _THOUSANDS.fullmatch(text):
         return f"{shown} may contain a thousands separator", "write the number without it"
     if text.lower().lstrip("+-") in ("nan", "inf", "infinity"):

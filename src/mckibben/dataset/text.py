@@ -28,7 +28,7 @@ _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]*[\])])?|\S+")
 _Known = Callable[[str, str], bool]
 
 
-def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTable:
+def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: str = "") -> RawTable:
     """Columns of a text: header after comments and preamble, an optional row of units, then rows."""
     stream = io.StringIO(text, newline="")
     comments: dict[str, tuple[int, str]] = {}
@@ -54,10 +54,11 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
     if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
         raise DatasetError(source, [_too_wide(f"{count} columns", number)])
     sheet = RawTable(header_line=number or None, comments=comments, delimiter=delimiter, has_header=not positions)
-    if (numbers := _numbers(lines, stream, number, sheet)) is None:
-        _cells(lines, stream, number, sheet)
+    if (numbers := _numbers(lines, stream, number, sheet, decimal)) is None:
+        _cells(lines, stream, number, sheet, known)
     else:
         sheet.channels = numbers
+    sheet.suspect += _split_numbers(sheet, known)
     _look_at_the_end(text, zeros, sheet)
     if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
         raise DatasetError(source, [Problem("has a header and no rows", line=sheet.header_line)])
@@ -132,7 +133,15 @@ def _parsed(lines: Sequence[str], delimiter: str) -> tuple[list[str], int]:
     return next(reader, []), reader.line_num
 
 
-def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> list[RawColumn] | None:
+_DECISIVE = {  # decimals other than three, or not after one to three digits without a leading zero
+    sign: re.compile(rf"{sign}(?![0-9]{{3}}(?![0-9eE]))|(?<![0-9])(?:0[0-9]*)?{sign}|[0-9]{{4}}{sign}")
+    for sign in (r"\.", ",")
+}
+
+
+def _numbers(
+    lines: list[str], stream: io.StringIO, first: int, sheet: RawTable, decimal: str
+) -> list[RawColumn] | None:
     """Columns of a purely numeric file, read by NumPy; None for any other file."""
     header, under = _split(lines[0], sheet.delimiter), _split("".join(lines[1:2]), sheet.delimiter)
     skipped = 1 + _is_units(under)
@@ -142,6 +151,10 @@ def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable)
     sign = "," if "," in body and sheet.delimiter != "," else "."
     allowed = f"0123456789+-eE\r\n{sign}" + (" \t" if sheet.delimiter == " " else sheet.delimiter)
     if '"' in lines[0] or not body.isascii() or body.encode().translate(None, allowed.encode()):
+        return None
+    if sign in body and sheet.delimiter != "," and not decimal and not _DECISIVE[re.escape(sign)].search(body):
+        return None  # 1.234 may be 1234
+    if decimal not in ("", sign) and sign in body:
         return None
     body = body.replace("\r\n", "\n").replace(",", "." if sign == "," else ",")
     count = body.count("\n") + (not body.endswith("\n"))
@@ -169,24 +182,29 @@ class _Row(NamedTuple):
     line: int
 
 
-def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> None:
+def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable, known: _Known) -> None:
     """Columns of any other file, and its corrupt rows."""
-    rows = list(_rows([*lines, *stream], first, sheet))
+    lines = [*lines, *stream]
+    rows = list(_rows(lines, first, sheet))
     if not rows:
         return
     header = [cell.strip() for cell in rows[0].cells]
     sheet.header_line = rows[0].line
     skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
     units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
-    rows = rows[skipped:]
+    rows = [row for row in rows[skipped:] if [cell.strip() for cell in row.cells] != header]
     if rows and all(len(row.cells) == len(header) + 1 and row.cells[0].strip().isdigit() for row in rows):
         index = [int(row.cells[0]) for row in rows]
-        if np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1:
+        counts = np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1
+        quoted = all(lines[row.line - first].lstrip().startswith('"') for row in rows)
+        if counts and (sheet.delimiter not in ", " or quoted or not _may_be_split(rows, sheet.delimiter)):
             header = ["", *header]  # row numbers, which some programs write without a name
     good: list[_Row] = []
+    filled = sheet.delimiter != "," or known(header[-1], units[-1] if len(units) == len(header) else "")
     for row in rows:
-        while len(row.cells) > len(header) and not row.cells[-1].strip():
-            row.cells.pop()
+        if filled or not _may_be_split([row], ","):
+            while len(row.cells) > len(header) and not row.cells[-1].strip():
+                row.cells.pop()
         found, expected = len(row.cells), len(header)
         if found == expected:
             good.append(row)
@@ -202,6 +220,36 @@ def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -
     sheet.channels = [
         RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
     ]
+
+
+def _may_be_split(rows: Sequence[_Row], delimiter: str) -> bool:
+    """True if two neighbouring cells of some row can be one number, as 1,5 or 1,234 or 1 234.
+
+    For several rows, only their first two cells are compared, and one row in which these are two numbers decides.
+    """
+    rest = re.compile(r"[0-9]{3}(?:[.][0-9]*)?" if delimiter == " " else r"[0-9]+|[0-9]{3}[.][0-9]*")
+    pairs = [
+        pair
+        for row in rows
+        for pair in list(zip(row.cells, row.cells[1:], strict=False))[: 1 if len(rows) > 1 else None]
+    ]
+    found = [bool(re.fullmatch(r"[+-]?[0-9]+", a.strip()) and rest.fullmatch(b.strip())) for a, b in pairs]
+    return all(found) if len(rows) > 1 else any(found)
+
+
+def _split_numbers(sheet: RawTable, known: _Known) -> Iterator[str]:
+    """Warnings of thousands that the delimiter may have split: whole numbers up to 99, then three digits, not read."""
+    if sheet.delimiter not in ", ":
+        return
+    for one, after in zip(sheet.channels, sheet.channels[1:], strict=False):
+        if known(one.name, one.unit) and not known(after.name, after.unit) and len(after.cells):
+            try:
+                pairs = [(float(a), float(b)) for a, b in zip(one.cells, after.cells, strict=True) if str(b).strip()]
+            except ValueError:
+                continue
+            if pairs and all(a % 1 == 0 and 1 <= a <= 99 and b % 1 == 0 and 0 <= b <= 999 for a, b in pairs):
+                a, b = pairs[0]
+                yield f"{one.name!r} and {after.name!r} may be one number, {a:.0f}{b:03.0f}, split by the delimiter"
 
 
 def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
@@ -322,7 +370,7 @@ SIGNATURE = "LabVIEW Measurement"
 _END = "***End_of_Header***"
 
 
-def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros: int = 0) -> RawTable:
+def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: str = "") -> RawTable:
     """Columns of a single-segment file, with units from ``Y_Unit_Label``; ``X_Value`` may be the time [s]."""
     parts = text.split(_END)
     if len(parts) != 3:
@@ -337,7 +385,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
     if names[-1] == "Comment":  # its cells are written only if there is a comment
         rows = "".join(_padded(line, len(names)) for line in rows.splitlines(keepends=True))
     # leading blank lines preserve the line numbers
-    sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros)
+    sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros, decimal=decimal)
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"

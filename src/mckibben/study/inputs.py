@@ -26,6 +26,7 @@ def data_named(
     slack_force: float | None = None,
     force_sign: int = 1,
     skip_corrupt: bool = False,
+    decimal: str = "",
 ) -> IsobaricDataset:
     """A dataset of the catalog, or a file of measurements, to which all options apply."""
     from mckibben.dataset.reading import check_dataset, read_dataset
@@ -55,6 +56,7 @@ def data_named(
         slack_force=slack_force,
         force_sign=force_sign,
         on_corrupt="report" if skip_corrupt else "raise",
+        decimal=decimal,  # type: ignore[arg-type]  # checked by the reader
     )
     kind = found.table.attrs["specimen"]
     return check_dataset(found, name, catalog.specimen(kind)) if kind in catalog.names("specimens") else found
