@@ -320,8 +320,8 @@ class TuningProblem:
         for scenario in self.scenarios:
             good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
             if good.any():
-                table = {name: column[np.argmax(good)][None] for name, column in self._table(rows).items()}
-                batch = run_many(scenario, table, known=self.known, metrics=self.cost.metrics)
+                table = {name: column[np.argmax(good)][None] for name, column in self._table(scenario, rows).items()}
+                batch = run_many(scenario, table, known=self._known(scenario), metrics=self.cost.metrics)
                 used.add(batch.table.attrs["engine"])
         return check_engine("auto", many=True) if not used else "xla" if "xla" in used else "native"
 
