@@ -50,7 +50,8 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
         tables = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
         hidden = {sheet.title for sheet in book.worksheets if sheet.sheet_state != "visible"}
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in book.worksheets}
+            sheets: list[Any] = book.worksheets
+            notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in sheets}
     except DatasetError:
         raise
     except Exception as error:  # openpyxl raises almost any exception on a damaged file
