@@ -12,7 +12,7 @@ from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import DatasetError
 
 SECONDS = 20.0
-COLUMNS = {"pressure": np.arange(6.0) * 1e5, "contraction": np.arange(6) / 50, "force": np.arange(6.0)}
+COLUMNS = {"pressure": np.arange(6.0) * 1e5, "contraction": np.arange(6) / 50, "force": np.arange(6.0) * 40}
 
 
 @pytest.fixture
