@@ -14,8 +14,8 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES
 from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.benchmark import write_table
 from mckibben.study.benchmark.statistics import statistics
+from mckibben.study.benchmark.table import write_table
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial
 from mckibben.units import deg, litre

@@ -107,7 +107,7 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
 def _alone(out: Path, repeat: str) -> str:
     """Return one run of a finished comparison as the text of a scenario."""
     from mckibben.study.benchmark import draw
-    from mckibben.study.benchmark.benchmark import read_runs
+    from mckibben.study.benchmark.table import read_runs
 
     kept = out / "runs.nc"  # verified by its checksum
     if not kept.is_file():
@@ -125,8 +125,8 @@ def _alone(out: Path, repeat: str) -> str:
 def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
     """Write a comparison to its folder, print its tables, and return its statistics."""
     from mckibben import report
-    from mckibben.study.benchmark.benchmark import write_table
     from mckibben.study.benchmark.statistics import statistics
+    from mckibben.study.benchmark.table import write_table
 
     numbers = statistics(result)
     with keeping(out, "make room, and continue with --resume"):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.control import Controller
-from mckibben.errors import FileError, ParameterError, Problem
+from mckibben.errors import ParameterError
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
@@ -39,9 +38,6 @@ from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory, kept_software
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _TUNING = 0.98  # share of a controller's time
 _PENALTY = 10.0  # penalty on the angle error, relative to the excess of air or stiffness error
@@ -453,51 +449,3 @@ def _simulated(
         engine=engine,
         progress=silent,
     )
-
-
-def table_of(result: BenchmarkResult) -> xr.Dataset:
-    """All runs along ``controller`` and ``run``: metrics and outcomes; along ``run`` their conditions."""
-    import xarray as xr
-
-    batches = result.batches
-    names = list(batches)
-    table: dict[str, Any] = {
-        name: (("controller", "run"), np.stack([batches[each].metrics[name] for each in names]))
-        for name in Metrics._fields
-    }
-    codes = np.stack([batches[each].table["outcome"].to_numpy() for each in names])
-    flags = {key: batches[names[0]].table["outcome"].attrs[key] for key in ("flag_values", "flag_meanings")}
-    table["outcome"] = (("controller", "run"), codes, flags)
-    table["joint"] = ("run", np.array(result.runs.joint, dtype=str))
-    table["reference"] = ("run", np.array(result.runs.reference_name, dtype=str))
-    for name, values in result.runs.conditions.items():
-        table[name] = ("run", values)
-    for reference, columns in result.runs.reference_values.items():
-        rows = np.array([each == reference for each in result.runs.reference_name])
-        for name, values in columns.items():
-            column = table.get(name, ("run", np.full(result.runs.count, np.nan)))[1]
-            column[rows] = values
-            table[name] = ("run", column)
-    found = xr.Dataset(table, coords={"controller": names}, attrs={"title": result.suite.name})
-    found.attrs["tuned"] = json.dumps(result.tuned)
-    return found
-
-
-def write_table(result: BenchmarkResult, path: Path) -> None:
-    """Write `table_of` and the suite to a NetCDF file."""
-    from mckibben.dataset.schema import write_netcdf
-
-    write_netcdf(table_of(result).assign_attrs(suite=result.suite.dumps(folder=path.parent)), path)
-
-
-def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
-    """Suite, tuned values and number of runs from a file written by `write_table`."""
-    from mckibben.dataset.schema import load_netcdf
-
-    table = load_netcdf(path)
-    try:
-        suite, tuned, count = table.attrs["suite"], json.loads(table.attrs["tuned"]), table.sizes["run"]
-    except (KeyError, ValueError):
-        remedy = "run the comparison again in another folder"
-        raise FileError(str(path), [Problem("it is not a result of a comparison", remedy=remedy)]) from None
-    return Suite.parse(suite, source=str(path), folder=path.parent), tuned, count
