@@ -175,21 +175,26 @@ def mixed_decimal_signs_of_three_digits(p, rng):
 # Thousands
 
 
+def whole(p, forces):
+    """Points with the forces of others, and whole pressures and contractions."""
+    return replace(forces, pressure=p.pressure.round(), contraction=p.contraction.round())
+
+
 @kind
 def thousands_points_with_semicolons(p, rng):
-    p = replace(p.huge(), pressure=p.pressure.round(), contraction=p.contraction.round())
+    p = whole(p, p.huge())
     return csv(p, text(third(cells(p), [grouped(f, ".", ",") for f in p.force])))
 
 
 @kind
 def thousands_commas_with_tabs(p, rng):
-    p = replace(p.huge(), pressure=p.pressure.round(), contraction=p.contraction.round())
+    p = whole(p, p.huge())
     return csv(p, text(third(cells(p), [grouped(f) for f in p.force]), delimiter="\t"), "rig.txt")
 
 
 @kind
 def some_thousands_points_with_semicolons(p, rng):
-    p = replace(p.large(), pressure=p.pressure.round(), contraction=p.contraction.round())
+    p = whole(p, p.large())
     return csv(p, text(third(cells(p), [grouped(f, ".", ",") for f in p.force])))
 
 
@@ -245,7 +250,7 @@ def thousands_unquoted_before_an_empty_note(p, rng):
 
 @kind
 def thousands_unquoted_in_all_rows_before_a_note(p, rng):
-    p = replace(p.huge(), pressure=p.pressure.round(), contraction=p.contraction.round())
+    p = whole(p, p.huge())
     rows = [[*row, grouped(f), ""] for row, f in zip((r[:2] for r in cells(p)), p.force, strict=True)]
     return csv(p, text(rows, (*HEADER, "note"), ","))
 

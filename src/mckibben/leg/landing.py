@@ -289,13 +289,12 @@ def study_landing(
             progress=report,
         )
 
-    def engine_used() -> str:
-        used = {land(valve, slice(0, 1), "auto", silent).attrs["engine"] for valve in valves.values()}
-        return "xla" if "xla" in used else "native"
+    def engines_used() -> set[str]:
+        return {land(valve, slice(0, 1), "auto", silent).attrs["engine"] for valve in valves.values()}
 
     if journal is not None:
         software_before = read_header(journal, _FORMAT, _VERSION).get("software") if resume else None
-        engine = engine_of_job(engine_used, software_before, engine)
+        engine = engine_of_job(engines_used, software_before, engine)
         engines.add(engine)
     with _Blocks(journal, scenario, engine, resume) as kept:
         for place, (name, valve) in enumerate(valves.items()):

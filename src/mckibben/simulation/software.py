@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import version
 
 import jax
@@ -42,13 +42,16 @@ def _compiler_version(path: str) -> str:
     return next(iter(done.stdout.decode(errors="replace").splitlines()), path)
 
 
-def engine_of_job(trial: Callable[[], str], kept: Mapping[str, str] | None = None, engine: str = "auto") -> str:
+def engine_of_job(
+    trial: Callable[[], Collection[str]], kept: Mapping[str, str] | None = None, engine: str = "auto"
+) -> str:
     """Engine of all results of a job that is stored, "native" or "xla".
 
-    Of a new job, the one that a trial run reports; of a continued one, XLA if its `kept` software names it.
+    Of a new job, XLA if it is among the engines of trial runs; of a continued one, if its `kept` software names it.
     """
     if engine != "auto":
         return check_engine(engine, many=True)
+    chosen = check_engine("auto", many=True)
     if kept is not None:
-        return "xla" if kept.get("engine") == "xla" else check_engine("auto", many=True)
-    return "xla" if check_engine("auto", many=True) == "xla" else trial()
+        return "xla" if kept.get("engine") == "xla" else chosen
+    return "xla" if chosen == "xla" or "xla" in trial() else "native"

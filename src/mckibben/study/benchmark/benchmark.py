@@ -20,7 +20,6 @@ from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
 from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
-from mckibben.simulation.engine import check_engine
 from mckibben.simulation.result import OUTCOMES
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
@@ -253,9 +252,9 @@ class ControllerTuning:
 
         costs = costs_of(batch)
         if margin := self.suite.tuning.delay_margin:
-            late = self.runs.delayed(margin)
-            batch_late = _simulated_all(late, self.controller, table, len(values), self._metrics, engine)
-            costs = np.maximum(costs, costs_of(batch_late))
+            delayed = self.runs.delayed(margin)
+            late = _simulated_all(delayed, self.controller, table, len(values), self._metrics, engine)
+            costs = np.maximum(costs, costs_of(late))
         costs = np.where(good, costs, FAILED_COST)
         started, usable = started.reshape(shape), batch.usable.reshape(shape)
         columns = {name: batch.metrics[name].reshape(shape) for name in TRADED}
@@ -268,17 +267,17 @@ class ControllerTuning:
 
         return Evaluated(costs, metrics=[medians(row) for row in range(len(values))])
 
-    def _engine_used(self) -> str:
-        """Engine of the runs with the nominal values: "native" if it computes all groups, else "xla"."""
+    def _engines_used(self) -> set[str]:
+        """Engines of the runs with the nominal values."""
         table = dict(zip(self.space.names, self.space.nominal[:, None], strict=True))
         if not valid_rows(self._scenario, table).all():
-            return check_engine("auto", many=True)
+            return set()
         used = set()
         for group in self.runs.groups:
             control = _controller(self.runs, group, self.controller, table, 1)
             batch = _simulated(self.suite, group, control, 1, self._metrics, "auto")
             used.add(batch.table.attrs["engine"])
-        return "xla" if "xla" in used else "native"
+        return used
 
     @property
     def _metrics(self) -> tuple[str, ...]:
@@ -315,7 +314,7 @@ class ControllerTuning:
         resume = resume and path is not None and path.exists()
         engine = "auto"
         if path is not None:
-            engine = engine_of_job(self._engine_used, kept_software(path) if resume else None)
+            engine = engine_of_job(self._engines_used, kept_software(path) if resume else None)
         evaluate = partial(self.evaluate, engine=engine)
         with TuningHistory.open(path, self.about(engine), resume=resume) as past:
             costs = Evaluator(space, past, tuning.population, evaluate).costs

@@ -134,13 +134,13 @@ class BatchTask:
         results |= feasibility(self.scenario, full, self.batch_size)
         return {name: column[:rows] for name, column in results.items()}
 
-    def engine_used(self, table: Table) -> str:
+    def engines_used(self, table: Table) -> set[str]:
         """Engine of the first run of a table where it is chosen automatically."""
         first = {name: column[:1] for name, column in table.items()}
         batch = run_many(
             self.scenario, first, known=self.known, metrics=self.metrics, precision=self.precision, workers=1
         )
-        return batch.table.attrs["engine"]
+        return {batch.table.attrs["engine"]}
 
 
 def _listed(software: dict[str, str]) -> str:

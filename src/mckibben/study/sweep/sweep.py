@@ -259,7 +259,7 @@ def sweep(
 def _planned(scenario: Scenario, options: SweepOptions, *, engine: str, **about: Any) -> SweepPlan:
     """Plan of a new sweep, whose engine is known to compute its runs."""
     plan = SweepPlan.of(scenario, options, engine=engine, **about)
-    return plan.with_engine(engine_of_job(lambda: plan.task.engine_used(plan.table), engine=engine))
+    return plan.with_engine(engine_of_job(lambda: plan.task.engines_used(plan.table), engine=engine))
 
 
 def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:

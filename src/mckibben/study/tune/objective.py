@@ -26,7 +26,6 @@ from mckibben.scenario import (
     valid_rows,
 )
 from mckibben.simulation import Metrics, differentiate
-from mckibben.simulation.engine import check_engine
 from mckibben.simulation.problem import SimulationProblem, check_frequencies, split_problem
 from mckibben.simulation.result import attributes
 from mckibben.study.parameters import SweptParameter, Table
@@ -314,8 +313,8 @@ class TuningProblem:
         gradient = slopes[0] + (slopes[1] * self._gain_factors() if len(slopes) > 1 else 0.0)
         return total, np.where(total[:, None] < FAILED_COST, gradient, 0.0)
 
-    def engine_used(self) -> str:
-        """Engine of the runs at the nominal values: "native" if it computes all scenarios, else "xla"."""
+    def engines_used(self) -> set[str]:
+        """Engines of the runs at the nominal values."""
         used = set()
         for scenario in self.scenarios:
             good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
@@ -323,7 +322,7 @@ class TuningProblem:
                 table = {name: column[np.argmax(good)][None] for name, column in self._table(scenario, rows).items()}
                 batch = run_many(scenario, table, known=self._known(scenario), metrics=self.cost.metrics)
                 used.add(batch.table.attrs["engine"])
-        return check_engine("auto", many=True) if not used else "xla" if "xla" in used else "native"
+        return used
 
     def check_smooth(self) -> None:
         """Raise an error if the cost is not differentiable with respect to the parameters."""

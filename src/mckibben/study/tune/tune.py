@@ -262,7 +262,7 @@ def tune(
     elif history is None:
         engine = "auto"
     else:
-        engine = engine_of_job(problem.engine_used, kept_software(history) if resume else None)
+        engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None)
     problem = replace(problem, engine=engine)
     about = {
         "software": software(engine),
