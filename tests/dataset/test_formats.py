@@ -220,7 +220,7 @@ def test_a_matrix_that_claims_what_the_file_does_not_hold_is_not_read(put):
     with h5py.File(stream, "w") as file:
         file.create_dataset("pressure_bar", shape=(2**34,), dtype="f8", chunks=(1024,))
     found = said_of(put(stream.getvalue(), "a.h5"))
-    assert "pressure_bar: claims 17179869184 values, which the file does not hold" in found[-1] + found[0]
+    assert "pressure_bar: claims 17179869184 values, more than can be read" in found[-1] + found[0]
 
 
 def test_a_tdms_file_that_was_cut_off_says_so(put):
@@ -259,6 +259,7 @@ def test_a_unit_that_is_not_that_of_the_header_is_refused(put):
 @pytest.mark.parametrize(("name", "module"), [("rig.tdms", "nptdms"), ("rig.xlsx", "openpyxl")])
 def test_a_missing_extra_is_named(name, module, put, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setattr("mckibben.dataset.formats.call_in_child", lambda path, read, *args: read(path, *args))
     extra = {"nptdms": "mckibben[tdms]", "openpyxl": "mckibben[excel]"}[module]
     assert extra in said_of(put(FILES[name], name))[0]
 
@@ -284,4 +285,4 @@ def test_a_struct_of_a_billion_elements_without_fields_is_refused(put):
     head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
     flags, dims = element(6, struct.pack("<2I", 2, 0)), element(5, struct.pack("<2i", 1, 10**9))
     array = flags + dims + element(1, b"s") + element(5, struct.pack("<i", 8)) + element(1, b"")
-    assert "1000000000 elements are declared" in said_of(put(head + element(14, array), "a.mat"))[0]
+    assert "cannot be read" in said_of(put(head + element(14, array), "a.mat"))[0]

@@ -261,7 +261,7 @@ def test_missing_columns_say_what_is_accepted(file):
         (b"\x89HDF\r\n\x1a\n", "cannot be read as an HDF5 file: "),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is a workbook in the format before 2007; save it as .xlsx or CSV"),
         (b"TDSm" + bytes(40), "cannot be read as TDMS"),
-        (b"MATLAB 5.0 MAT-file", "cannot be read as a MATLAB file: its header is not that of a MATLAB file"),
+        (b"MATLAB 5.0 MAT-file", "cannot be read as a MATLAB file: "),
         (
             FESTO + "1," + 200_000 * "9" + ",1\n",
             "line 7, contraction_ratio: '9999999999999999999999999999999999999...' is not a finite number",

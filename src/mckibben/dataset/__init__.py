@@ -1,8 +1,5 @@
 """Measurements: isobaric datasets, raw recordings, and readers of laboratory files."""
 
-from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import ExtractedPoints
-from mckibben.dataset.reading import read_dataset, read_recording
-from mckibben.dataset.recording import Recording
+import lazy_loader
 
-__all__ = ["ExtractedPoints", "IsobaricDataset", "Recording", "read_dataset", "read_recording"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the readers' process needs little

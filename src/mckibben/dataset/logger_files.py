@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,8 @@ from mckibben.dataset.columns import is_unit
 from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, unreadable
 from mckibben.errors import DatasetError, Problem
 
-_ROWS = 1_048_576  # of a sheet of Excel
 _HEADER = 60  # rows searched for a header
-_SQUEEZED = 300  # largest compression ratio of a workbook; sheets of numbers reach 3 to 20
-_LARGEST = 2**28  # bytes of a workbook's content
-_BESIDES = 2**25  # bytes of texts, styles and names in it
 _MOST_COLUMNS = 4096
-_MOST_CELLS = 10_000_000
 _LISTED = 10  # hidden rows in a warning
 _HIDDEN = re.compile(rb'<(?:[a-z]+:)?(?:row|col)\b[^<>]*\bhidden="(?:1|true)"[^<>]*>')
 
@@ -40,19 +34,13 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
             str(path), [Problem("is a workbook, and openpyxl is not installed", remedy=remedy)]
         ) from None
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-            parts = (info for info in archive.infolist() if info.filename.endswith((".xml", ".rels")))
-            besides = sum(info.file_size for info in parts if not info.filename.startswith("xl/worksheets/"))
-        if besides > _BESIDES or size > max(_SQUEEZED * len(data), 2**22) or size > _LARGEST:
-            raise DatasetError(str(path), [Problem(f"is a workbook that would unpack to {size} bytes")])
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
         tables = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
         hidden = {sheet.title for sheet in book.worksheets if sheet.sheet_state != "visible"}
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             sheets: list[Any] = book.worksheets
             notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in sheets}
-    except DatasetError:
+    except (DatasetError, MemoryError):
         raise
     except Exception as error:  # openpyxl raises almost any exception on a damaged file
         raise unreadable(path, "a workbook", error, "save it again, or as CSV") from error
@@ -104,18 +92,13 @@ def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
     """Non-empty rows of a sheet, with their numbers."""
     sheet.reset_dimensions()  # the size stated in the file is not always true
     rows: list[tuple[int, tuple[Any, ...]]] = []
-    cells = 0
-    for number, row in enumerate(islice(sheet.iter_rows(values_only=True), _ROWS + 1), 1):
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         width = max((i for i, cell in enumerate(row, 1) if cell is not None and cell != ""), default=0)
-        cells += width
-        if not width:
-            continue
-        limits = ((number, _ROWS, "rows"), (width, _MOST_COLUMNS, "columns"), (cells, _MOST_CELLS, "cells"))
-        for count, most, what in limits:
-            if count > most:
-                problem = RowProblem(f"sheet {sheet.title!r} has more than {most} {what}", number)
-                raise DatasetError(str(path), [problem])
-        rows.append((number, row[:width]))
+        if width > _MOST_COLUMNS:
+            problem = RowProblem(f"sheet {sheet.title!r} has more than {_MOST_COLUMNS} columns", number)
+            raise DatasetError(str(path), [problem])
+        if width:
+            rows.append((number, row[:width]))
     return rows
 
 
@@ -179,7 +162,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
                 for channel in group.channels():
                     _add(sheet, f"{group.name}/{channel.name}", channel, intervals)
             status = file.file_status
-    except DatasetError:
+    except (DatasetError, MemoryError):
         raise
     except Exception as error:  # npTDMS raises almost any exception on a damaged file
         raise unreadable(path, "TDMS", error, "copy it again from its original") from error

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import io
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.hdf5_check import check_hdf5
-from mckibben.dataset.mat5 import CorruptFileError, MatlabObject, Value, variables
+from mckibben.dataset.child import MEMORY, limit_factor
 from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, unreadable
 from mckibben.errors import DatasetError, Problem
 
@@ -23,12 +24,24 @@ _TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('
 
 def read_matlab(path: Path, data: bytes) -> RawTable:
     """Columns of a file of versions 4 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
+    from scipy.io import loadmat
+
     sheet = RawTable(kind=RowProblem)
+    load = functools.partial(loadmat, squeeze_me=True, struct_as_record=False)
     try:
-        for name, value in variables(data):
-            _add(sheet, name, value, 0)
-    except CorruptFileError as error:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", np.exceptions.ComplexWarning)
+                found = load(io.BytesIO(data), mat_dtype=True)
+        except np.exceptions.ComplexWarning:  # as saved: the types of MATLAB would lose the imaginary parts
+            found = load(io.BytesIO(data), mat_dtype=False)
+    except MemoryError:
+        raise
+    except Exception as error:  # SciPy raises almost any exception on a damaged file
         raise unreadable(path, "a MATLAB file", error) from error
+    for name, value in found.items():
+        if not name.startswith("__"):
+            _add(sheet, name, value, 0)
     return _checked(path, sheet)
 
 
@@ -36,14 +49,13 @@ def read_hdf5(path: Path, data: bytes) -> RawTable:
     """Columns of an HDF5 file: MATLAB 7.3, named as above, or another, named ``group/name``."""
     import h5py
 
-    check_hdf5(path, "an HDF5 file")
     sheet = RawTable(kind=RowProblem)
     matlab = data.startswith(b"MATLAB 7.3")
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             for name, node in _nodes(file, "." if matlab else "/"):
                 _add_node(sheet, name, node, matlab)
-    except DatasetError:
+    except (DatasetError, MemoryError):
         raise
     except Exception as error:  # h5py raises almost any exception on a damaged file
         raise unreadable(path, "an HDF5 file", error) from error
@@ -57,30 +69,33 @@ def _checked(path: Path, sheet: RawTable) -> RawTable:
     return sheet
 
 
-def _add(sheet: RawTable, name: str, value: Value, depth: int) -> None:
+def _add(sheet: RawTable, name: str, value: Any, depth: int) -> None:
     """Add the columns of a variable."""
-    if isinstance(value, dict):
+    from scipy.io.matlab import MatlabOpaque, mat_struct
+
+    if isinstance(value, MatlabOpaque):
+        text = np.ravel(value)[0]["s0"]
+        sheet.problems.append(Problem(_TABLE, field=getattr(text, "decode", text.__str__)(), remedy=_TABLE_REMEDY))
+    elif isinstance(value, mat_struct):
         if depth >= _DEEPEST:
             sheet.ignored.append(name)
             return
-        for field, each in value.items():
-            _add(sheet, f"{name}.{field}", each, depth + 1)
-    elif isinstance(value, MatlabObject):
-        sheet.problems.append(Problem(_TABLE, field=name, remedy=_TABLE_REMEDY))
-    elif isinstance(value, np.ndarray):
+        for field in value._fieldnames:  # pyright: ignore[reportAttributeAccessIssue]
+            _add(sheet, f"{name}.{field}", getattr(value, field), depth + 1)
+    elif type(value) is np.ndarray and value.dtype.kind in "biuf":
         _columns(sheet, name, value)
-    elif isinstance(value, list) and len(value) > 1:
+    elif type(value) is np.ndarray and value.dtype.kind == "O" and not any(isinstance(c, mat_struct) for c in value):
         cells = as_column([_one(cell) for cell in value])
         sheet.channels.append(RawColumn(name, cells, range(1, len(cells) + 1), short=name.rpartition(".")[2]))
     else:
         sheet.ignored.append(name)
 
 
-def _one(cell: Value) -> object:
+def _one(cell: Any) -> object:
     """Number or text of a cell of a cell array."""
     if isinstance(cell, np.ndarray):
         return cell.item() if cell.size == 1 else None
-    return cell if isinstance(cell, str) else None
+    return cell
 
 
 def _columns(
@@ -114,6 +129,9 @@ def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iter
 
 
 def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
+    if node.shape is not None and node.nbytes > MEMORY * limit_factor():
+        sheet.problems.append(Problem(f"claims {node.size} values, more than can be read", field=name))
+        return
     kind = _text(node.attrs, "MATLAB_class") if matlab else ""
     if node.is_virtual or node.external or node.ndim > 2 or node.shape is None:
         sheet.ignored.append(name)

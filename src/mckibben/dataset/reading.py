@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import warnings
 from collections.abc import Mapping
@@ -12,55 +11,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mckibben.component.checks import check_number
-from mckibben.dataset.columns import parse_header
+from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import preprocess
 from mckibben.dataset.quantities import ColumnConverter, Decimal, OnCorrupt
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import written_by_us
-from mckibben.dataset.sheet import RawTable
-from mckibben.dataset.text import SIGNATURE, decode, read_bytes, read_lvm, read_text
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
 from mckibben.muscle import Specimen
-
-_OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-
-
-def read_sheet(path: Path, mapping: Mapping[str, str], decimal: str = "") -> RawTable:
-    """Columns of a text, .xlsx, .mat, .tdms, .lvm or HDF5 file; `mapping` assigns quantities to its headers."""
-    data = read_bytes(path)
-
-    @functools.cache
-    def known(header: str, unit: str) -> bool:
-        return header in mapping or parse_header(header, unit) is not None
-
-    if data.startswith(b"TDSm"):
-        from mckibben.dataset.logger_files import read_tdms
-
-        return read_tdms(path, data)
-    if data.startswith(b"PK\x03\x04"):
-        from mckibben.dataset.logger_files import read_excel
-
-        return read_excel(path, data, known)
-    if data.startswith(_HDF5) or data[512:520] == _HDF5:
-        from mckibben.dataset.matlab import read_hdf5
-
-        return read_hdf5(path, data)
-    if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
-        from mckibben.dataset.matlab import read_matlab
-
-        return read_matlab(path, data)
-    if data.startswith(_OLD_WORKBOOK):
-        raise DatasetError(
-            str(path), [Problem("is a workbook in the format before 2007", remedy="save it as .xlsx or CSV")]
-        )
-    text, zeros = decode(data, str(path))
-    if text.startswith(SIGNATURE):
-        return read_lvm(text, str(path), known, zeros=zeros, decimal=decimal)
-    return read_text(text, str(path), known, zeros=zeros, decimal=decimal)
-
 
 _NEEDED = ("pressure", "contraction", "force")
 
@@ -134,7 +93,7 @@ def read_dataset(
         found = _from_netcdf(IsobaricDataset, path, columns, force_sign, given)
         return check_dataset(found, str(path), only_warn=True)
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    file = ColumnConverter(read_sheet(path, mapping, decimal), mapping, initial_length, _NEEDED, decimal)
+    file = ColumnConverter(read_table(path, mapping, decimal), mapping, initial_length, _NEEDED, decimal)
     attrs = file.attributes(path, specimen, slack_force)
     slack_known = slack_force is not None or "slack_force" in file.sheet.comments
     data, found = file.settle(path, file.columns(force_sign), on_corrupt)
@@ -254,7 +213,7 @@ def read_recording(
             raise DatasetError(str(path), [Problem(_OWN_CONTRACTION, remedy="leave contraction out")])
         return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    sheet = read_sheet(path, mapping, decimal)
+    sheet = read_table(path, mapping, decimal)
     file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"), decimal)
     attrs = file.attributes(path, specimen, slack_force)
     data = {name: values for name, values in file.columns(force_sign).items() if name in _KEPT}

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from mckibben.dataset.hdf5_check import check_hdf5
+from mckibben.dataset.netcdf_check import check_netcdf
 from mckibben.dataset.sheet import unreadable
 from mckibben.errors import DatasetError, FileError, Problem
 from mckibben.storage.files import atomic_write, check_seal, sealed
@@ -227,7 +227,7 @@ def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
     """Read a NetCDF file, or open it (`lazy`); raises a `DatasetError` if it is missing or damaged."""
     try:
         check_seal(path)
-        check_hdf5(path, "NetCDF", netcdf=True)
+        check_netcdf(path)
         if lazy:
             return xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False)
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()

@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ _MOST_COLUMNS = 4096
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
 _JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
+_LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
 _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]*[\])])?|\S+")
 
 _Known = Callable[[str, str], bool]
@@ -30,7 +30,7 @@ _Known = Callable[[str, str], bool]
 
 def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: str = "") -> RawTable:
     """Columns of a text: header after comments and preamble, an optional row of units, then rows."""
-    stream = io.StringIO(text, newline="")
+    stream = _Lines(text)
     comments: dict[str, tuple[int, str]] = {}
     number = 0
     for line in stream:
@@ -65,6 +65,23 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     return sheet
 
 
+class _Lines:
+    """Iterator of the lines of a text with their ends; `at` is the position of the next one."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.at = 0
+
+    def __iter__(self) -> Iterator[str]:
+        return self
+
+    def __next__(self) -> str:
+        if (match := _LINE.match(self.text, self.at)) is None:
+            raise StopIteration
+        self.at = match.end()
+        return match[0]
+
+
 def _positions(line: str) -> str:
     """Column positions, from 1, as the header for a line of numbers; else empty."""
     for delimiter in (";", "\t", ",", " "):
@@ -79,7 +96,7 @@ def _too_wide(size: str, line: int) -> Problem:
     return Problem(f"the header has {size}", line=line, remedy=remedy)
 
 
-def _header(line: str, stream: io.StringIO, number: int, known: _Known) -> tuple[list[str], int]:
+def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list[str], int]:
     """Lines read from the stream, from the header on, and the line number of the header."""
     if _score(line, _delimiter(line, known), known)[0]:
         return [line], number
@@ -139,15 +156,11 @@ _DECISIVE = {  # decimals other than three, or not after one to three digits wit
 }
 
 
-def _numbers(
-    lines: list[str], stream: io.StringIO, first: int, sheet: RawTable, decimal: str
-) -> list[RawColumn] | None:
+def _numbers(lines: list[str], stream: _Lines, first: int, sheet: RawTable, decimal: str) -> list[RawColumn] | None:
     """Columns of a purely numeric file, read by NumPy; None for any other file."""
     header, under = _split(lines[0], sheet.delimiter), _split("".join(lines[1:2]), sheet.delimiter)
     skipped = 1 + _is_units(under)
-    at = stream.tell()
-    body = "".join(lines[skipped:]) + stream.read()
-    stream.seek(at)
+    body = "".join(lines[skipped:]) + stream.text[stream.at :]
     sign = "," if "," in body and sheet.delimiter != "," else "."
     allowed = f"0123456789+-eE\r\n{sign}" + (" \t" if sheet.delimiter == " " else sheet.delimiter)
     if '"' in lines[0] or not body.isascii() or body.encode().translate(None, allowed.encode()):
@@ -162,7 +175,7 @@ def _numbers(
         return None
     delimiter = None if sheet.delimiter == " " else sheet.delimiter
     try:
-        numbers = np.loadtxt(io.StringIO(body), delimiter=delimiter, ndmin=2)
+        numbers = np.loadtxt(io.TextIOWrapper(io.BytesIO(body.encode())), delimiter=delimiter, ndmin=2)
     except ValueError:  # an empty cell, or rows of unequal length: parsed one by one
         return None
     if numbers.shape != (count, len(header)) or not np.isfinite(numbers).all():
@@ -182,9 +195,9 @@ class _Row(NamedTuple):
     line: int
 
 
-def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable, known: _Known) -> None:
+def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> None:
     """Columns of any other file, and its corrupt rows."""
-    lines = [*lines, *stream]
+    lines += _LINE.findall(stream.text, stream.at)
     rows = list(_rows(lines, first, sheet))
     if not rows:
         return
@@ -319,18 +332,6 @@ _MARKS = (
 )
 _BINARY = 0.01  # share of zero bytes above which a file is not text
 _PROBED = 4096  # bytes
-
-
-def read_bytes(path: Path) -> bytes:
-    """Read a file; raises a `DatasetError` if it cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise DatasetError(str(path), [Problem("there is no such file")]) from None
-    except IsADirectoryError:
-        raise DatasetError(str(path), [Problem("is a directory", remedy="name a file in it")]) from None
-    except (OSError, ValueError) as error:
-        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
 
 
 def decode(data: bytes, source: str) -> tuple[str, int]:

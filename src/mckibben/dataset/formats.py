@@ -1,0 +1,91 @@
+"""Raw tables of files of any format."""
+
+from __future__ import annotations
+
+import functools
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+
+from mckibben.dataset.child import call_in_child, limit_factor
+from mckibben.dataset.columns import parse_header
+from mckibben.dataset.sheet import RawTable
+from mckibben.dataset.text import SIGNATURE, decode, read_lvm, read_text
+from mckibben.errors import DatasetError, Problem
+
+_SMALL = 2**20  # bytes: smaller texts are read in this process
+_LARGEST = 2**28  # bytes of a file
+_OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "") -> RawTable:
+    """Columns of a text, .xlsx, .mat, .tdms, .lvm or HDF5 file; `mapping` assigns quantities to its headers.
+
+    Binary files and large texts are read in the child process.
+    """
+    size, start = _probe(path)
+    if size > (most := _LARGEST * limit_factor()):
+        remedy = "give fewer rows or columns, or, if you trust the file, set MCKIBBEN_READ_LIMITS=4"
+        raise DatasetError(str(path), [Problem(f"has {size / 1e6:.0f} MB, more than {most / 1e6:.0f}", remedy=remedy)])
+    if _is_binary(path, start) or size > _SMALL:
+        return call_in_child(path, _read, dict(mapping), decimal)
+    return _read(path, mapping, decimal)
+
+
+def _probe(path: Path) -> tuple[int, bytes]:
+    """Size and first bytes of a file; raises a `DatasetError` unless it is a regular file that can be read."""
+    try:
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            with path.open("rb") as file:
+                return found.st_size, file.read(520)
+    except FileNotFoundError:
+        raise DatasetError(str(path), [Problem("there is no such file")]) from None
+    except (OSError, ValueError) as error:
+        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
+    if stat.S_ISDIR(found.st_mode):
+        raise DatasetError(str(path), [Problem("is a directory", remedy="name a file in it")])
+    raise DatasetError(str(path), [Problem("is a pipe or a device", remedy="save its content in a file")])
+
+
+def _is_binary(path: Path, start: bytes) -> bool:
+    binary = (b"TDSm", b"PK\x03\x04", _HDF5, b"MATLAB 5.0", b"MATLAB 7.3")
+    return start.startswith(binary) or start[512:] == _HDF5 or path.suffix.lower() == ".mat"
+
+
+def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
+    """Columns of a file, read in this process."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
+
+    @functools.cache
+    def known(header: str, unit: str) -> bool:
+        return header in mapping or parse_header(header, unit) is not None
+
+    if data.startswith(b"TDSm"):
+        from mckibben.dataset.logger_files import read_tdms
+
+        return read_tdms(path, data)
+    if data.startswith(b"PK\x03\x04"):
+        from mckibben.dataset.logger_files import read_excel
+
+        return read_excel(path, data, known)
+    if data.startswith(_HDF5) or data[512:520] == _HDF5:
+        from mckibben.dataset.matlab import read_hdf5
+
+        return read_hdf5(path, data)
+    if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
+        from mckibben.dataset.matlab import read_matlab
+
+        return read_matlab(path, data)
+    if data.startswith(_OLD_WORKBOOK):
+        raise DatasetError(
+            str(path), [Problem("is a workbook in the format before 2007", remedy="save it as .xlsx or CSV")]
+        )
+    text, zeros = decode(data, str(path))
+    del data  # a large text is in memory once
+    read = read_lvm if text.startswith(SIGNATURE) else read_text
+    return read(text, str(path), known, zeros=zeros, decimal=decimal)
