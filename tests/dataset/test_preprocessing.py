@@ -68,6 +68,7 @@ def test_a_file_that_was_preprocessed_is_read_back_as_it_is(written, tmp_path):
     data = read(written(*measured(repeats=2)[:3]))
     assert data.repeats.tolist() == [0, 1]
     data.to_csv(tmp_path / "kept.csv")
+    del data.table.attrs["columns_read"]  # of the first file
     assert read_dataset(tmp_path / "kept.csv").table.identical(data.table)
 
 
@@ -188,7 +189,10 @@ def test_what_no_muscle_does_is_an_error_of_its_column(written, change, field, o
 def test_the_sign_of_a_load_cell_is_turned(written, tmp_path):
     pressure, contraction, force, _ = measured()
     turned = read(written(pressure, contraction, -force), force_sign=-1)
-    assert turned.table.identical(read(written(pressure, contraction, force)).table)
+    assert "sign reversed" in turned.table.attrs.pop("columns_read")
+    other = read(written(pressure, contraction, force)).table
+    del other.attrs["columns_read"]
+    assert turned.table.identical(other)
     path = tmp_path / "points.nc"
     turned.to_netcdf(path)
     with pytest.warns(McKibbenWarning, match="force_sign=-1"):

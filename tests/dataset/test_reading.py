@@ -1,3 +1,4 @@
+import re
 import time
 import warnings
 from pathlib import Path
@@ -54,12 +55,34 @@ def test_a_measured_map_with_lengths_and_contractions(file):
     assert data.contraction.tolist() == [0, 0.064, 0, 0.064, 0.124, 0.124]
     assert data.force.tolist() == [0, 0, 283.8333, 101.5, 46.1667, 158.6667]
     assert data.slack.tolist() == [True, True, False, False, False, False]
+    read = data.table.attrs.pop("columns_read").splitlines()
+    assert [line.split()[:4] for line in read[1:5]] == [
+        ["pressure_Pa", "pressure", "Pa", "header"],
+        ["length_m", "length", "m", "header"],
+        ["contraction_ratio", "contraction", "ratio", "header"],
+        ["force_N", "force", "N", "header"],
+    ]
+    assert read[5].startswith("6 rows")
     assert data.table.attrs == {
         "specimen": "DMSP-10-250",
         "source": "rig.csv",
         "slack_force": 0.0,
         "initial_length": 0.25,
     }
+
+
+def test_the_table_of_columns_read_states_units_their_origin_ranges_and_signs(file):
+    text = "Druck;Muscle length;Force [kN];note\nbar;mm;;\n1,0;200;-0,1;a\n2,5;190;-0,15;b\n2,5;180;-0,05;c\n"
+    data = read_dataset(file(text), columns={"Druck": "pressure_bar"}, initial_length=0.2, force_sign=-1)
+    read = [re.split(r" {2,}", line) for line in data.table.attrs["columns_read"].splitlines()]
+    assert read[1:4] == [
+        ["Druck", "pressure", "bar", "columns", "1..2.5"],
+        ["Muscle length", "length", "mm", "file", "180..200", "initial length 200 mm"],
+        ["Force [kN]", "force", "kN", "header", "0.05..0.15", "sign reversed"],
+    ]
+    diameter = 1e3 * np.sqrt(4 * 150 / (np.pi * 8.2 * 2.5e5))  # 150 N at 2.5 bar
+    assert f"{diameter:.2g} mm" in read[4][0]
+    assert "Muscle length" in data._repr_html_()
 
 
 def test_the_makers_chart(file):

@@ -52,7 +52,9 @@ def dataset(name: str) -> IsobaricDataset:
     length = entry.get("initial_length")
     with resources.as_file(FOLDER / "tables" / entry["table"]) as path:
         read = read_dataset(path, initial_length=quantity(length, "m") if length else None, specimen=entry["specimen"])
-    return IsobaricDataset(read.table.assign_attrs(source=source))
+    table = read.table.assign_attrs(source=source)
+    del table.attrs["columns_read"]
+    return IsobaricDataset(table)
 
 
 @functools.cache

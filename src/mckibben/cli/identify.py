@@ -27,7 +27,7 @@ from mckibben.cli.options import (
     parse_quantity,
     progress,
     read_data,
-    report_ignored_columns,
+    report_reading,
     results_folder,
     table,
 )
@@ -132,7 +132,7 @@ def points(
 
 
 def _show_points(read: Recording, found: ExtractedPoints, path: Path, json: bool) -> None:
-    report_ignored_columns(read.table.attrs)
+    report_reading(read.table.attrs)
     rows = _rows(found)
     if json:
         numbers = {

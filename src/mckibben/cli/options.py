@@ -60,7 +60,7 @@ def read_data(
     skip_corrupt: bool = False,
     decimal: str = "",
 ) -> IsobaricDataset:
-    """Read a data file or a dataset from the catalog; report ignored columns and preprocessing on standard error."""
+    """Read a data file or a dataset from the catalog; report reading and preprocessing on standard error."""
     from mckibben.study.inputs import data_named
 
     found = data_named(
@@ -72,16 +72,17 @@ def read_data(
         skip_corrupt=skip_corrupt,
         decimal=decimal,
     )
-    report_ignored_columns(found.table.attrs)
+    report_reading(found.table.attrs)
     for note in found.table.attrs.get("preprocessing", "").splitlines():
         echo(f"found in the data: {note}", err=True)
     return found
 
 
-def report_ignored_columns(attributes: Mapping[str, Any]) -> None:
-    """Report unread columns of a file on standard error."""
-    ignored = attributes.get("ignored_columns")
-    if ignored:
+def report_reading(attributes: Mapping[str, Any]) -> None:
+    """Report what the columns of a file were read as, and unread ones, on standard error."""
+    if read := attributes.get("columns_read"):
+        echo(read, err=True)
+    if ignored := attributes.get("ignored_columns"):
         echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
 
 

@@ -96,7 +96,8 @@ class IsobaricDataset:
         ("filling" or "venting" at a fixed length, else empty), ``repeat``, ``time`` [s], ``set_pressure`` [Pa, NaN
         where unknown] and ``force_spread`` [N]. Along ``point`` and ``sample`` the raw ``force_samples`` [N] and
         ``pressure_samples`` [Pa], where kept. Attributes: ``specimen``, ``source``, ``slack_force`` [N] and, where
-        known, ``initial_length`` [m]; ``repairs`` and ``ignored_columns`` of the source file, if any.
+        known, ``initial_length`` [m]; ``columns_read`` (a table of what each column of the source
+        file was read as), ``ignored_columns`` and ``repairs``, if any.
 
     Examples
     --------
@@ -259,7 +260,8 @@ class IsobaricDataset:
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>{self.table._repr_html_()}"
+        read = self.table.attrs.get("columns_read", "")
+        return f"<p>{escape(repr(self))}</p>{f'<pre>{escape(read)}</pre>' if read else ''}{self.table._repr_html_()}"
 
     def select(self, mask: ArrayLike) -> Self:
         """Points where `mask` (booleans, one per point) is true, in their order."""

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.schema import OF_FILE
 from mckibben.units import show
 
 _LEAST = 10  # samples in a row
@@ -104,7 +105,7 @@ def extracted_points(
 ) -> ExtractedPoints:
     """Points of a recording's table; `columns` are the dataset columns and ``force_spread``."""
     spread = ("point", columns.pop("force_spread"))
-    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
+    attrs = {name: value for name, value in table.attrs.items() if name not in OF_FILE}
     dataset = IsobaricDataset.of(**columns, **attrs)  # type: ignore[arg-type]
     dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
     return ExtractedPoints(dataset, samples, account.counts(rest), tuple(account.notes))

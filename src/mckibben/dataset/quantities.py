@@ -10,12 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.columns import find_columns
-from mckibben.dataset.plausibility import missing_marks
-from mckibben.dataset.schema import VACUUM, WORDS, unquote, written_by_us
+from mckibben.dataset.columns import find_columns, parse_header
+from mckibben.dataset.plausibility import implied_diameter, missing_marks
+from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
-from mckibben.units import factor, quantity
+from mckibben.units import factor, mm, quantity
 
 OnCorrupt = Literal["raise", "report"]
 """Treatment of corrupt rows: raise an error, or leave them out and report each."""
@@ -57,7 +57,9 @@ class ColumnConverter:
         decimal: str = "",
     ) -> None:
         self.sheet = sheet
+        self.mapping = mapping
         self.initial_length = initial_length
+        self.force_sign = 1
         layout = find_columns(sheet, mapping, needed)
         self.places = layout.places
         self.ignored = layout.ignored
@@ -96,8 +98,10 @@ class ColumnConverter:
     def columns(self, force_sign: int) -> dict[str, np.ndarray]:
         """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
+        self.lengths = data.get("length")
         if "force" in data:
             data["force"] *= force_sign
+            self.force_sign = force_sign
         if (length := data.pop("length", None)) is not None:
             if "contraction" in data:
                 self._compare(data["contraction"], length)
@@ -124,6 +128,8 @@ class ColumnConverter:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
         attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}
         ours = written_by_us(self.sheet.names, self.sheet.comments)
+        if not ours:
+            attrs["columns_read"] = self._columns_read(data, kept)
         for name in ("preprocessing", "repairs") if ours else ():  # of the file from which this one was made
             if (text := self.sheet.comments.get(name, (0, "none"))[1]) != "none":
                 attrs[name] = unquote(text)
@@ -136,6 +142,30 @@ class ColumnConverter:
             warnings.warn(text, McKibbenWarning, stacklevel=4)
             data = {name: values[kept] for name, values in data.items()}
         return data, attrs
+
+    def _columns_read(self, data: Mapping[str, np.ndarray], kept: NDArray[np.bool_]) -> str:
+        """Table of the columns read: quantity, unit, its origin, range in this unit, remark; rows, implied diameter."""
+        rows = [("column", "quantity", "unit", "unit from", "range", "")]
+        for name, (index, column) in self.places.items():
+            channel = self.sheet.channels[index]
+            values = data.get(name, self.lengths if name == "length" else None)
+            shown = remark = ""
+            if values is not None and name not in WORDS:
+                shown = format_range(values[kept] / (factor(column.unit) if column.unit else 1.0))
+            if name == "force" and self.force_sign < 0:
+                remark = "sign reversed"
+            if name == "length" and "contraction" in data and self.initial_length:
+                remark = f"initial length {self.initial_length / mm:.5g} mm"
+            origin = "columns" if channel.name in self.mapping else "header"
+            if origin == "header" and parse_header(channel.label) is None:
+                origin = "file"
+            rows.append((channel.name, name, column.unit, origin if column.unit else "", shown, remark))
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        last = f"{int(kept.sum())} rows"
+        if kept.any() and (diameter := implied_diameter(data["pressure"][kept], data["force"][kept])):
+            last += f"; the largest force is that of a muscle of about {diameter / mm:.2g} mm diameter"
+        return printable("\n".join([*lines, last]))
 
     def _sorted(self, problems: list[Problem]) -> list[Problem]:
         """Problems in the order of lines and columns."""

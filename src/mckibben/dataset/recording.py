@@ -136,7 +136,8 @@ class Recording:
         return f"<Recording{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>{self.table._repr_html_()}"
+        read = self.table.attrs.get("columns_read", "")
+        return f"<p>{escape(repr(self))}</p>{f'<pre>{escape(read)}</pre>' if read else ''}{self.table._repr_html_()}"
 
     def plateaus(
         self,

@@ -287,6 +287,10 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
         sibling.write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
+OF_FILE = ("repairs", "ignored_columns", "columns_read")
+"""Attributes that describe the reading of a file."""
+
+
 def written_by_us(header: Sequence[str], comments: Iterable[str]) -> bool:
     """True if a file has the header and the comments of `write_csv`, so that it is not preprocessed again."""
     return {"specimen", "source", "slack_force", "preprocessing"} <= set(comments) and set(header) <= set(

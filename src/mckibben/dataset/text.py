@@ -197,7 +197,7 @@ class _Row(NamedTuple):
 
 def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> None:
     """Columns of any other file, and its corrupt rows."""
-    lines += _LINE.findall(stream.text, stream.at)
+    lines = [*lines, *_LINE.findall(stream.text, stream.at)]
     rows = list(_rows(lines, first, sheet))
     if not rows:
         return
@@ -212,6 +212,7 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
         quoted = all(lines[row.line - first].lstrip().startswith('"') for row in rows)
         if counts and (sheet.delimiter not in ", " or quoted or not _may_be_split(rows, sheet.delimiter)):
             header = ["", *header]  # row numbers, which some programs write without a name
+    del lines  # of a large text
     good: list[_Row] = []
     filled = sheet.delimiter != "," or known(header[-1], units[-1] if len(units) == len(header) else "")
     for row in rows:
