@@ -22,10 +22,10 @@ from mckibben.errors import DatasetError, Problem
 
 SECONDS = 10.0
 """Processor time of the child process for a file."""
-MEMORY = 3 * 2**28
+MEMORY = 2**29
 """Memory [bytes] of the child process for a file, in excess of the idle process."""
 _VARIABLE = "MCKIBBEN_READ_LIMITS"
-_REMEDY = f"give fewer rows or columns, or, if you trust the file, set {_VARIABLE}=4 for four times the limits"
+LIMIT_REMEDY = f"give fewer rows or columns, or, if you trust the file, set {_VARIABLE}=4 for four times the limits"
 _STARTED = 60.0  # s: until the child process has imported its modules
 _OUT_OF_MEMORY = 99  # exit status
 
@@ -74,9 +74,9 @@ class _Child:
         if isinstance(answer, DatasetError):
             raise DatasetError(str(path), answer.problems)
         if status == _OUT_OF_MEMORY:
-            problem = Problem(f"cannot be read: it takes more than {size / 1e6:.0f} MB of memory", remedy=_REMEDY)
+            problem = Problem(f"cannot be read: it takes more than {size / 1e6:.0f} MB of memory", remedy=LIMIT_REMEDY)
         elif time.monotonic() - start >= seconds:
-            problem = Problem(f"cannot be read: it takes more than {seconds:g} s", remedy=_REMEDY)
+            problem = Problem(f"cannot be read: it takes more than {seconds:g} s", remedy=LIMIT_REMEDY)
         else:
             problem = Problem("cannot be read: it crashes the library that reads it", remedy="save the file again")
         raise DatasetError(str(path), [problem])

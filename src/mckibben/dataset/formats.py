@@ -7,7 +7,7 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
-from mckibben.dataset.child import call_in_child, limit_factor
+from mckibben.dataset.child import LIMIT_REMEDY, call_in_child, limit_factor
 from mckibben.dataset.columns import parse_header
 from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import SIGNATURE, decode, read_lvm, read_text
@@ -15,6 +15,7 @@ from mckibben.errors import DatasetError, Problem
 
 _SMALL = 2**20  # bytes: smaller texts are read in this process
 _LARGEST = 2**28  # bytes of a file
+_CELLS = 2**24  # of all columns
 _OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -26,10 +27,10 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "") -> Raw
     """
     size, start = _probe(path)
     if size > (most := _LARGEST * limit_factor()):
-        remedy = "give fewer rows or columns, or, if you trust the file, set MCKIBBEN_READ_LIMITS=4"
-        raise DatasetError(str(path), [Problem(f"has {size / 1e6:.0f} MB, more than {most / 1e6:.0f}", remedy=remedy)])
+        problem = Problem(f"has {size / 1e6:.0f} MB, more than {most / 1e6:.0f}", remedy=LIMIT_REMEDY)
+        raise DatasetError(str(path), [problem])
     if _is_binary(path, start) or size > _SMALL:
-        return call_in_child(path, _read, dict(mapping), decimal)
+        return call_in_child(path, _read_within_limits, dict(mapping), decimal)
     return _read(path, mapping, decimal)
 
 
@@ -54,10 +55,20 @@ def _is_binary(path: Path, start: bytes) -> bool:
     return start.startswith(binary) or start[512:] == _HDF5 or path.suffix.lower() == ".mat"
 
 
+def _read_within_limits(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
+    """Columns of a file, read in the child process."""
+    table = _read(path, mapping, decimal)
+    cells, most = sum(len(channel.cells) for channel in table.channels), _CELLS * limit_factor()
+    if cells > most:
+        raise DatasetError(str(path), [Problem(f"has {cells} cells, more than {most:.0f}", remedy=LIMIT_REMEDY)])
+    return table
+
+
 def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
     """Columns of a file, read in this process."""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(int(_LARGEST * limit_factor()))  # of a file that grows
     except OSError as error:
         raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
 

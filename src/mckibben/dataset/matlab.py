@@ -129,7 +129,7 @@ def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iter
 
 
 def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
-    if node.shape is not None and node.nbytes > MEMORY * limit_factor():
+    if node.shape is not None and node.nbytes > MEMORY // 4 * limit_factor():
         sheet.problems.append(Problem(f"claims {node.size} values, more than can be read", field=name))
         return
     kind = _text(node.attrs, "MATLAB_class") if matlab else ""

@@ -25,6 +25,7 @@ Decimal = Literal["", ".", ","]
 
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
+_LISTED = 10_000  # problems of an error
 _WARNED = 5  # omitted rows listed in a warning
 
 _MEANINGS: Mapping[str, Mapping[str, str]] = {
@@ -123,7 +124,8 @@ class ColumnConverter:
             self.problems.append(Problem(unit))
         if self.problems or (self.corrupt and on_corrupt == "raise"):
             found = self._sorted(self.problems + self.corrupt)
-            raise DatasetError(str(path), found)
+            more = [Problem(f"and {len(found) - _LISTED} more problems")] if len(found) > _LISTED else []
+            raise DatasetError(str(path), found[:_LISTED] + more)
         for text in self.suspect:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
         attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}

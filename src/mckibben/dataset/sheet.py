@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,6 +14,9 @@ from numpy.typing import NDArray
 
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import NUMBER
+
+COMMENTS = ("specimen", "source", "initial_length", "slack_force", "preprocessing", "repairs")
+"""Keys of the comments that are read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +211,8 @@ def read_numbers(
         ]
         return np.where(np.isfinite(cells), cells, np.nan), found
     joined = "\n".join(cells)
-    if set(joined) <= _DIGITS | {decimal.sign}:  # so float() accepts nothing that we would refuse
+    plain = _DIGITS | {decimal.sign}  # so float() accepts nothing that we would refuse
+    if set(joined) <= plain:
         try:
             values = np.fromiter(map(float, joined.replace(",", ".").split("\n")), np.float64)
         except ValueError:
@@ -221,6 +227,11 @@ def read_numbers(
         if isinstance(cell, NumberText) and np.isfinite(float(cell)):
             values[index] = float(cell)
             continue
+        if plain.issuperset(cell):
+            with contextlib.suppress(ValueError):
+                if math.isfinite(value := float(cell.replace(",", "."))):
+                    values[index] = value
+                    continue
         text = _without_thousands(cell.strip().replace("\u2212", "-"), decimal.sign, settled=settled)
         if not text and may_be_empty:
             continue

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import RawColumn, RawTable
+from mckibben.dataset.sheet import COMMENTS, RawColumn, RawTable
 from mckibben.errors import DatasetError, Problem
 
 _DELIMITERS = (",", ";", "\t")
@@ -23,7 +23,8 @@ _LONGEST_HEADER = 2**18  # characters of a line searched for a header
 _JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
-_SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]*[\])])?|\S+")
+_ROW_NUMBER = re.compile(r"\s*[0-9]{1,15}\s*")
+_SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+")
 
 _Known = Callable[[str, str], bool]
 
@@ -39,7 +40,7 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
         if stripped and not stripped.startswith(("#", "%")):
             break
         key, colon, value = stripped.lstrip("#%").partition(":")
-        if colon:
+        if colon and key.strip() in COMMENTS:
             comments[key.strip()] = (number, value.strip())
     else:
         raise DatasetError(source, [Problem("is empty" if not number else "has no header and no rows")])
@@ -205,8 +206,13 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     sheet.header_line = rows[0].line
     skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
     units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
-    rows = [row for row in rows[skipped:] if [cell.strip() for cell in row.cells] != header]
-    if rows and all(len(row.cells) == len(header) + 1 and row.cells[0].strip().isdigit() for row in rows):
+    first_name = header[0]
+    rows = [
+        row
+        for row in rows[skipped:]
+        if row.cells[0].strip() != first_name or [cell.strip() for cell in row.cells] != header
+    ]
+    if rows and all(len(row.cells) == len(header) + 1 and _ROW_NUMBER.fullmatch(row.cells[0]) for row in rows):
         index = [int(row.cells[0]) for row in rows]
         counts = np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1
         quoted = all(lines[row.line - first].lstrip().startswith('"') for row in rows)
@@ -216,7 +222,7 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     good: list[_Row] = []
     filled = sheet.delimiter != "," or known(header[-1], units[-1] if len(units) == len(header) else "")
     for row in rows:
-        if filled or not _may_be_split([row], ","):
+        if len(row.cells) > len(header) and (filled or not _may_be_split([row], ",")):
             while len(row.cells) > len(header) and not row.cells[-1].strip():
                 row.cells.pop()
         found, expected = len(row.cells), len(header)
@@ -271,10 +277,12 @@ def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
     at = width = 0
     while at < len(lines):
         try:
-            cells, count = _parsed(lines[at : at + _JOINED] if '"' in lines[at] else [lines[at]], sheet.delimiter)
-            inner = max((line.count(sheet.delimiter) for line in lines[at + 1 : at + count]), default=0)
+            if sheet.delimiter == " " or '"' in lines[at]:
+                cells, count = _parsed(lines[at : at + _JOINED], sheet.delimiter)
+            else:
+                cells, count = lines[at].rstrip("\r\n").split(sheet.delimiter), 1
             blank = not (cells and ((cells[0] and not cells[0].isspace()) or "".join(cells).strip()))
-            swallows = count > 1 and width and (inner >= width - 1 or len(cells) != width)
+            swallows = count > 1 and width and (len(cells) != width or _inner(lines, at, count, sheet) >= width - 1)
             if swallows or (blank and lines[at].count('"') % 2):
                 raise csv.Error("a quotation mark is not closed")
         except csv.Error as error:
@@ -285,6 +293,11 @@ def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
                 width = width or len(cells)
                 yield _Row(cells, first + at)
         at += count
+
+
+def _inner(lines: list[str], at: int, count: int, sheet: RawTable) -> int:
+    """Largest number of delimiters in the lines after the first of a row."""
+    return max(line.count(sheet.delimiter) for line in lines[at + 1 : at + count])
 
 
 def _is_units(row: Sequence[str]) -> bool:
