@@ -1,5 +1,6 @@
-"""HDF5 and NetCDF files that lead elsewhere, claim what they do not hold, or make the HDF5 library loop."""
+"""Files that lead elsewhere, claim what they do not hold, make a library loop, or exceed the limits of a reader."""
 
+import os
 import struct
 import time
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.dataset.child import call_in_child
 from mckibben.errors import DatasetError
 
 SECONDS = 20.0
@@ -25,6 +27,12 @@ def netcdf(tmp_path, dataset):
     path = tmp_path / "rig.nc"
     dataset.table.to_netcdf(path, engine="h5netcdf")  # without a checksum
     return path
+
+
+def refused_by(path):
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    return caught.value
 
 
 def refused(path):
@@ -95,4 +103,33 @@ def test_a_heap_in_which_the_library_loops_is_an_error_and_the_next_file_is_read
     with monkeypatch.context() as patch:
         patch.setattr("mckibben.dataset.child.SECONDS", 1.0)
         assert "more than 1 s" in refused(path).message
+    assert read_dataset(netcdf).table.identical(dataset.table)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes and devices")
+def test_pipes_and_devices_are_refused_without_reading_them(tmp_path):
+    os.mkfifo(tmp_path / "rig.csv")
+    assert "pipe" in refused(tmp_path / "rig.csv").message
+    assert "device" in refused(Path("/dev/zero")).message
+
+
+def test_a_file_beyond_the_memory_limit_is_read_with_larger_limits(tmp_path, monkeypatch):
+    monkeypatch.setattr("mckibben.dataset.child.MEMORY", 2**25)
+    path = tmp_path / "rig.h5"
+    with h5py.File(path, "w") as file:
+        for name, unit, factor in (("Pressure", "bar", 1e-5), ("Force", "N", 1), ("Contraction", "%", 100)):
+            values = COLUMNS[name.lower()] * factor
+            file[name], file[name].attrs["unit"] = values, unit
+        file["other"] = np.zeros(2**22)
+    assert "memory" in refused(path).message or "claims" in refused(path).message
+    monkeypatch.setenv("MCKIBBEN_READ_LIMITS", "16")
+    assert len(read_dataset(path)) == 6
+    monkeypatch.setenv("MCKIBBEN_READ_LIMITS", "much")
+    assert "not a positive number" in refused_by(path).problems[0].message
+
+
+def test_a_crash_of_the_child_process_is_an_error_and_the_next_file_is_read(netcdf, dataset):
+    with pytest.raises(DatasetError) as caught:
+        call_in_child(Path("rig.mat"), exec, {})  # not a program: any exception ends the process
+    assert "crashes" in caught.value.problems[0].message
     assert read_dataset(netcdf).table.identical(dataset.table)

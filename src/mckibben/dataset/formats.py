@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
@@ -68,7 +69,7 @@ def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
     """Columns of a file, read in this process."""
     try:
         with path.open("rb") as file:
-            data = file.read(int(_LARGEST * limit_factor()))  # of a file that grows
+            data = file.read(os.fstat(file.fileno()).st_size)  # not what is added meanwhile
     except OSError as error:
         raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
 
