@@ -232,6 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="first seed")
     parser.add_argument("--only", nargs="+", choices=sorted(KINDS), metavar="KIND", help="some kinds")
     parser.add_argument("--repeat", nargs=2, metavar=("KIND", "SEED"), help="one file, written to the current folder")
+    parser.add_argument("--verbose", action="store_true", help="print what came of each file, not only of the failures")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.work:
@@ -256,9 +257,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 finally:
                     shutil.rmtree(folder, ignore_errors=True)
                 each[kind].append(found)
-                if failed(kind, found):
-                    failures.append(described(kind, seed, found))
-                    print(failures[-1], file=sys.stderr, flush=True)
+                line = described(kind, seed, found)
+                failures += [line] if failed(kind, found) else []
+                if options.verbose or failed(kind, found):
+                    print(line, file=sys.stderr, flush=True)
     finally:
         worker.end()
     print(*table(each), sep="\n")

@@ -16,7 +16,6 @@ import numpy as np
 from hostile_kinds import HEADER, KINDS, File, Rng, columns, damage, kind, near, pick, sound_hdf5, sound_netcdf
 
 PLACES = ("rig.h5", "rig.nc", "rig.mat")
-DECODED = {"u1": 1, "f4": 4, "f8": 8}
 
 
 def made(rng: Rng, add: Callable[[h5py.File], object], name: str = "", **more: object) -> File:

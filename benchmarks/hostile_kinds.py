@@ -65,7 +65,7 @@ def columns(count: int) -> np.ndarray:
 def lines(count: int, delimiter: str = ",", end: str = "\n", point: str = ".") -> bytes:
     """Sound rows as text, in cells of fixed width."""
     parts = []
-    for values, whole, decimals in zip(columns(count).T, (9, 1, 2, 4), (0, 2, 2, 1), strict=True):
+    for values, whole, decimals in zip(columns(count).T, (8, 1, 2, 4), (0, 1, 1, 0), strict=True):
         number = np.rint(values * 10**decimals).astype(np.int64)
         digits = number[:, None] // 10 ** np.arange(whole + decimals - 1, -1, -1) % 10 + ord("0")
         sign = [np.full((count, 1), ord(point))] if decimals else []

@@ -62,7 +62,7 @@ def text_a_million_cells_in_each_row(rng):
 @kind
 def text_two_million_corrupt_rows(rng):
     row = pick(rng, b"x\n", b"1,2\n", b"1,2,3,4,5\n", b"a,b,c,d\n", b",,,1\n")
-    return text(head(), lines(10), row * 2_000_000, options={}, name="rig.csv")
+    return text(head(), lines(10), row * 2_000_000)
 
 
 @kind
