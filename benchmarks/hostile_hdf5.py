@@ -24,14 +24,25 @@ def made(rng: Rng, add: Callable[[h5py.File], object], name: str = "", **more: o
     if name == "rig.nc":
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / name
-            sound_netcdf(60, "dataset")(path)
+            more.setdefault("reader", pick(rng, "dataset", "recording"))
+            sound_netcdf(60, str(more["reader"]))(path)
             stream = io.BytesIO(path.read_bytes())
     else:
         stream = io.BytesIO(sound_hdf5(60, matlab=name == "rig.mat"))
     mark = stream.getvalue()[:128] if name == "rig.mat" else b""
     with h5py.File(stream, "r+", libver="latest" if rng.integers(2) else None) as file:
         add(file)
+        if name == "rig.nc" and rng.integers(4):
+            give_dimensions(file)
     return File(name, mark + stream.getvalue()[len(mark) :], **more)  # pyright: ignore[reportArgumentType]
+
+
+def give_dimensions(file: h5py.File) -> None:
+    """Make each dataset that has none its own dimension, so that it is a variable of NetCDF."""
+    for name in list(file)[:100]:
+        node = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+        if isinstance(node, h5py.Dataset) and not node.is_scale and "DIMENSION_LIST" not in node.attrs:
+            node.make_scale()
 
 
 def target(rng: Rng, file: h5py.File) -> str:
@@ -128,7 +139,7 @@ def hdf5_many_small_bombs(rng):
 
 @kind
 def hdf5_contiguous_without_storage(rng):
-    shape = pick(rng, (2**40,), (2**20, 2**20), (2**62,), (2**31, 1), (6_000_000,))
+    shape = pick(rng, (2**40,), (2**20, 2**20), (2**59,), (2**31, 1), (6_000_000,))
     return made(rng, lambda file: file.create_dataset(target(rng, file), shape, pick(rng, "u1", "f8", "S8")))
 
 
@@ -315,7 +326,7 @@ def mat73_a_million_cells(rng):
 @kind
 def hdf5_compound_types(rng):
     """Thousands of fields, arrays in arrays, enumerations: of no file with columns."""
-    many = np.dtype([(f"f{i}", "f8") for i in range(near(rng, 1500))])
+    many = np.dtype([(f"f{i}", "f8") for i in range(near(rng, 600))])
     array = np.dtype([("a", "f8", (64, 64)), ("b", "S1000")])
     enum = h5py.enum_dtype({f"e{i}": i for i in range(near(rng, 3000))}, "i4")
     vlen = h5py.vlen_dtype(np.dtype("f8"))
