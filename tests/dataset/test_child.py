@@ -121,7 +121,7 @@ def test_a_file_beyond_the_memory_limit_is_read_with_larger_limits(tmp_path, mon
             values = COLUMNS[name.lower()] * factor
             file[name], file[name].attrs["unit"] = values, unit
         file["other"] = np.zeros(2**22)
-    assert "memory" in refused(path).message or "claims" in refused(path).message
+    assert "cannot be read" in refused(path).message  # in the libraries, or even before they are imported
     monkeypatch.setenv("MCKIBBEN_READ_LIMITS", "4")
     assert len(read_dataset(path)) == 6
     monkeypatch.setenv("MCKIBBEN_READ_LIMITS", "much")
