@@ -114,7 +114,7 @@ def test_pipes_and_devices_are_refused_without_reading_them(tmp_path):
 
 
 def test_a_file_beyond_the_memory_limit_is_read_with_larger_limits(tmp_path, monkeypatch):
-    monkeypatch.setattr("mckibben.dataset.child.MEMORY", 2**27)
+    monkeypatch.setattr("mckibben.dataset.child.MEMORY", 2**25)
     path = tmp_path / "rig.h5"
     with h5py.File(path, "w") as file:
         for name, unit, factor in (("Pressure", "bar", 1e-5), ("Force", "N", 1), ("Contraction", "%", 100)):
@@ -122,7 +122,7 @@ def test_a_file_beyond_the_memory_limit_is_read_with_larger_limits(tmp_path, mon
             file[name], file[name].attrs["unit"] = values, unit
         file["other"] = np.zeros(2**22)
     assert "cannot be read" in refused(path).message  # in the libraries, or even before they are imported
-    monkeypatch.setenv("MCKIBBEN_READ_LIMITS", "4")
+    monkeypatch.setenv("MCKIBBEN_READ_LIMITS", "16")
     assert len(read_dataset(path)) == 6
     monkeypatch.setenv("MCKIBBEN_READ_LIMITS", "much")
     assert "not a positive number" in refused_by(path).problems[0].message
