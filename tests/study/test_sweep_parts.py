@@ -121,7 +121,7 @@ def test_a_table_is_not_overwritten_and_a_full_disk_leaves_none(kept, tmp_path, 
     def full(path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("mckibben.study.sweep.result.append_seal", full)
+    monkeypatch.setattr("mckibben.study.sweep.merging.append_seal", full)
     with pytest.raises(FileError):
         merge(parts_of(kept, 1, 2, 3), tmp_path / "merged")
     assert not list((tmp_path / "merged").iterdir())

@@ -13,9 +13,9 @@ from pathlib import Path
 from numpy.typing import NDArray
 
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import check_free, explain_write_errors, make_folder
+from mckibben.storage.files import append_seal, atomic_write, check_free, explain_write_errors, make_folder
 from mckibben.study.sweep.plan import manifest_differences, parse_part
-from mckibben.study.sweep.result import PIECE, SweepResult, write_table
+from mckibben.study.sweep.result import PIECE, SweepResult, write_columns
 from mckibben.study.sweep.sweep import TABLE
 
 
@@ -59,7 +59,10 @@ def merge(folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
             size = runs * sum(column.dtype.itemsize for column in tables[0].values())
             if shutil.disk_usage(out).free < 1.01 * size:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            write_table(out / TABLE, tables[0], runs, {str(name): pieces(str(name)) for name in tables[0]})
+            with atomic_write(out / TABLE) as temporary:
+                with temporary.open("w+b") as file:
+                    write_columns(file, tables[0], runs, {str(name): pieces(str(name)) for name in tables[0]})
+                append_seal(temporary)
     return SweepResult.from_netcdf(out / TABLE, lazy=True)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -144,8 +145,12 @@ class SweepResult:
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write a NetCDF file atomically, replacing an existing one; the same sweep gives the same bytes."""
+        content = io.BytesIO()  # HDF5 crashes on a full disk
         columns = {str(name): [column.to_numpy()] for name, column in self.table.items()}
-        write_table(path, self.table, self.count, columns, overwrite=True)
+        write_columns(content, self.table, self.count, columns)
+        with atomic_write(path, overwrite=True) as sibling:
+            sibling.write_bytes(content.getbuffer())
+            append_seal(sibling)
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str], *, lazy: bool = False) -> Self:
@@ -164,34 +169,25 @@ class SweepResult:
         return cls(table)
 
 
-def write_table(
-    path: str | os.PathLike[str],
-    like: xr.Dataset,
-    runs: int,
-    columns: Mapping[str, Iterable[NDArray]],
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Write a sealed NetCDF file with the attributes and types of a table; each column in pieces, in order of the runs.
+def write_columns(target: BinaryIO, like: xr.Dataset, runs: int, columns: Mapping[str, Iterable[NDArray]]) -> None:
+    """Write a NetCDF file with the attributes and types of a table; each column in pieces, in the order of the runs.
 
     The pieces do not determine the bytes.
     """
     import h5netcdf
 
-    with atomic_write(path, overwrite=overwrite) as temporary:
-        with temporary.open("w+b") as target, h5netcdf.File(target, "w") as file:
-            file.attrs.update({name: value for name, value in like.attrs.items() if name not in ("part", "first_run")})
-            if runs == like.sizes["run"]:
-                file.attrs.update({name: like.attrs[name] for name in ("part", "first_run") if name in like.attrs})
-            file.dimensions = {"run": runs}
-            for name, pieces in columns.items():
-                variable = file.create_variable(name, ("run",), like[name].dtype)
-                variable.attrs.update(like[name].attrs)
-                at = 0
-                for piece in pieces:
-                    variable[at : at + len(piece)] = piece
-                    at += len(piece)
-        append_seal(temporary)
+    with h5netcdf.File(target, "w") as file:
+        file.attrs.update({name: value for name, value in like.attrs.items() if name not in ("part", "first_run")})
+        if runs == like.sizes["run"]:
+            file.attrs.update({name: like.attrs[name] for name in ("part", "first_run") if name in like.attrs})
+        file.dimensions = {"run": runs}
+        for name, pieces in columns.items():
+            variable = file.create_variable(name, ("run",), like[name].dtype)
+            variable.attrs.update(like[name].attrs)
+            at = 0
+            for piece in pieces:
+                variable[at : at + len(piece)] = piece
+                at += len(piece)
 
 
 MAIN = ("angle_rmse", "stiffness_rmse", "coupling")
