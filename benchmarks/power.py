@@ -44,6 +44,9 @@ protocol:
   isobaric: {pressures: [2 bar, 3 bar, 4 bar], contraction_min: 2 %, contraction_max: 8 %, repeats: 3, speed: 4 mm/s,
     dwell: 200 ms, acquisition: 100 ms, samples: 100}
 """
+LEG = (ROOT / "examples/leg/lei-leg.yaml").read_text().replace("draws: 64", "draws: 20")
+LEG = LEG.replace("drop: [20 mm, 50 mm, 100 mm]", "drop: [50 mm]\n  levels: 4\n  duration: 100 ms")
+KNEE = (ROOT / "examples/calibration/knee.yaml").read_text().replace("../comparison", f"{ROOT}/examples/comparison")
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ class Case:
     arguments: tuple[str, ...]
     resumes_by: str  # a pattern of files; empty for a command that is repeated instead
     results: tuple[str, ...]
+    before: tuple[str, ...] = ()  # a command that makes what this one reads
 
 
 CASES = {
@@ -70,8 +74,28 @@ CASES = {
     "compare": Case(("compare", "suite.yaml"), "tuning/*.journal", ("results.json", "runs.nc", "suite.yaml")),
     "simulate": Case(("simulate", "scenario.yaml"), "", ("results.json", "result.nc", "scenario.yaml")),
     "identify": Case(("identify", "festo-tool-10mm"), "", ("results.json", "fit.yaml", "data.nc")),
+    "land": Case(("leg", "land", "leg.yaml"), "landing.journal", ("results.json", "landing.nc", "leg.yaml")),
+    "calibrate": Case(
+        ("calibrate", "knee.yaml", "--recording", "measured/result.nc"),
+        "",
+        ("results.json", "model.yaml", "scenario.yaml"),
+        ("simulate", "knee.yaml", "--out", "measured"),
+    ),
     "rig": Case(("rig", "run", "protocol.yaml"), "protocol.yaml", ()),
 }
+
+
+def write_inputs(folder: Path) -> None:
+    """Write the files that the commands read."""
+    files = {
+        "scenario": SCENARIO,
+        "protocol": PROTOCOL,
+        "leg": LEG,
+        "knee": KNEE.replace("duration: 3 s", "duration: 6 s"),
+    }
+    for name, text in files.items():
+        (folder / f"{name}.yaml").write_text(text)
+    shutil.copy(ROOT / "tests/small-suite.yaml", folder / "suite.yaml")
 
 
 def digest(path: Path) -> str:
@@ -129,8 +153,8 @@ def work(report: int, cuts: str) -> None:
 
     append, atomic_write = journal.Journal.append, files.atomic_write
 
-    def appended(self: journal.Journal, content: bytes) -> None:
-        append(self, content)
+    def appended(self: journal.Journal, *records: journal.JournalRecord) -> None:
+        append(self, *records)
         tell(journal=str(self.path), end=self._end)
 
     @contextmanager
@@ -205,6 +229,11 @@ class Worker:
         """Run a command to its end; without a folder it has all its options."""
         self.begin(arguments, out)
         return self.end(within)
+
+    def prepare(self, case: Case) -> None:
+        """Run the command that makes what a case reads."""
+        if case.before:
+            assert self.run(case.before)["end"] == 0, self.log.read_text()
 
     def stop(self) -> None:
         """Stop the process as a power cut would, but for its going on later."""
@@ -339,9 +368,7 @@ def cuts_of(case: Case, disk: Disk | None, folder: Path, out: Path, longest: flo
 
 def campaign(cuts: int, cases: list[str], folder: Path, disk: Disk | None) -> Counter:
     """Cut so many times, over all cases in turn; failures are printed and counted."""
-    (folder / "scenario.yaml").write_text(SCENARIO)
-    (folder / "protocol.yaml").write_text(PROTOCOL)
-    shutil.copy(ROOT / "tests/small-suite.yaml", folder / "suite.yaml")
+    write_inputs(folder)
     where = disk.path if disk else folder / "jobs"
     where.mkdir(exist_ok=True)
     lefts = None if disk else folder / "lefts"
@@ -350,6 +377,7 @@ def campaign(cuts: int, cases: list[str], folder: Path, disk: Disk | None) -> Co
     found: Counter = Counter()
     try:
         for name in cases:  # the programs are compiled, and the references are made
+            resumer.prepare(CASES[name])
             for worker, out in ((resumer, folder / "reference" / name), (cut, where / f"{name}-warm")):
                 for _ in range(2):
                     shutil.rmtree(out, ignore_errors=True)

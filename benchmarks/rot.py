@@ -21,7 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from power import CASES, PROTOCOL, ROOT, SCENARIO, Worker, digest
+from power import CASES, Worker, digest, write_inputs
 
 WITHIN = 60.0  # s
 
@@ -156,9 +156,7 @@ def tried(kind: Kind, folder: Path, worker: Worker) -> tuple[str, object, str]:
 
 def campaign(places: int, kinds: list[str], folder: Path) -> Counter:
     """Damage files of each kind at so many places; failures are printed and counted."""
-    (folder / "scenario.yaml").write_text(SCENARIO)
-    (folder / "protocol.yaml").write_text(PROTOCOL)
-    shutil.copy(ROOT / "tests/small-suite.yaml", folder / "suite.yaml")
+    write_inputs(folder)
     made, test = folder / "made", folder / "test"
     found: Counter = Counter()
 
@@ -173,6 +171,7 @@ def campaign(places: int, kinds: list[str], folder: Path) -> Counter:
                 simulated(made / name / "program")
                 shutil.copy(sorted(made.rglob("*.program"))[0], made / name / "program")
                 continue
+            worker.prepare(CASES[name])
             done = worker.run(CASES[name].arguments, made / name)
             assert done["end"] == 0, worker.log.read_text()
         for name in kinds:

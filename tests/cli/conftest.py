@@ -42,7 +42,7 @@ def cli(monkeypatch, capsys, tmp_path) -> Callable[..., Answer]:
     return call
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def shortened() -> Callable[[str], str]:
     """An example of ours, cut to 0.2 s, its step early."""
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from mckibben.simulation.result import OUTCOMES, Outcome
 from mckibben.storage.files import to_json
 from mckibben.study.sweep import SweepResult, summary
 from mckibben.study.sweep.result import (
+    MAIN,
     correlation_rows,
     feasibility_sentence,
     main_metrics,
@@ -70,7 +72,7 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
         "shortfall_max": ("run", short),
         "infeasible_time": ("run", np.where(np.arange(count) % 50 == 3, 0.5, 0.0)),
     }
-    return SweepResult(xr.Dataset(table, attrs={"title": "made up"}))
+    return SweepResult(xr.Dataset(table, attrs={"title": "made up", "kind": "mckibben sweep"}))
 
 
 def test_the_statistics_are_those_of_numpy():
@@ -111,6 +113,16 @@ def test_rank_correlations_are_those_of_scipy():
         assert spearman(x, y) == pytest.approx(stats.spearmanr(x, y).statistic, abs=1e-12)
     assert np.isnan(spearman([1, 1, 1], [1, 2, 3]))
     assert np.isnan(spearman([], []))
+
+
+def test_the_statistics_need_the_memory_of_a_few_columns(tmp_path):
+    made_up(300_000, inputs=2, metrics=MAIN).to_netcdf(tmp_path / "sweep.nc")
+    swept = SweepResult.from_netcdf(tmp_path / "sweep.nc", lazy=True)
+    tracemalloc.start()
+    summary(swept)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * 8 * 300_000
 
 
 def test_what_matters_comes_first():

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import append_seal, atomic_write, check_free, explain_write_errors, make_folder
 from mckibben.study.sweep.plan import manifest_differences, parse_part
-from mckibben.study.sweep.result import SweepResult, write_columns
+from mckibben.study.sweep.result import PIECE, SweepResult, write_columns
 from mckibben.study.sweep.sweep import TABLE
-
-_PIECE = 1 << 18  # rows read at once
 
 
 def merge(folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]) -> SweepResult:
@@ -53,8 +51,8 @@ def merge(folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
 
         def pieces(name: str) -> Iterator[NDArray]:
             for table in tables:
-                for start in range(0, table.sizes["run"], _PIECE):
-                    yield table[name][start : start + _PIECE].to_numpy()
+                for start in range(0, table.sizes["run"], PIECE):
+                    yield table[name][start : start + PIECE].to_numpy()
 
         make_folder(out)
         with explain_write_errors(out, lambda: "", "make room, and merge again"):

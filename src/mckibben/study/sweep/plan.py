@@ -235,7 +235,8 @@ def _rows_of_part(part: tuple[int, int], rows: int, block: int) -> slice:
     number, parts = part
     blocks = -(-rows // block)
     if not 1 <= number <= parts:
-        raise ParameterError(f"there is no part {number} of {parts}", field="part", value=number, lower=1, upper=parts)
+        message, remedy = f"there is no part {number} of {parts}", "count parts from 1, as in 3/8: the third of eight"
+        raise ParameterError(message, field="part", value=number, lower=1, upper=parts, remedy=remedy)
     if parts > blocks:
         message = f"{rows} runs in blocks of {block} cannot be divided into {parts} parts"
         remedy = f"choose at most {blocks} parts"

@@ -99,7 +99,7 @@ class SweepStore:
             problem = Problem("blocks are damaged", remedy="recompute them with --resume (resume=True)")
             raise FileError(str(self.folder / JOURNAL), [problem])
         ordered = [parts[block] for block in self.plan.blocks]
-        return {name: np.concatenate([part[name] for part in ordered]) for name in ordered[0]}
+        return {name: np.concatenate([part.pop(name) for part in ordered]) for name in list(ordered[0])}  # freed early
 
     def write_table(self, swept: SweepResult) -> None:
         """Write the table."""
