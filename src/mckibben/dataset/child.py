@@ -26,6 +26,7 @@ MEMORY = 2**29
 """Memory [bytes] of the child process for a file, in excess of the idle process."""
 _VARIABLE = "MCKIBBEN_READ_LIMITS"
 LIMIT_REMEDY = f"give fewer rows or columns, or, if you trust the file, set {_VARIABLE}=4 for four times the limits"
+_LARGE = 2**28  # bytes: a child process with more is replaced after the file
 _STARTED = 60.0  # s: until the child process has imported its modules
 _OUT_OF_MEMORY = 99  # exit status
 
@@ -58,17 +59,17 @@ class _Child:
             start = time.monotonic()
             timer = threading.Timer(1.3 * seconds, process.kill)
             timer.start()
-            done, answer = False, None
+            done, large, answer = False, False, None
             try:
                 assert process.stdin is not None and process.stdout is not None
                 pickle.dump((function, (path.absolute(), *args), seconds, size), process.stdin)
                 process.stdin.flush()
-                done, answer = pickle.load(process.stdout)
+                done, large, answer = pickle.load(process.stdout)
             except (OSError, EOFError, pickle.UnpicklingError):
                 pass
             finally:
                 timer.cancel()
-                status = None if done else self.end(kill=answer is not None)
+                status = None if done and not large else self.end(kill=answer is not None)
         if done:
             return cast(Result, answer)
         if isinstance(answer, DatasetError):
@@ -136,11 +137,12 @@ def serve() -> None:
             function, args, seconds, size = pickle.load(calls)
             _limit(seconds, size)
             try:
-                answer = True, function(*args)
+                done, answer = True, function(*args)
             except DatasetError as error:
-                answer = False, error
-            pickle.dump(answer, answers, protocol=5)
+                done, answer = False, error
+            pickle.dump((done, _memory(1) > _LARGE, answer), answers, protocol=5)
             answers.flush()
+            del args, answer
         except MemoryError:
             os._exit(_OUT_OF_MEMORY)
         except EOFError:
@@ -154,9 +156,14 @@ def _limit(seconds: float, size: float) -> None:
     except ImportError:  # Windows: the time limit of the parent remains
         return
     limits = [(resource.RLIMIT_CPU, math.ceil(time.process_time() + seconds)), (resource.RLIMIT_CORE, 0)]
-    if (memory := Path("/proc/self/statm")).exists():
-        idle = int(memory.read_text().split()[0]) * resource.getpagesize()
+    if idle := _memory(0):
         limits.append((resource.RLIMIT_AS, idle + int(size)))
     for kind, most in limits:
         hard = resource.getrlimit(kind)[1]
         resource.setrlimit(kind, (most if hard < 0 else min(most, hard), hard))
+
+
+def _memory(column: int) -> int:
+    """Memory of this process [bytes]: addresses (column 0) or resident (1); 0 where it is unknown."""
+    found = Path("/proc/self/statm")
+    return int(found.read_text().split()[column]) * os.sysconf("SC_PAGESIZE") if found.exists() else 0

@@ -98,7 +98,9 @@ def read_dataset(
     slack_known = slack_force is not None or "slack_force" in file.sheet.comments
     data, found = file.settle(path, file.columns(force_sign), on_corrupt)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    if written_by_us(file.sheet.names, file.sheet.comments):
+    ours = written_by_us(file.sheet.names, file.sheet.comments)
+    del file, data  # of a large file
+    if ours:
         return check_dataset(dataset, str(path), only_warn=True)
     return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=slack_known)), str(path))
 
