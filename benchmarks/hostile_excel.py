@@ -152,7 +152,8 @@ def entries(content: bytes) -> list[bytes]:
 def xlsx_parts_that_overlap(rng):
     """Hundreds of sheets whose directory entries all lead to one squeezed part."""
     count = near(rng, 250)
-    file = zipped(parts(sheet(rows(near(rng, 4000))), [f"worksheets/sheet{i + 1}.xml" for i in range(count)]), rng)
+    content = parts(sheet(rows(near(rng, 4000))), [f"worksheets/sheet{i + 1}.xml" for i in range(count)])
+    file = zipped({**content, "xl/media/image2.png": rng.bytes(10**6)}, rng)
     all_of = entries(file.content)
     one = next(entry for entry in all_of if b"sheet1.xml" in entry)
     named = [b"xl/worksheets/sheet%d.xml" % (i + 1) for i in range(1, count)]
