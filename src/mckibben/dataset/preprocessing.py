@@ -136,14 +136,13 @@ def passes(groups: Ints, contraction: Floats) -> tuple[NDArray[np.str_], Ints] |
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
         runs = list(_runs(contraction[rows]))
-        words = [word for _, word in runs]
         reversing += len(runs) > 1
         count += len(runs)
-        for number, (part, word) in enumerate(runs):
-            direction[rows[part]], repeat[rows[part]] = word, words[:number].count(word)
-    if 2 * reversing <= len(np.unique(groups)) or len(groups) < _FEWEST * count:
-        return None
-    return direction, repeat
+        if len(groups) < _FEWEST * count:
+            return None
+        for number, (part, word) in enumerate(runs):  # the directions alternate
+            direction[rows[part]], repeat[rows[part]] = word, number // 2
+    return (direction, repeat) if 2 * reversing > len(np.unique(groups)) else None
 
 
 def _runs(values: Floats) -> Iterator[tuple[slice, str]]:
@@ -153,6 +152,7 @@ def _runs(values: Floats) -> Iterator[tuple[slice, str]]:
     rising: bool | None = None
     if not threshold:
         return
+    values = values.tolist()
     for i, value in enumerate(values):
         if rising is None:
             if abs(value - values[0]) > threshold:

@@ -113,6 +113,7 @@ def at_type_limit(values: np.ndarray) -> tuple[str, ...]:
 
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*(?:([.,])[0-9]*)?")
 _ONE_SIGN = re.compile(r"[+-]?([0-9]*)([.,])([0-9]*)([eE][+-]?[0-9]+)?")
+_FEW = 10_000  # cells of a column whose problems are all listed
 _UNDECIDED = "?"
 _DIGITS = frozenset("0123456789+-eE \n")
 _NAMES = {".": "point", ",": "comma"}
@@ -238,6 +239,8 @@ def read_numbers(
         message, remedy = _wrong(text, decimal, "line" if kind is Problem else "row")
         if message:
             problems.append(kind(message, line=line, field=field, remedy=remedy))
+            if 2 * len(problems) > len(cells) > _FEW:
+                break  # the file is refused
         else:
             values[index] = float(text.replace(",", "."))
     return values, problems
