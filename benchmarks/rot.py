@@ -28,7 +28,7 @@ WITHIN = 60.0  # s
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file: the folder that has it, its name, and how it is read again.
+    """A kind of file: the folder that has it, its name or a pattern of names, and how it is read again.
 
     `read` is a command, in which DIR stands for the folder, or a function of the file's path; `results` are files that
     it writes, besides what it prints. `lossy`: fewer numbers are right if a warning says so.
@@ -64,13 +64,31 @@ def data_of(path: Path) -> object:
     return read_dataset(path).table
 
 
+def merged(path: Path) -> object:
+    from mckibben.study.sweep import merge, summary
+
+    with tempfile.TemporaryDirectory() as folder:
+        swept = merge([path.parent], folder)
+        return {"table": swept.table.load(), "statistics": summary(swept)}
+
+
+def law_of(path: Path) -> object:
+    from mckibben.identification.storage import read_law
+
+    return repr(read_law(path))
+
+
+def model_of(path: Path) -> object:
+    from mckibben import AntagonisticJoint
+    from mckibben.component.schema import read_component
+
+    return repr(read_component(AntagonisticJoint, path))
+
+
 def simulated(path: Path) -> object:
     """What a new process prints that loads compiled programs, one of which is the file."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(path.parent)}
+    environment = {**os.environ, "XDG_CACHE_HOME": str(path.parents[2])}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-    if path.exists():
-        programs = sorted((path.parent / "mckibben").rglob("*.program"))
-        shutil.copy(path, programs[0])
     command = [sys.executable, "-m", "mckibben", "simulate", "scenario.yaml", "--json"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=WITHIN, check=True)
     return done.stdout
@@ -100,7 +118,11 @@ KINDS = {
     ),
     "protocol of a rig, data": Kind("rig", "protocol.yaml", ("rig", "data", "DIR"), ("isobaric.nc",)),
     "protocol of a rig, resumed": Kind("rig", "protocol.yaml", resumed("rig"), ("isobaric.nc",), ("isobaric.nc",)),
-    "compiled program": Kind("cache", "program", simulated),
+    "compiled programs": Kind("cache", "mckibben/*/*.program", simulated),
+    "table of a part, merged": Kind("sweep", "sweep.nc", merged),
+    "fit.yaml, as a law": Kind("identify", "fit.yaml", law_of),
+    "landing.journal": Kind("land", "landing.journal", resumed("land"), ("results.json", "landing.nc")),
+    "model.yaml": Kind("calibrate", "model.yaml", model_of),
 }
 
 
@@ -126,14 +148,14 @@ def same(one: object, other: object) -> bool:
     return one.identical(other) if hasattr(one, "identical") else one == other
 
 
-def tried(kind: Kind, folder: Path, worker: Worker) -> tuple[str, object, str]:
+def tried(kind: Kind, folder: Path, path: Path, worker: Worker) -> tuple[str, object, str]:
     """Read a folder's file again: "right" or the kind of failure, what came out, and what was printed."""
     from mckibben.errors import McKibbenError
 
     if callable(kind.read):
         begin = time.monotonic()
         try:
-            found = kind.read(folder / kind.name)
+            found = kind.read(path)
         except McKibbenError as error:
             return "message", None, str(error)
         except BaseException as error:
@@ -168,8 +190,7 @@ def campaign(places: int, kinds: list[str], folder: Path) -> Counter:
         for name in {KINDS[kind].made_by for kind in kinds}:
             if name == "cache":
                 (made / name).mkdir(parents=True)
-                simulated(made / name / "program")
-                shutil.copy(sorted(made.rglob("*.program"))[0], made / name / "program")
+                simulated(made / name / "mckibben/programs/program")
                 continue
             worker.prepare(CASES[name])
             done = worker.run(CASES[name].arguments, made / name)
@@ -183,9 +204,10 @@ def campaign(places: int, kinds: list[str], folder: Path) -> Counter:
                 shutil.copytree(made / kind.made_by, test)
                 for other in kind.without:
                     (test / other).unlink()
-                place = flip(test / kind.name) if number >= 0 else None
-                size = (test / kind.name).stat().st_size
-                verdict, came, printed = tried(kind, test, worker)
+                path = random.choice(sorted(test.glob(kind.name)))
+                place = flip(path) if number >= 0 else None
+                size = path.stat().st_size
+                verdict, came, printed = tried(kind, test, path, worker)
                 if verdict == "crash" and "did not end" in printed + "died":
                     worker.close()
                     worker = started()
@@ -195,7 +217,7 @@ def campaign(places: int, kinds: list[str], folder: Path) -> Counter:
                     continue
                 if verdict == "right" and not same(came, wanted):
                     verdict = "lossy" if kind.lossy and "warning:" in printed else "wrong"
-                if kind.lossy and (test / kind.name).stat().st_size != size and verdict != "wrong":
+                if kind.lossy and path.stat().st_size != size and verdict != "wrong":
                     verdict = "moved"  # a record of a finished test must not grow
                 count[verdict] += 1
                 if verdict not in ("right", "message", "lossy"):

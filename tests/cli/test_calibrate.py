@@ -7,6 +7,8 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.component.schema import read_component
+from mckibben.errors import ScenarioError
 from mckibben.numerics.batching import batched_program
 from mckibben.plant import FirstOrderValve, PerfectSensors
 from mckibben.scenario import Scenario
@@ -53,6 +55,30 @@ def test_files_name_the_model(calibrated, tmp_path):
     assert read.controller.model.geometry == kept.controller.model.geometry
     assert read.controller.model.muscle1.correction == kept.controller.model.muscle1.correction
     assert "/Pa" not in (calibrated / "model.yaml").read_text(encoding="utf-8"), "one unit a quantity"
+
+
+@pytest.mark.slow
+def test_a_damaged_model_is_refused(calibrated, tmp_path):
+    base, path = type(Scenario.read(EXAMPLE).joint), tmp_path / "model.yaml"
+    content = (calibrated / "model.yaml").read_bytes()
+    digit = content.index(b"half_width: ") + len(b"half_width: ")
+    path.write_bytes(content[:digit] + bytes([content[digit] ^ 1]) + content[digit + 1 :])
+    with pytest.raises(ScenarioError) as caught:
+        read_component(base, path)
+    assert caught.value.source == str(path)
+    path.write_bytes(path.read_bytes().rpartition(b"# sha256")[0])
+    assert read_component(base, path)
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_records_of_an_earlier_experiment_are_used_only_if_they_are_complete(cli, tmp_path, finished):
+    (tmp_path / "x" / "bare").mkdir(parents=True)
+    (tmp_path / "x" / "bare" / "record-0001.chunks").touch()
+    if finished:
+        (tmp_path / "x" / "bare" / "result.nc").touch()
+    found = cli("calibrate", str(EXAMPLE), "--duration", "20 s", "--out", "x")
+    assert found.code == 2
+    assert ("--recording x/bare/result.nc" in found.err) == finished
 
 
 @pytest.mark.slow
@@ -108,7 +134,6 @@ def test_a_calibrated_model_is_not_calibrated_again(cli, calibrated):
 
 def test_a_recording_from_a_csv_file(tmp_path):
     from mckibben.calibration import read_joint_recording
-    from mckibben.errors import ScenarioError
 
     rows = "\n".join(f"{0.002 * i:.3f},{i % 7},{1 + 0.01 * i},2,{50 + i},60" for i in range(4))
     head = "time_s,angle_deg,pressure1_bar,pressure2_bar,tension1_N,tension2_N"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.leg import LegScenario, LegStart, jumping, landing, study_landing
 from mckibben.leg.landing import valve_with
 from mckibben.leg.uncertainty import drawn_plant
+from mckibben.storage.files import check_seal, file_lock
 from tests.leg.conftest import FILE
 
 HEAD = "name: x\nleg:\n  from: lei-leg\n"
@@ -147,6 +150,10 @@ def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario: LegScenari
     assert (problem.field, problem.value, problem.lower) == ("uncertainty.draws", 19, 20)
 
 
+def full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 @pytest.mark.slow
 def test_a_study_that_was_broken_off_goes_on(
     scenario: LegScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -167,8 +174,14 @@ def test_a_study_that_was_broken_off_goes_on(
         study_landing(scenario, journal=journal)
     with pytest.raises(FileError):  # it exists
         study_landing(scenario, journal=journal)
+    with file_lock(tmp_path / ".landing.journal.lock", "computing this study"), pytest.raises(FileError):
+        study_landing(scenario, journal=journal, resume=True)
+    with monkeypatch.context() as patch, pytest.raises(FileError) as caught:
+        patch.setattr("mckibben.storage.journal._write_at", full)
+        study_landing(scenario, journal=journal, resume=True)
+    assert caught.value.source == str(tmp_path)
     again = study_landing(scenario, journal=journal, resume=True)
-    assert len(runs) == 3 + 4  # of six blocks two were kept
+    assert len(runs) == 3 + 1 + 4  # of six blocks two were kept
     assert again.table.equals(whole.table)
     assert scenario.landing is not None
     assert again.table.attrs["engine"] == whole.table.attrs["engine"]
@@ -256,6 +269,11 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     page = (out / "landing.html").read_text()
     assert "<table" in page and "http" not in page.replace("http://www.w3.org", "")
     assert LegScenario.read(out / "leg.yaml") == scenario
+    rot = bytearray((out / "landing.nc").read_bytes())
+    rot[len(rot) // 2] ^= 1
+    (out / "rot.nc").write_bytes(rot)
+    with pytest.raises(FileError):
+        check_seal(out / "rot.nc")
     resumed = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out), "--json", "--resume"])
     assert resumed.exit_code == 0
     assert json.loads(resumed.stdout) == numbers

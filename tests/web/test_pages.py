@@ -230,6 +230,29 @@ def test_a_ranking_can_be_cancelled():
     assert ranking is None
 
 
+@pytest.mark.slow
+def test_two_tabs_of_a_browser_show_the_same():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            first = user.client
+            await user.open("/identify")
+            await paste(user, RIG)
+            await user.should_see("204 points", retries=60)
+            user.find(marker="rank").click()
+            kept = state(identify.IdentificationState)
+            await until(lambda: kept.jobs.part > 0)
+            user.client = first
+            await user.should_see("204 points", retries=60)
+            user.find(marker="cancel").click()
+            await until(lambda: not kept.jobs.busy)
+            await user.open("/identify")
+            await user.should_see("204 points", retries=60)
+            return kept.ranking
+
+    assert asyncio.run(visit()) is None
+
+
 def test_a_fit_is_ended_within():
     """By the next evaluation after `cancel`, not at its end."""
     data, evaluations, ended = catalog.dataset("dmsp-10-250-martens2017"), [], []

@@ -122,6 +122,35 @@ def test_an_upload_that_is_broken_off_leaves_the_server_alive(site):
     assert site.ask()[0].status == 200
 
 
+FORM = b'--x\r\nContent-Disposition: form-data; name="f"; filename="a.csv"\r\n\r\n' + b"1,2\n" * 1000 + b"\r\n--x--\r\n"
+
+
+@contextmanager
+def half_sent(site):
+    """A connection that has sent half of an upload."""
+    with closing(http.client.HTTPConnection("127.0.0.1", site.port, timeout=20)) as line:
+        line.putrequest("POST", site.upload())
+        line.putheader("Cookie", site.cookie)
+        line.putheader("Content-Length", str(len(FORM)))
+        line.putheader("Content-Type", "multipart/form-data; boundary=x")
+        line.endheaders(FORM[: len(FORM) // 2])
+        yield line
+
+
+def test_a_slow_upload_holds_up_nobody(site):
+    with half_sent(site) as line:
+        for place in range(len(FORM) // 2, len(FORM), 500):
+            assert site.ask("/identify")[0].status == 200
+            line.send(FORM[place : place + 500])
+        assert line.getresponse().status == 200
+
+
+def test_a_slow_upload_does_not_keep_the_server_from_its_end():
+    with running() as (process, site), half_sent(site):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) == 130
+
+
 def test_its_own_pages_may_open_a_websocket(site):
     own = f"http://127.0.0.1:{site.port}"
     with connect(site.socket, origin=own, additional_headers={"Cookie": site.cookie}) as line:

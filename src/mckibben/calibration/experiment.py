@@ -25,7 +25,7 @@ from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import Result
 from mckibben.storage.columns import read_columns
-from mckibben.storage.files import atomic_write
+from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import show
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
@@ -376,4 +376,4 @@ def write_model(scenario: Scenario, found: JointCalibration, path: str | os.Path
     """Write the section of the controller's model with the estimates, for ``model: FILE`` of a controller."""
     text = write_text(calibrated_model(scenario, found), folder=Path(path).parent)
     with atomic_write(path, overwrite=True) as part:
-        part.write_text(_HEAD + text, encoding="utf-8")
+        part.write_bytes(sealed((_HEAD + text).encode()))

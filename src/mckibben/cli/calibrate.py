@@ -172,8 +172,9 @@ def _running(out: Path, parts: Mapping[str, str], rig: JointRig | None, quiet: b
     from mckibben.rig.record import segments
 
     if kept := [name for name in parts if (out / name).is_dir() and segments(out / name)]:
-        remedy = f"use them with --recording {out}/{kept[0]}/result.nc, or choose another folder"
-        raise ParameterError(f"{out} already contains records", remedy=remedy)
+        results = [out / name / "result.nc" for name in kept if (out / name / "result.nc").is_file()]
+        remedy = f"use them with --recording {results[0]}, or choose" if results else "they are incomplete; choose"
+        raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
 
     def ready(name: str) -> None:
         if rig is not None and rig.physical:
@@ -211,7 +212,7 @@ def _valves(
     from mckibben.component.schema import write_text
     from mckibben.realtime import JointRig
     from mckibben.report.joint import valve_calibration as draw
-    from mckibben.storage.files import atomic_write
+    from mckibben.storage.files import atomic_write, sealed
 
     on = None if rig is None else JointRig.read(rig)
     if out is not None:
@@ -237,7 +238,7 @@ def _valves(
     }
     with keeping(out):
         with atomic_write(out / "valve.yaml", overwrite=True) as part:
-            part.write_text(_VALVE_HEAD + write_text(found.valve, folder=out), encoding="utf-8")
+            part.write_bytes(sealed((_VALVE_HEAD + write_text(found.valve, folder=out)).encode()))
         _keep(out, scenario_with_valves(scenario, found), numbers, draw(found, recordings))
     if json:
         echo(to_json(numbers))

@@ -60,11 +60,12 @@ def land(
         study = study_landing(read, source=str(file), journal=journal, resume=resume, progress=report)
     numbers = study.records()
     if out:
+        from mckibben.dataset.schema import write_netcdf
         from mckibben.report.leg import write_landing
 
         with keeping(out):
             write_json(out / "results.json", numbers)
-            study.table.to_netcdf(out / "landing.nc")
+            write_netcdf(study.table, out / "landing.nc")
             read.to_yaml(out / "leg.yaml")
             write_landing(study, out)
     _show(read.name, study, numbers, json)
@@ -86,12 +87,13 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
         study = study_jump(read, source=str(file), progress=report)
     numbers = study.records()
     if out:
+        from mckibben.dataset.schema import write_netcdf
         from mckibben.report.leg import write_jump
 
         with keeping(out):
             write_json(out / "results.json", numbers)
-            study.constant.run.to_netcdf(out / "constant.nc")
-            study.timed.run.to_netcdf(out / "timed.nc")
+            write_netcdf(study.constant.run, out / "constant.nc")
+            write_netcdf(study.timed.run, out / "timed.nc")
             read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)

@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document, to_text
 from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, closest, quoted, suggest
-from mckibben.storage.files import atomic_write
+from mckibben.storage.files import atomic_write, check_seal
 
 
 class ConfigModel(BaseModel):
@@ -121,20 +121,21 @@ def _merged(content: Any, changes: Any) -> Any:
 
 
 def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
-    """The text of a configuration file; ScenarioError, with `what` and `example`, if it cannot be read."""
+    """Text of a configuration file; ScenarioError (`what`, see `example`) if it is unreadable or its seal is broken."""
     source, longest = os.fspath(path), 4 * LONGEST_TEXT
     try:
         with Path(path).open("rb") as file:
             content = file.read(longest + 1)
         if len(content) > longest:
             raise ScenarioError(source, [Problem(f"is longer than {LONGEST_TEXT} characters")])
+        check_seal(Path(path))
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ScenarioError(source, [Problem("is not text in UTF-8", remedy="give a YAML file")]) from None
     except OSError as error:
         reason = error.strerror or str(error)
-    except ScenarioError:
-        raise
+    except FileError as error:
+        raise ScenarioError(source, error.problems) from None
     except ValueError as error:  # such as a null character in the path
         reason = str(error)
     problem = Problem(f"cannot be read: {reason}", remedy=f"give the path of {what}, see {example}")

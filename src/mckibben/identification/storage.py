@@ -25,7 +25,7 @@ from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
-from mckibben.storage.files import atomic_write, check_seal, sealed
+from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import BoundedInt, factor, quantity, show
 
 _HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
@@ -322,7 +322,6 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
     """The checked content of a file: a `_FitFile`, or a `_LawFile` if it need not be complete; None: as it is."""
     source = os.fspath(path)
     text = read_text(path, "a fit", "docs/files.md")
-    check_seal(Path(path))
     document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +24,7 @@ from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve
 from mckibben.simulation.result import attributes
 from mckibben.simulation.software import engine_of_job, software
+from mckibben.storage.files import explain_write_errors, file_lock
 from mckibben.storage.journal import (
     Journal,
     JournalReader,
@@ -236,7 +239,8 @@ def study_landing(
     ScenarioError
         If there is no section `landing`, or a joint cannot have the stiffness; with the attainable range.
     FileError
-        If the journal exists, or, to be continued, is of another leg or version.
+        If the journal exists, or, to be continued, is of another leg or version; if another
+        process is computing the study; or if the disk is full.
     """
     landing = scenario.landing
     source = source or scenario.name
@@ -296,7 +300,7 @@ def study_landing(
         software_before = read_header(journal, _FORMAT, _VERSION).get("software") if resume else None
         engine = engine_of_job(engines_used, software_before, engine)
         engines.add(engine)
-    with _Blocks(journal, scenario, engine, resume) as kept:
+    with _writing(journal), _Blocks(journal, scenario, engine, resume) as kept:
         for place, (name, valve) in enumerate(valves.items()):
             parts = []
             for block, rows in enumerate(blocks):
@@ -367,6 +371,18 @@ def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirVal
 def _scaled(valve: AirValve, factor: float) -> AirValve:
     exhaust = None if valve.exhaust_conductance is None else valve.exhaust_conductance * factor
     return dataclasses.replace(valve, conductance=valve.conductance * factor, exhaust_conductance=exhaust)
+
+
+@contextmanager
+def _writing(journal: Path | None) -> Iterator[None]:
+    """Lock out other processes from the journal, and explain a full disk."""
+    if journal is None:
+        yield
+        return
+    lock = file_lock(journal.with_name(f".{journal.name}.lock"), "computing this study")
+    kept, remedy = "finished landings are kept", "make room, and continue with --resume (resume=True)"
+    with lock, explain_write_errors(journal.parent, lambda: kept, remedy):
+        yield
 
 
 class _Blocks:
