@@ -34,6 +34,7 @@ from mckibben.web.layout import (
     side,
     table,
     text_area,
+    upload,
 )
 from mckibben.web.security import LARGEST
 from mckibben.web.session import Jobs, session
@@ -119,13 +120,9 @@ class _Page:
         self.state, self.folder, self.shown = state, folder, -1
         with side():
             with panel("Measured points"):
-                ui.upload(
-                    label="CSV, .xlsx, .mat, .tdms, .lvm or .nc",
-                    auto_upload=True,
-                    max_file_size=LARGEST,
-                    on_upload=self.uploaded,
-                    on_rejected=lambda: ui.notify(f"larger than {LARGEST // 2**20} MiB", type="negative"),
-                ).props("flat bordered").classes("w-full")
+                upload("CSV, .xlsx, .mat, .tdms, .lvm or .nc", LARGEST, self.uploaded).on_rejected(
+                    lambda: ui.notify(f"larger than {LARGEST // 2**20} MiB", type="negative")
+                )
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
                 ui.select(examples, value="", label="or an example", on_change=self.example).props("dense").classes(
                     "w-full"

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import weakref
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -141,6 +142,18 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
     """A multi-line field with a maximum number of characters and a height in pixels."""
     look = f"outlined aria-label='{label}' maxlength={longest} spellcheck=false input-style='height: {height}px'"
     return ui.textarea(**options).props(look).classes("w-full mono")
+
+
+def upload(label: str, largest: int, taken: Callable[[events.UploadEventArguments], Awaitable[None]]) -> ui.upload:
+    """An upload for a method of a page; FastAPI's caches keep the upload, so it refers to the page only weakly."""
+    method = weakref.WeakMethod(taken)
+
+    async def uploaded(event: events.UploadEventArguments) -> None:
+        if (still := method()) is not None:
+            await still(event)
+
+    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=uploaded)
+    return made.props("flat bordered").classes("w-full")
 
 
 class NumberField(ui.number):

@@ -32,6 +32,7 @@ from mckibben.web.layout import (
     side,
     table,
     text_area,
+    upload,
 )
 from mckibben.web.scene import JointScene
 from mckibben.web.session import session
@@ -86,12 +87,7 @@ class _Page:
                 with ui.row().style("gap: 8px"):
                     ui.button("Run", on_click=self.apply).props("unelevated no-caps").mark("run")
                     ui.button("Download", on_click=self.download).props("flat no-caps")
-                ui.upload(
-                    label="or a scenario.yaml",
-                    auto_upload=True,
-                    max_file_size=4 * LONGEST_TEXT,
-                    on_upload=self.uploaded,
-                ).props("flat bordered accept=.yaml,.yml").classes("w-full")
+                upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
         with side():
             with ui.row().classes("w-full items-center no-wrap").style("gap: 12px"):
                 ui.button("Keep this run", on_click=self.keep).props("unelevated no-caps").mark("keep")
