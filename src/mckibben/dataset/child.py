@@ -43,7 +43,7 @@ def limit_factor() -> float:
 
 
 class _Child:
-    """Child process that is reused for the next file as long as the files are sound."""
+    """Child process that is reused for the next file, except after a damaged HDF5 file or a large one."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -59,17 +59,17 @@ class _Child:
             start = time.monotonic()
             timer = threading.Timer(1.3 * seconds, process.kill)
             timer.start()
-            done, large, answer = False, False, None
+            done, replace, answer = False, True, None
             try:
                 assert process.stdin is not None and process.stdout is not None
                 pickle.dump((function, (path.absolute(), *args), seconds, size), process.stdin)
                 process.stdin.flush()
-                done, large, answer = pickle.load(process.stdout)
+                done, replace, answer = pickle.load(process.stdout)
             except (OSError, EOFError, pickle.UnpicklingError):
                 pass
             finally:
                 timer.cancel()
-                status = None if done and not large else self.end(kill=answer is not None)
+                status = self.end(kill=answer is not None) if replace else None
         if done:
             return cast(Result, answer)
         if isinstance(answer, DatasetError):
@@ -140,7 +140,8 @@ def serve() -> None:
                 done, answer = True, function(*args)
             except DatasetError as error:
                 done, answer = False, error
-            pickle.dump((done, _memory(1) > _LARGE, answer), answers, protocol=5)
+            unsure = not done and "h5py" in sys.modules  # of the state in which a damaged file leaves its library
+            pickle.dump((done, unsure or _memory(1) > _LARGE, answer), answers, protocol=5)
             answers.flush()
             del args, answer
         except MemoryError:

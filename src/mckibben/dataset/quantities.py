@@ -165,7 +165,9 @@ class ColumnConverter:
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         last = f"{int(kept.sum())} rows"
-        if kept.any() and (diameter := implied_diameter(data["pressure"][kept], data["force"][kept])):
+        with np.errstate(over="ignore"):
+            diameter = implied_diameter(data["pressure"][kept], data["force"][kept]) if kept.any() else None
+        if diameter is not None and np.isfinite(diameter):
             last += f"; the largest force is that of a muscle of about {diameter / mm:.2g} mm diameter"
         return printable("\n".join([*lines, last]))
 
