@@ -1,12 +1,14 @@
 """Files of each kind of `benchmarks/messy.py`: none is read wrong in silence."""
 
 import importlib
+import io
 from pathlib import Path
 
+import h5py
 import pytest
 
 from mckibben.dataset import read_dataset
-from mckibben.errors import DatasetError, RangeError
+from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 THOUSANDS = "Pressure [bar];Contraction [%];Force [N]\n2;0;1.234\n3;0;1.851\n"
@@ -30,7 +32,21 @@ def test_the_kinds_of_the_finding_are_right_or_asked(messy, tmp_path):
         "comma_and_point": "right",
         "hdf5_scale_factor": "right",
         "hdf5_scale_and_offset": "right",
-        "hdf5_missing_value": "asked",
+        "hdf5_missing_value": "right",
+        "matlab_nan": "asked",
+        "units_in_the_cells": "right",
+        "exponents_of_fortran": "right",
+        "german_header": "right",
+        "chinese_of_windows": "right",
+        "numpy_savetxt": "right",
+        "gnuplot_blocks": "right",
+        "origin_with_three_rows_of_header": "right",
+        "words_at_the_end": "right",
+        "mean_at_the_end": "asked",
+        "no_units": "asked",
+        "hdf5_rows_of_records": "right",
+        "labview_without_times": "right",
+        "pounds_and_inches": "right",
         "excel_thousands_as_text": "asked",
         "excel_hidden_rows": "wrong with a warning",
         "thousands_points_with_semicolons": "asked",
@@ -52,3 +68,56 @@ def test_the_option_settles_ambiguous_thousands(put):
     assert read_dataset(path, decimal=",").force.tolist() == [1234, 1851]
     with pytest.raises(RangeError):
         read_dataset(path, decimal=";")
+
+
+def test_cells_with_units_say_their_unit(put):
+    rows = "Pressure;Contraction;Force\n2 bar;0 %;{} N\n3 bar;5 %;150 N\n"
+    found = read_dataset(put(rows.format("0,2e3")))
+    assert found.pressure.tolist() == [2e5, 3e5]
+    assert found.force.tolist() == [200, 150]
+    for other in ("0.2 kN", "200", "200 N N", "N"):
+        with pytest.raises(DatasetError):
+            read_dataset(put(rows.format(other).replace(f"{other} N", other)))
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(put("Pressure [kPa];Contraction;Force\n2 bar;0 %;200 N\n3 bar;5 %;150 N\n"))
+    assert [problem.field for problem in caught.value.problems] == ["Pressure [kPa]"]
+    path = put("Druck;Contraction;Force\n2 psi;0 %;200 N\n3 psi;5 %;150 N\n")
+    with pytest.warns(McKibbenWarning) as heard:
+        read_dataset(path, columns={"Druck": "pressure_bar"})
+    assert any("Druck" in str(one.message) and "psi" in str(one.message) for one in heard)
+
+
+def test_rows_with_values_that_the_file_marks_as_missing_are_left_out(put):
+    def file(missing):
+        stream = io.BytesIO()
+        with h5py.File(stream, "w") as made:
+            made["pressure_bar"], made["contraction_percent"] = [2.0, 2, 3, 3, 3], [0.0, 5, 0, 5, 10]
+            made["force_N"] = [200.0, 150, 300, 240, 180]
+            made["force_N"].attrs["missing_value"] = missing
+        return put(stream.getvalue(), "a.h5")
+
+    with pytest.warns(McKibbenWarning):
+        found = read_dataset(file([150.0]))
+    assert found.force.tolist() == [200, 300, 240, 180]
+    assert "row 2, force_N" in found.table.attrs["repairs"]
+    with pytest.raises(DatasetError):  # more than half of the rows
+        read_dataset(file([150.0, 240.0, 180.0]))
+
+
+def test_a_comment_that_looks_like_a_row_is_reported(put):
+    header = "pressure_bar;contraction_percent;force_N\n"
+    with pytest.warns(McKibbenWarning, match="line 3"):
+        found = read_dataset(put(header + "2;0;200\n#2;2;180\n2;5;150\n# end\n"))
+    assert found.force.tolist() == [200, 150]
+    with pytest.raises(DatasetError):
+        read_dataset(put(header + "2;0;200\n#N/A;2;180\n2;5;150\n"))
+
+
+def test_a_header_in_a_comment_needs_a_name_for_each_column(put):
+    rows = "2 0 200\n2 5 150\n"
+    assert read_dataset(put("# rig 3\n# pressure_bar contraction_percent force_N\n" + rows)).force.tolist() == [
+        200,
+        150,
+    ]
+    with pytest.raises(DatasetError):
+        read_dataset(put("# pressure_bar force_N\n" + rows))

@@ -211,7 +211,7 @@ break",unloading,1
         ("1,0.1,1e999", "line 2, force_kN: '1e999' is not a finite number"),
         ("1,0.1,1e308", "line 2, force_kN: 1e+308 kN is too large"),
         ("1,0.1,٣", "line 2, force_kN: '٣' is not a number"),
-        ("1,0.1,3 N", "line 2, force_kN: '3 N' is not a number"),
+        ("1,0.1,3 V", "line 2, force_kN: '3 V' is not a number"),
         ("1,-100,3", "line 2, contraction_percent: -100 % is not between -100 and 100 %"),
     ],
 )
@@ -268,7 +268,7 @@ def test_missing_columns_say_what_is_accepted(file):
     found = problems(file("a,b\n1,2\n"))
     assert len(found) == 3
     assert "pressure_bar, pressure_kPa, pressure_MPa, pressure_Pa, pressure_mbar or pressure_psi" in found[0]
-    assert "contraction_percent or contraction_ratio (or length_mm, length_m or length_cm)" in found[1]
+    assert "contraction_percent or contraction_ratio (or length_mm, length_m, length_cm or length_in)" in found[1]
 
 
 @pytest.mark.parametrize(

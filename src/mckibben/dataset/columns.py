@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from mckibben import units
-from mckibben.dataset.sheet import RawTable
+from mckibben.dataset.sheet import RawColumn, RawTable
 from mckibben.errors import Problem, quoted
 
 _PRESSURE = ("bar", "kPa", "MPa", "Pa", "mbar", "psi")
@@ -16,8 +19,8 @@ _PRESSURE = ("bar", "kPa", "MPa", "Pa", "mbar", "psi")
 ACCEPTED: Mapping[str, tuple[str, ...]] = {
     "pressure": _PRESSURE,
     "contraction": ("percent", "ratio"),
-    "length": ("mm", "m", "cm"),
-    "force": ("N", "kN"),
+    "length": ("mm", "m", "cm", "in"),
+    "force": ("N", "kN", "daN", "kgf", "lbf"),
     "direction": (),
     "repeat": (),
     "time": ("s", "ms", "min"),
@@ -25,17 +28,27 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
     "phase": (),
 }
 
-# Other names, accepted only with a unit. Names with an ambiguous sign or zero, such as strain or displacement, are
-# excluded. Letters are case-sensitive: f is a frequency and T a temperature.
+# Other names, accepted only with a unit, also in six European and two Asian languages. Names with an
+# ambiguous sign or zero, such as strain or displacement, are excluded. Letters are case-sensitive: f is a frequency and
+# T a temperature.
 _NAMES: Mapping[str, str] = {
     name: quantity
     for quantity, others in (
         ("pressure", ("p", "P", "gauge pressure", "muscle pressure", "measured pressure")),
         ("force", ("F", "tension", "axial force", "muscle force", "measured force", "pull")),
-        ("contraction", ("relative contraction", "contraction ratio", "epsilon", "ε")),
+        ("contraction", ("relative contraction", "contraction ratio", "epsilon", "eps", "ε")),
         ("length", ("muscle length",)),
         ("time", ("t", "elapsed time")),
         ("set_pressure", ("set pressure", "pressure setpoint", "nominal pressure", "p_set")),
+        ("pressure", ("druck", "pression", "pressione", "presión", "presion", "pressão", "压力", "压强", "圧力")),
+        ("force", ("kraft", "zugkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
+        (
+            "contraction",
+            ("kontraktion", "verkürzung", "kürzung", "contrazione", "contracción", "contração", "收缩率", "収縮率"),
+        ),
+        ("length", ("länge", "muskellänge", "longueur", "lunghezza", "longitud", "comprimento", "长度", "長さ")),
+        ("time", ("zeit", "temps", "tempo", "tiempo", "时间", "時間")),
+        ("set_pressure", ("solldruck", "druck soll", "pression de consigne")),
     )
     for name in others
 }
@@ -48,12 +61,14 @@ _SPELLED: Mapping[str, str] = {
     "milliseconds": "ms",
     "minutes": "min",
     **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("inch", "inches"), "in"),
     "pascal": "Pa",
     **dict.fromkeys(("millimeters", "millimetres"), "mm"),
 }
 
 _CLASSIC = re.compile(rf"({'|'.join(ACCEPTED)})(?:[_ ](.+))?", re.IGNORECASE | re.ASCII)
 _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*(?:\((?P<a>.+)\)|\[(?P<b>.+)\]|[/,]\s*(?P<c>[^\s/,]+)|\sin\s+(?P<d>\S+))")
+_NUMBER_AND_UNIT = re.compile(r"([+\-\u2212]?[0-9.,'’\s]+?(?:[eE][+-]?[0-9]+)?)\s*([A-Za-z%]+)")
 _GAUGE = re.compile(r"(.*?)(?:\s*\((?:g|gauge|rel)\)| ?gauge| rel| g|(?<=bar|psi)g)", re.IGNORECASE)
 _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a|(?<=bar|psi)a)", re.IGNORECASE)
 
@@ -105,11 +120,26 @@ def is_unit(text: str) -> bool:
     return bare != "1" and bare != "" and any(_same_unit(bare, unit, "pressure") for unit in known)
 
 
+def without_units(column: RawColumn) -> RawColumn:
+    """A column whose cells all have the same unit (3.5 bar), with numbers alone in its cells and its unit."""
+    if isinstance(column.cells, np.ndarray):
+        return column
+    texts = (cell.strip()[: _LONGEST + 1] for cell in column.cells)
+    filled = (_NUMBER_AND_UNIT.fullmatch(text) for text in texts if text and len(text) <= _LONGEST)
+    first = next(filled, None)
+    if first is None or not is_unit(first[2]) or any(one is None or one[2] != first[2] for one in filled):
+        return column
+    if column.unit and not _same_unit(_bare(column.unit), first[2], "pressure"):
+        return column
+    ends = [cell.strip().removesuffix(first[2]).rstrip() for cell in column.cells]
+    return replace(column, cells=ends, unit=first[2])
+
+
 def _readings(header: str, unit: str) -> list[tuple[str, str]]:
     """Candidate readings of a header: pairs of quantity and unit as spelled."""
     if len(header) > _LONGEST:
         return []
-    text = " ".join(header.split())
+    text = unicodedata.normalize("NFC", " ".join(header.split()).rstrip("_"))  # MATLAB writes Pressure_bar_
     found: list[tuple[str, str]] = []
     if match := _CLASSIC.fullmatch(text):
         quantity = match[1].lower()
@@ -117,6 +147,8 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
     name, spelled = _name(text), _bare(unit)
     if match := _WITH_UNIT.fullmatch(text):
         spelled = _bare(next(filter(None, (match["a"], match["b"], match["c"], match["d"]))))
+    elif not spelled and is_unit(text.rpartition("_")[2]):  # F_N
+        name, _, spelled = text.rpartition("_")
     quantity = _NAMES.get(name) or _NAMES.get(name.lower() if len(name) > 1 else "")
     if (key := name.lower().replace(" ", "_")) in ACCEPTED:
         quantity = key
@@ -208,7 +240,10 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
         else:
             layout.places[column.quantity] = index, column
             unit = _bare(channel.unit)
-            if not mapped and is_unit(unit) and not _same_unit(unit, column.unit, column.quantity):
+            if is_unit(unit) and not _same_unit(unit, column.unit, column.quantity):
+                if mapped:
+                    layout.suspect.append(f"{text!r} is read in {column.unit} as assigned, but the file has {unit}")
+                    continue
                 remedy = f"correct one of them, or assign it by {_BY_NAME}"
                 problem(f"is in {column.unit} by its name, but in {unit} by its unit", text, remedy)
     for name in needed:

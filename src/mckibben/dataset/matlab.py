@@ -99,18 +99,26 @@ def _one(cell: Any) -> object:
 
 
 def _columns(
-    sheet: RawTable, name: str, array: np.ndarray, separator: str = ".", unit: str = "", notes: tuple[str, ...] = ()
+    sheet: RawTable,
+    name: str,
+    array: np.ndarray,
+    separator: str = ".",
+    unit: str = "",
+    notes: tuple[str, ...] = (),
+    missing: np.ndarray | None = None,
 ) -> None:
-    """Add the columns of a matrix, numbered as in MATLAB."""
+    """Add the columns of a matrix, numbered as in MATLAB; `missing` marks its missing values."""
     notes += at_type_limit(array)
     matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
+    marks = np.zeros(matrix.shape, bool) if missing is None else missing.reshape(matrix.shape)
     if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
         sheet.ignored.append(name)
         return
     for column, values in enumerate(np.ascontiguousarray(matrix.T, dtype=np.float64)):
         full = name if matrix.shape[1] == 1 else f"{name}(:,{column + 1})"
         rows = range(1, len(values) + 1)
-        sheet.channels.append(RawColumn(full, values, rows, full.rpartition(separator)[2], unit, notes))
+        marked = frozenset((np.flatnonzero(marks[:, column]) + 1).tolist())
+        sheet.channels.append(RawColumn(full, values, rows, full.rpartition(separator)[2], unit, notes, marked))
 
 
 def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -141,23 +149,28 @@ def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
     elif kind == "cell":
         words = [_referred(node.file, reference) for reference in np.ravel(node[()])[:]]
         sheet.channels.append(RawColumn(name, words, range(1, len(words) + 1), short=name.rpartition(".")[2]))
+    elif node.dtype.names and not matlab and node.ndim == 1:  # records, as pandas and PyTables write them
+        records = node[()]
+        for field in records.dtype.names:
+            if records[field].dtype.kind in "biuf":
+                _columns(sheet, f"{name}/{field}", records[field], "/")
     elif kind == "char" or node.dtype.kind not in "biuf":
         sheet.ignored.append(name)
     else:
         try:
-            values, notes = (node[()], ()) if matlab else _unpacked(node)
+            values, notes, missing = (node[()], (), None) if matlab else _unpacked(node)
         except (TypeError, ValueError) as error:
             sheet.problems.append(Problem(f"its packing is not numeric: {error}", field=name))
             return
         unit = "" if matlab else _text(node.attrs, "units") or _text(node.attrs, "unit")
-        _columns(sheet, name, values.T if matlab else values, "." if matlab else "/", unit, notes)
+        _columns(sheet, name, values.T if matlab else values, "." if matlab else "/", unit, notes, missing)
 
 
 _NOT_APPLIED = ("gain", "offset", "scale", "scaling", "factor", "slope", "intercept", "conversion", "multiplier")
 
 
-def _unpacked(node: Any) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Values by the conventions of NetCDF (missing ones are NaN, scale and offset are applied), and notes on them."""
+def _unpacked(node: Any) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
+    """Values by the conventions of NetCDF (scale and offset are applied), notes on them, and which are missing."""
     raw = np.asarray(node[()])
     attributes = {name.lower(): value for name, value in node.attrs.items()}
 
@@ -178,7 +191,7 @@ def _unpacked(node: Any) -> tuple[np.ndarray, tuple[str, ...]]:
     if missing.any():
         values = np.where(missing, np.nan, values)
     notes = tuple(f"has the attribute {name!r}, which is not applied" for name in _NOT_APPLIED if name in attributes)
-    return values, notes if values.dtype == raw.dtype else at_type_limit(raw[~missing]) + notes
+    return values, notes if values.dtype == raw.dtype else at_type_limit(raw[~missing]) + notes, missing
 
 
 def _referred(file: Any, reference: Any) -> str:

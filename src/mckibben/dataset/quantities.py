@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.columns import find_columns, parse_header
+from mckibben.dataset.columns import find_columns, parse_header, without_units
 from mckibben.dataset.plausibility import implied_diameter, missing_marks
 from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
@@ -47,7 +48,10 @@ _WORD_REMEDY = {
 
 
 class ColumnConverter:
-    """Converts the cells of a file to SI columns; collects `problems`, `corrupt` rows and `suspect` values."""
+    """Converts the cells of a file to SI columns; collects `problems`, `corrupt` rows and `suspect` values.
+
+    `missing` are the rows with values that the file itself marks as missing: they are always left out.
+    """
 
     def __init__(
         self,
@@ -58,6 +62,8 @@ class ColumnConverter:
         decimal: str = "",
     ) -> None:
         self.sheet = sheet
+        sheet.channels = [without_units(channel) for channel in sheet.channels]
+        self.missing: list[Problem] = []
         self.mapping = mapping
         self.initial_length = initial_length
         self.force_sign = 1
@@ -114,15 +120,17 @@ class ColumnConverter:
         self, path: Path, data: dict[str, np.ndarray], on_corrupt: OnCorrupt
     ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """Valid rows, and attributes that list the corrupt ones; raises a `DatasetError` with all problems."""
-        bad = {problem.line for problem in self.corrupt}
+        omitted = self.corrupt + self.missing
+        bad = {problem.line for problem in omitted}
         lines = np.asarray(self.lines)
         kept = ~np.isin(lines, [line for line in bad if line is not None])
         rows = len(set(lines.tolist()) | bad - {None}) if bad else len(lines)
         left_out = rows - int(kept.sum())
-        if self.corrupt and on_corrupt == "report" and not self.problems and 2 * left_out > rows:
-            unit = f"{left_out} of {rows} rows are not numeric: more than half cannot be left out"
-            self.problems.append(Problem(unit))
-        if self.problems or (self.corrupt and on_corrupt == "raise"):
+        refused = self.corrupt and on_corrupt == "raise"
+        if omitted and not refused and not self.problems and 2 * left_out > rows:
+            text = f"{left_out} of {rows} rows are not numeric: more than half cannot be left out"
+            self.problems.append(Problem(text))
+        if self.problems or refused:
             found = self._sorted(self.problems + self.corrupt)
             more = [Problem(f"and {len(found) - _LISTED} more problems")] if len(found) > _LISTED else []
             raise DatasetError(str(path), found[:_LISTED] + more)
@@ -135,8 +143,8 @@ class ColumnConverter:
         for name in ("preprocessing", "repairs") if ours else ():  # of the file from which this one was made
             if (text := self.sheet.comments.get(name, (0, "none"))[1]) != "none":
                 attrs[name] = unquote(text)
-        if self.corrupt:
-            found = self._sorted(self.corrupt)
+        if omitted:
+            found = self._sorted(omitted)
             attrs["repairs"] = "\n".join([*filter(None, [attrs.get("repairs")]), *map(str, found)])
             first = "; ".join(map(str, found[:_WARNED]))
             more = f" ... and {len(found) - _WARNED} more, all in the attribute repairs" if len(found) > _WARNED else ""
@@ -209,7 +217,11 @@ class ColumnConverter:
             may_be_empty=name == "set_pressure",
             kind=self.sheet.kind,
         )
-        self.corrupt += problems
+        for problem in problems:
+            if problem.line in channel.missing:
+                self.missing.append(replace(problem, message="is marked as missing by the file"))
+            else:
+                self.corrupt.append(problem)
         self._report_marks(channel.name, values)
         with np.errstate(over="ignore"):
             si = values * factor(column.unit) if column.unit else values

@@ -32,7 +32,7 @@ class RowProblem(Problem):
 class RawColumn:
     """Raw column: full name (``group/channel``), cells, line numbers, short name and unit given outside the name.
 
-    `notes` are warnings that matter only if the column is read.
+    `notes` are warnings that matter only if the column is read; `missing` are lines that the file marks as missing.
     """
 
     name: str
@@ -41,6 +41,7 @@ class RawColumn:
     short: str = ""
     unit: str = ""
     notes: tuple[str, ...] = ()
+    missing: frozenset[int] = frozenset()
 
     @property
     def label(self) -> str:
@@ -112,7 +113,8 @@ def at_type_limit(values: np.ndarray) -> tuple[str, ...]:
 
 
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*(?:([.,])[0-9]*)?")
-_ONE_SIGN = re.compile(r"[+-]?([0-9]*)([.,])([0-9]*)([eE][+-]?[0-9]+)?")
+_ONE_SIGN = re.compile(r"[+-]?([0-9]*)([.,])([0-9]*)([eEdD][+-]?[0-9]+)?")
+_FORTRAN = re.compile(r"(?<=[0-9.,])[dD](?=[+-]?[0-9])")
 _FEW = 10_000  # cells of a column whose problems are all listed
 _UNDECIDED = "?"
 _DIGITS = frozenset("0123456789+-eE \n")
@@ -233,7 +235,8 @@ def read_numbers(
                 if math.isfinite(value := float(cell.replace(",", "."))):
                     values[index] = value
                     continue
-        text = _without_thousands(cell.strip().replace("\u2212", "-"), decimal.sign, settled=settled)
+        text = _FORTRAN.sub("e", cell.strip().replace("\u2212", "-"))  # the exponent of 1.5D+02
+        text = _without_thousands(text, decimal.sign, settled=settled)
         if not text and may_be_empty:
             continue
         message, remedy = _wrong(text, decimal, "line" if kind is Problem else "row")

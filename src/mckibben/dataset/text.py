@@ -34,11 +34,13 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     stream = _Lines(text)
     comments: dict[str, tuple[int, str]] = {}
     number = 0
+    named = ""  # the last comment, which is the header of a table of numbers, as numpy.savetxt writes it
     for line in stream:
         number += 1
         stripped = line.strip()
         if stripped and not stripped.startswith(("#", "%")):
             break
+        named = stripped.lstrip("#% ") or named
         key, colon, value = stripped.lstrip("#%").partition(":")
         if colon and key.strip() in COMMENTS:
             comments[key.strip()] = (number, value.strip())
@@ -50,7 +52,9 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     lines, number = _header(line, stream, number, known)
     lines += islice(stream, max(0, 2 - len(lines)))
     if positions := _positions(lines[0]):
-        lines, number = [positions, *lines], number - 1
+        if len(named) <= _LONGEST_HEADER and sum(known(one, "") for one in _split(named, _delimiter(named, known))) > 1:
+            positions = ""
+        lines, number = [positions or f"{named}\n", *lines], number - 1
     delimiter = _delimiter(lines[0], known)
     if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
         raise DatasetError(source, [_too_wide(f"{count} columns", number)])
@@ -199,12 +203,18 @@ class _Row(NamedTuple):
 def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> None:
     """Columns of any other file, and its corrupt rows."""
     lines = [*lines, *_LINE.findall(stream.text, stream.at)]
-    rows = list(_rows(lines, first, sheet))
+    rows = [row for row in _rows(lines, first, sheet) if not _is_comment(row, sheet)]
     if not rows:
         return
     header = [cell.strip() for cell in rows[0].cells]
     sheet.header_line = rows[0].line
     skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
+    if skipped > 1 and len(rows) > 2 and _has_no_number(rows[2]):  # the comments of Origin, under names and units
+        sheet.suspect.append(f"line {rows[2].line} has no number; it is left out")
+        del rows[2]
+    while len(rows) > skipped and len(rows[-1].cells) != len(header) and _has_no_number(rows[-1]):
+        sheet.suspect.append(f"line {rows[-1].line}, after the last row, has no number; it is left out")
+        del rows[-1]
     units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
     first_name = header[0]
     rows = [
@@ -240,6 +250,23 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     sheet.channels = [
         RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
     ]
+
+
+_COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
+
+
+def _is_comment(row: _Row, sheet: RawTable) -> bool:
+    """True for a comment, and a warning if it looks like a row; an error of Excel is no comment."""
+    if not _COMMENT.match(row.cells[0].lstrip()):
+        return False
+    rest = [row.cells[0].lstrip(" #"), *row.cells[1:]]
+    if len(rest) > 1 and all(map(_NUMBER.fullmatch, rest)):
+        sheet.suspect.append(f"line {row.line} is a comment and looks like a row; it is left out")
+    return True
+
+
+def _has_no_number(row: _Row) -> bool:
+    return not any(map(_NUMBER.fullmatch, row.cells))
 
 
 def _may_be_split(rows: Sequence[_Row], delimiter: str) -> bool:
@@ -344,12 +371,15 @@ _MARKS = (
     (b"\xff\xfe", "utf-16"),
     (b"\xfe\xff", "utf-16"),
 )
+_ASIAN = {"gb18030": ("压力", "拉力", "收缩"), "shift_jis": ("圧力", "収縮", "張力")}
+"""Encodings tried for texts that are not UTF-8, and words of headers that settle them."""
 _BINARY = 0.01  # share of zero bytes above which a file is not text
 _PROBED = 4096  # bytes
+_HEAD = 2**16  # bytes searched for words of a header
 
 
 def decode(data: bytes, source: str) -> tuple[str, int]:
-    """Text by byte order mark, else UTF-16, UTF-8 or Windows-1252; number of zero bytes removed at the end."""
+    """Text by byte order mark, else UTF-16, UTF-8, GB 18030, Shift JIS or Windows-1252; number of zero bytes cut."""
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             return _decoded(data, encoding, source), 0
@@ -368,7 +398,8 @@ def decode(data: bytes, source: str) -> tuple[str, int]:
     except UnicodeDecodeError as error:
         if error.end == len(whole) and error.reason == "unexpected end of data":  # truncated within a character
             return whole.decode("utf-8", "replace"), len(data) - len(whole)
-        return _decoded(whole, "cp1252", source), len(data) - len(whole)
+        found = (e for e, words in _ASIAN.items() if any(word.encode(e) in whole[:_HEAD] for word in words))
+        return _decoded(whole, next(found, "cp1252"), source), len(data) - len(whole)
 
 
 def _decoded(data: bytes, encoding: str, source: str) -> str:
@@ -404,6 +435,8 @@ def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: 
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
+    if not any(map(str.strip, map(str, sheet.channels[0].cells))):  # X_Columns: No
+        del sheet.channels[0]
     sheet.channels = [
         replace(each, short="time" if each.name == "X_Value" else "", unit=each.unit or units.get(each.name, ""))
         for each in sheet.channels

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import re
+import tempfile
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -168,14 +170,19 @@ class _Page:
 
     async def uploaded(self, event: events.UploadEventArguments) -> None:
         """Store an uploaded file under our own name, with its ending."""
-        ending = Path(event.file.name).suffix.lower()
-        path = self.folder / f"data{ending if _READABLE.fullmatch(ending) else '.csv'}"
+        path = self.new_file(Path(event.file.name).suffix.lower())
         await event.file.save(path)
         self.take(printable(event.file.name, 80), path)
 
+    def new_file(self, ending: str) -> Path:
+        """Path of a new empty file, as two tabs may send data at once."""
+        ending = ending if _READABLE.fullmatch(ending) else ".csv"
+        with tempfile.NamedTemporaryFile(dir=self.folder, prefix="data-", suffix=ending, delete=False) as made:
+            return Path(made.name)
+
     def paste(self) -> None:
         """Keep a pasted table."""
-        path = self.folder / "data.csv"
+        path = self.new_file(".csv")
         path.write_text((self.pasted.value or "")[:_LONGEST_PASTE], encoding="utf-8")
         self.take("pasted table", path)
 
@@ -187,6 +194,9 @@ class _Page:
     def take(self, name: str, source: Path | None) -> None:
         """Replace the data by a file or a dataset from the catalog."""
         state = self.state
+        if state.source not in (None, source):
+            with suppress(OSError):
+                state.source.unlink()
         state.name, state.source = name, source
         length, columns = state.initial_length, state.columns
 
@@ -213,12 +223,18 @@ class _Page:
             return
         law = law_types()[state.law]
 
-        def compute(_: Callable[[str, float], None]) -> tuple[Fit, Muscle | None]:
-            found = identify(law, data)
-            return found, keep_muscle(found, data, folder)
+        def compute(_: Callable[[str, float], None]) -> tuple[Fit, Muscle | None, Path]:
+            found, kept = identify(law, data), Path(tempfile.mkdtemp(dir=folder))
+            return found, keep_muscle(found, data, kept), kept
 
-        def done(found: tuple[Fit, Muscle | None], heard: list[str]) -> None:
-            (state.fit, state.muscle), state.notes, state.error = found, heard, None
+        def done(found: tuple[Fit, Muscle | None, Path], heard: list[str]) -> None:
+            state.fit, state.muscle, kept = found
+            state.notes, state.error = heard, None
+            for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
+                (folder / name).unlink(missing_ok=True)
+                if (kept / name).exists():
+                    (kept / name).replace(folder / name)
+            kept.rmdir()
 
         state.jobs.start(compute, done, self.fail)
 
