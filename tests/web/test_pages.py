@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import random
 import re
 import sys
 import time
+import weakref
 import zipfile
 from contextlib import asynccontextmanager
 from io import BytesIO
@@ -25,7 +27,7 @@ import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.joint import KneeGeometry
-from mckibben.muscle import ExponentialLaw
+from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
 from mckibben.web import app, design, identify, rig, session, workbench
@@ -249,6 +251,88 @@ def test_two_tabs_of_a_browser_show_the_same():
             await user.open("/identify")
             await user.should_see("204 points", retries=60)
             return kept.ranking
+
+    assert asyncio.run(visit()) is None
+
+
+def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):
+    """Also if it is cancelled after its last evaluation."""
+    written = identify.keep_muscle
+
+    def keep_muscle(*given):
+        made = written(*given)
+        laws.append(type(given[0].law))
+        if cancel:
+            state(identify.IdentificationState).jobs.cancel()
+        return made
+
+    monkeypatch.setattr(identify, "keep_muscle", keep_muscle)
+    cancel, laws = [], []
+
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            await paste(user, RIG)
+            await user.should_see("204 points", retries=60)
+            kept = state(identify.IdentificationState)
+            folder = kept.source.parent
+            user.find(marker="fit").click()
+            await until(lambda: kept.fit is not None)
+            before = (folder / "fit.yaml").read_bytes()
+            the(user, ui.select, "law").set_value("ChouLaw")
+            cancel.append(True)
+            user.find(marker="fit").click()
+            await until(lambda: len(laws) == 2)
+            await asyncio.sleep(0.3)
+            return before, (folder / "fit.yaml").read_bytes(), type(kept.fit.law)
+
+    before, after, law = asyncio.run(visit())
+    assert laws == [ExponentialLaw, ChouLaw]  # both fits were finished
+    assert before == after
+    assert law is ExponentialLaw
+
+
+def test_data_of_two_tabs_are_two_files():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            await paste(user, RIG)
+            first = state(identify.IdentificationState).source
+            text = first.read_text(encoding="utf-8")
+            await paste(user, "pressure_bar")
+            second = state(identify.IdentificationState).source
+            return text, first, second, first.exists(), second.read_text(encoding="utf-8")
+
+    text, first, second, remains, other = asyncio.run(visit())
+    assert text == RIG
+    assert other == "pressure_bar"
+    assert second != first
+    assert not remains  # nobody asks for it any more
+
+
+@pytest.mark.parametrize("where", ["/identify", "/run", "/rig"])
+def test_a_page_is_freed_when_it_is_left(where):
+    async def visit():
+        async with visitor() as user:
+            pages = []
+            module = sys.modules[f"mckibben.web{where.replace('/', '.')}"]
+            init = module._Page.__init__
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(
+                    module._Page,
+                    "__init__",
+                    lambda page, *given: (pages.append(weakref.ref(page)), init(page, *given))[1],
+                )
+                await user.open(where)
+            await asyncio.sleep(0.5)
+            user.client.delete()
+            user.client = None
+            for _ in range(50):
+                gc.collect()
+                if pages[0]() is None:
+                    break
+                await asyncio.sleep(0.1)
+            return pages[0]()
 
     assert asyncio.run(visit()) is None
 

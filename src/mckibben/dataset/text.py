@@ -231,11 +231,16 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     del lines  # of a large text
     good: list[_Row] = []
     filled = sheet.delimiter != "," or known(header[-1], units[-1] if len(units) == len(header) else "")
+    names = zip(header, [*units, *[""] * len(header)], strict=False)
+    note_last = [known(name, unit) for name, unit in names] == [True] * (len(header) - 1) + [False]
     for row in rows:
         if len(row.cells) > len(header) and (filled or not _may_be_split([row], ",")):
             while len(row.cells) > len(header) and not row.cells[-1].strip():
                 row.cells.pop()
         found, expected = len(row.cells), len(header)
+        if note_last and found > expected and not _may_be_split([row], sheet.delimiter):
+            row.cells[expected - 1 :] = [sheet.delimiter.join(row.cells[expected - 1 :])]  # a note with delimiters
+            found = expected
         if found == expected:
             good.append(row)
             continue
@@ -339,7 +344,9 @@ def _look_at_the_end(text: str, zeros: int, sheet: RawTable) -> None:
     last = text.count("\n") + 1
     lengths = [channel.lines[-1] for channel in sheet.channels if len(channel.lines)]
     ends = max([*lengths, *(problem.line or 0 for problem in sheet.corrupt)], default=0)
-    if zeros:
+    if zeros and text.endswith(("\n", "\r")):
+        sheet.suspect.append(f"the file ends in {zeros} zero bytes after line {last - 1}: rows may be missing")
+    elif zeros:
         message = f"the file ends in {zeros} zero bytes: it was truncated while being written"
         sheet.corrupt.append(Problem(message, line=last))
     if text.endswith(("\n", "\r")) or ends < last:

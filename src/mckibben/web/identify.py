@@ -194,9 +194,10 @@ class _Page:
     def take(self, name: str, source: Path | None) -> None:
         """Replace the data by a file or a dataset from the catalog."""
         state = self.state
-        if state.source not in (None, source):
+        old = state.source
+        if old is not None and old != source and old.parent == self.folder:  # not that of the page Rig
             with suppress(OSError):
-                state.source.unlink()
+                old.unlink()
         state.name, state.source = name, source
         length, columns = state.initial_length, state.columns
 
