@@ -168,6 +168,19 @@ def test_a_compiler_that_was_removed_leaves_it_to_xla(use, programs, tmp_path):
         assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
 
 
+def test_the_words_of_cc_after_its_first_are_options(use, monkeypatch):
+    use('[ "$1" = -g0 ] && exec $REAL "$@"')
+    monkeypatch.setenv("CC", f"{native.os.environ['CC']} -g0")
+    assert BatchFunction(double)("native", None, LANES)[1] == "native"
+
+
+def test_a_compiler_of_cc_that_is_not_found_is_reported(programs, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler -O3")
+    compiler.cache_clear()
+    with pytest.warns(McKibbenWarning, match="no-such-compiler"):
+        assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
+
+
 def replaced(file, library):
     """Write another library into a stored program, with a valid checksum."""
     _, leaves, tree = pickle.loads(program_cache._read(file))

@@ -8,6 +8,7 @@ import math
 import os
 import pickle
 import platform
+import shlex
 import shutil
 import signal
 import struct
@@ -30,7 +31,7 @@ from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.source_module import inputs_of
 from mckibben.codegen.vectors import HEADERS, SUFFIX, VectorWriter, prelude, width
 from mckibben.codegen.writer import Writer
-from mckibben.errors import CompilerError, ExportError, McKibbenWarning
+from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
 from mckibben.numerics.runtime import programs_folder
 
@@ -58,10 +59,18 @@ _OTHER_FOLDER = (
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 
 
+def compiler_words() -> list[str]:
+    """Name and options of the C compiler, from the environment variable CC (``ccache gcc``) or cc."""
+    return shlex.split(os.environ.get("CC", "")) or ["cc"]
+
+
 @functools.cache
 def compiler() -> str | None:
-    """Path of a C compiler; None if there is none."""
-    return shutil.which(os.environ.get("CC", "cc"))
+    """Path of the C compiler; None, with a warning if CC names it, if it is not found."""
+    name = compiler_words()[0]
+    if (path := shutil.which(name)) is None and name != "cc":
+        warn_of_fallback(CompilerError(f"the compiler of the environment variable CC, {quoted(name)}, is not found"))
+    return path
 
 
 def own_flags() -> list[str]:
@@ -321,7 +330,18 @@ def compile_library(source: str, flags: Sequence[str]) -> bytes:
     if _FAILED:
         raise _FAILED[0]
     name = compiler() or "cc"
-    command = [name, "-std=gnu11", *_FLAGS, *flags, *own_flags(), "source.c", "-o", "library.so", "-lm"]
+    command = [
+        name,
+        *compiler_words()[1:],
+        "-std=gnu11",
+        *_FLAGS,
+        *flags,
+        *own_flags(),
+        "source.c",
+        "-o",
+        "library.so",
+        "-lm",
+    ]
     trial = [sys.executable, "-I", "-S", "-c", _TRIAL]  # in another process, which may crash
     try:
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
@@ -398,7 +418,7 @@ def _compiler_state() -> str:
         status = Path(name).resolve().stat()
     except OSError:  # removed since it was found
         return ""
-    options = _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, own_flags()
+    options = compiler_words(), _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, own_flags()
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 

@@ -10,7 +10,7 @@ from importlib.metadata import version
 import jax
 
 import mckibben
-from mckibben.codegen.native import compiler, own_flags
+from mckibben.codegen.native import compiler, compiler_words, own_flags
 from mckibben.simulation.engine import check_engine
 
 _PATIENCE = 20.0  # s for a compiler to state its version
@@ -26,7 +26,7 @@ def software(engine: str = "auto") -> dict[str, str]:
         "engine": check_engine(engine, many=True),
     }
     if found["engine"] == "native":
-        found["compiler"] = " ".join([_compiler_version(compiler() or ""), *own_flags()])
+        found["compiler"] = " ".join([_compiler_version(compiler() or ""), *compiler_words()[1:], *own_flags()])
     return found
 
 
