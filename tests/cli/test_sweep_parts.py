@@ -59,6 +59,16 @@ def test_merged_parts_are_the_undivided_sweep(cli, here):
     assert "48 runs" in cli("merge", "2", "1", "--out", "shown").out
 
 
+def test_a_merge_that_was_killed_before_its_statistics_goes_on(cli, here):
+    assert cli("merge", "1", "2", "--out", "merged").code == 0
+    table, statistics = here / "merged" / "sweep.nc", here / "merged" / "results.json"
+    before, expected = table.stat(), statistics.read_bytes()
+    statistics.unlink()
+    assert cli("merge", "1", "2", "--out", "merged").code == 0
+    assert statistics.read_bytes() == expected
+    assert table.stat().st_mtime_ns == before.st_mtime_ns
+
+
 @pytest.mark.parametrize(
     ("given", "source", "field"),
     [
@@ -67,7 +77,7 @@ def test_merged_parts_are_the_undivided_sweep(cli, here):
         (["1", "other", "--out", "merged"], "other", "seed"),
         (["1", "whole", "--out", "merged"], "whole", "part"),
         (["1", "unfinished", "--out", "merged"], "unfinished", "sweep.nc"),
-        (["1", "2", "--out", "whole"], "whole", "sweep.nc"),
+        (["1", "2", "--out", "other"], "other", "sweep.nc"),
         (["1", "2", "--out", "mine"], "mine", "results.json"),
         (["1", "2"], "", "--out DIR"),
     ],

@@ -115,7 +115,7 @@ def merge(
 
     check_free(out, ("results.json",))
     swept = run(parts, out)
-    with keeping(out, "make room, and merge into another folder"):
+    with keeping(out, "make room, and merge again"):
         numbers = _write_statistics(swept, out)
     if json:
         echo(to_json(numbers))

@@ -22,7 +22,7 @@ from mckibben.errors import DatasetError, Problem
 
 SECONDS = 10.0
 """Processor time of the child process for a file."""
-MEMORY = 2**29
+MEMORY = 448 * 2**20
 """Memory [bytes] of the child process for a file, in excess of the idle process."""
 _VARIABLE = "MCKIBBEN_READ_LIMITS"
 LIMIT_REMEDY = f"give fewer rows or columns, or, if you trust the file, set {_VARIABLE}=4 for four times the limits"

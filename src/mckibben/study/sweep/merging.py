@@ -27,7 +27,8 @@ def merge(folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
     folders
         Folders of all parts, of one division.
     out
-        Output folder. Its table is that of the undivided sweep, byte for byte.
+        Output folder. Its table is that of the undivided sweep, byte for byte. If it is there already, as after a
+        `mckibben merge` that was killed during its statistics, it is not written again.
 
     Returns
     -------
@@ -37,17 +38,18 @@ def merge(folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
     Raises
     ------
     FileError
-        If a part is missing, given twice, unfinished, damaged, or of another sweep or division; if `out` contains a
-        table; or if the disk is full.
+        If a part is missing, given twice, unfinished, damaged, or of another sweep or division; if `out` contains
+        another table; or if the disk is full.
     """
     if not folders:
         raise ParameterError("there is nothing to merge", field="folders", remedy="give the folders of all parts")
     out = Path(out)
-    check_free(out, [TABLE])
     with ExitStack() as opened:
         parts = _ordered([_opened(Path(folder), opened) for folder in folders])
         tables = [swept.table for _, swept in parts]
         runs = sum(swept.count for _, swept in parts)
+        if (merged := _merged(out, parts[0][1], runs)) is not None:
+            return merged
 
         def pieces(name: str) -> Iterator[NDArray]:
             for table in tables:
@@ -64,6 +66,20 @@ def merge(folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
                     write_columns(file, tables[0], runs, {str(name): pieces(str(name)) for name in tables[0]})
                 append_seal(temporary)
     return SweepResult.from_netcdf(out / TABLE, lazy=True)
+
+
+def _merged(out: Path, part: SweepResult, runs: int) -> SweepResult | None:
+    """The table of an earlier merge of the same sweep; raises FileError for any other table in the folder."""
+    try:
+        found = SweepResult.from_netcdf(out / TABLE, lazy=True)
+    except FileError:
+        check_free(out, [TABLE])
+        return None
+    manifests = [json.loads(swept.table.attrs["manifest"]) for swept in (part, found)]
+    if manifest_differences(*manifests) or _part_of(found) != (1, 1) or found.count != runs:
+        found.table.close()
+        check_free(out, [TABLE])
+    return found
 
 
 def _opened(folder: Path, opened: ExitStack) -> tuple[Path, SweepResult]:
