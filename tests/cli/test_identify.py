@@ -66,9 +66,10 @@ def test_semicolons_decimal_commas_and_other_headers(cli, german):
     assert numbers["decay_per_percent"] == pytest.approx(0.3, rel=1e-6)
     assert numbers["parameters"]["a2"]["estimate"] == pytest.approx(109.0, rel=1e-6)
     assert numbers["parameters"]["c1"]["unit"] == "N"
-    without = cli("identify", german)
+    assert json.loads(cli("identify", german, "--json").out)["parameters"] == numbers["parameters"]
+    without = cli("identify", german, "--column", "Druck [bar]=force_N")
     assert without.code == 2
-    assert "'Druck [bar]'" in without.err
+    assert "'Kraft [N]'" in without.err or "pressure" in without.err
 
 
 def test_another_law(cli):

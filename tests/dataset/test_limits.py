@@ -1,12 +1,13 @@
 """Files that claim much, and rows that a mark in one of them must not take away."""
 
 import io
+import os
 import time
 
 import openpyxl
 import pytest
 
-from mckibben.dataset import read_dataset
+from mckibben.dataset import read_dataset, read_recording
 from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.storage.columns import read_samples
 
@@ -76,3 +77,16 @@ def test_numbers_are_those_that_people_write(put, text):
     table = put(f"time_s,angle_deg\n0,1\n1,{text}\n", "samples.csv")
     with pytest.raises(ValueError, match="line 3"):
         read_samples(table, "angle", "deg")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
+@pytest.mark.parametrize("name", ["rig.csv", "rig.nc", "rig.mat"])
+@pytest.mark.parametrize("read", [read_dataset, read_recording])
+def test_pipes_and_devices_are_refused_whatever_their_name(tmp_path, name, read):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(DatasetError):
+        read(tmp_path / name)
+    (tmp_path / name).unlink()
+    (tmp_path / name).symlink_to("/dev/zero")
+    with pytest.raises(DatasetError):
+        read(tmp_path / name)

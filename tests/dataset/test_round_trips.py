@@ -152,7 +152,7 @@ def test_netcdf_without_our_variables_is_refused(tmp_path):
 
 
 def test_a_missing_netcdf_file_and_renamed_columns_are_refused(tmp_path):
-    with pytest.raises(DatasetError, match="No such file"):
+    with pytest.raises(DatasetError, match="no such file"):
         read_dataset(tmp_path / "none.nc")
     with pytest.raises(DatasetError, match="columns cannot be renamed"):
         read_dataset(tmp_path / "none.nc", columns={"a": "force_N"})

@@ -26,7 +26,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "") -> Raw
 
     Binary files and large texts are read in the child process.
     """
-    size, start = _probe(path)
+    size, start = probe(path)
     if size > (most := _LARGEST * limit_factor()):
         problem = Problem(f"has {size / 1e6:.0f} MB, more than {most / 1e6:.0f}", remedy=LIMIT_REMEDY)
         raise DatasetError(str(path), [problem])
@@ -35,7 +35,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "") -> Raw
     return _read(path, mapping, decimal)
 
 
-def _probe(path: Path) -> tuple[int, bytes]:
+def probe(path: Path) -> tuple[int, bytes]:
     """Size and first bytes of a file; raises a `DatasetError` unless it is a regular file that can be read."""
     try:
         found = path.stat()

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from mckibben.dataset.formats import probe
 from mckibben.dataset.netcdf_check import check_netcdf
 from mckibben.dataset.sheet import unreadable
 from mckibben.errors import DatasetError, FileError, Problem
@@ -226,6 +227,7 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
 def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
     """Read a NetCDF file, or open it (`lazy`); raises a `DatasetError` if it is missing or damaged."""
     try:
+        probe(path)
         check_seal(path)
         check_netcdf(path)
         if lazy:
