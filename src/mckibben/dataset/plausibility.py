@@ -177,7 +177,8 @@ def implied_diameter(pressure: Floats, force: Floats) -> float | None:
     at = int(np.argmax(force))
     if not (force[at] > 0 and pressure[at] > 0):
         return None
-    return math.sqrt(4 * force[at] / (math.pi * _BLOCKED_FORCE * pressure[at]))
+    with np.errstate(over="ignore"):
+        return math.sqrt(4 * force[at] / (math.pi * _BLOCKED_FORCE * pressure[at]))
 
 
 def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Iterator[tuple[Problem, bool]]:
