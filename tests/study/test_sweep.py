@@ -535,7 +535,7 @@ def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
 
 
 def test_a_file_that_is_no_sweep(tmp_path, kept):
-    with pytest.raises(FileError, match="No such file"):
+    with pytest.raises(FileError, match="no such file"):
         SweepResult.from_netcdf(tmp_path / "nowhere.nc")
     (tmp_path / "text.nc").write_text("text")
     with pytest.raises(FileError, match="cannot be read as NetCDF"):

@@ -166,6 +166,14 @@ async def paste(user, text):
     user.find("Read", kind=ui.button).click()
 
 
+async def points_of_the_rig(user):
+    """Open the page Muscle, paste the points, and wait for them; the state of the page."""
+    await user.open("/identify")
+    await paste(user, RIG)
+    await user.should_see("204 points", retries=60)
+    return state(identify.IdentificationState)
+
+
 @pytest.mark.slow
 def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
     async def visit():
@@ -215,10 +223,7 @@ def test_problems_are_listed_by_line_and_shown_as_text():
 def test_a_ranking_can_be_cancelled():
     async def visit():
         async with visitor() as user:
-            await user.open("/identify")
-            await paste(user, RIG)
-            await user.should_see("204 points", retries=60)
-            kept = state(identify.IdentificationState)
+            kept = await points_of_the_rig(user)
             user.find(marker="rank").click()
             await until(lambda: kept.jobs.part > 0)
             user.find(marker="cancel").click()
@@ -271,10 +276,7 @@ def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):
 
     async def visit():
         async with visitor() as user:
-            await user.open("/identify")
-            await paste(user, RIG)
-            await user.should_see("204 points", retries=60)
-            kept = state(identify.IdentificationState)
+            kept = await points_of_the_rig(user)
             folder = kept.source.parent
             user.find(marker="fit").click()
             await until(lambda: kept.fit is not None)

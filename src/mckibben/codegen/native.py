@@ -330,18 +330,8 @@ def compile_library(source: str, flags: Sequence[str]) -> bytes:
     if _FAILED:
         raise _FAILED[0]
     name = compiler() or "cc"
-    command = [
-        name,
-        *compiler_words()[1:],
-        "-std=gnu11",
-        *_FLAGS,
-        *flags,
-        *own_flags(),
-        "source.c",
-        "-o",
-        "library.so",
-        "-lm",
-    ]
+    options = [*compiler_words()[1:], "-std=gnu11", *_FLAGS, *flags, *own_flags()]
+    command = [name, *options, "source.c", "-o", "library.so", "-lm"]
     trial = [sys.executable, "-I", "-S", "-c", _TRIAL]  # in another process, which may crash
     try:
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:

@@ -28,9 +28,9 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
     "phase": (),
 }
 
-# Other names, accepted only with a unit, also in six European and two Asian languages. Names with an
-# ambiguous sign or zero, such as strain or displacement, are excluded. Letters are case-sensitive: f is a frequency and
-# T a temperature.
+# Other names, accepted only with a unit, also in five more European and two Asian languages. Names with an ambiguous
+# sign or zero, such as strain or displacement, are excluded. Letters are case-sensitive: f is a frequency and T a
+# temperature.
 _NAMES: Mapping[str, str] = {
     name: quantity
     for quantity, others in (
@@ -124,8 +124,7 @@ def without_units(column: RawColumn) -> RawColumn:
     """A column whose cells all have the same unit (3.5 bar), with numbers alone in its cells and its unit."""
     if isinstance(column.cells, np.ndarray):
         return column
-    texts = (cell.strip()[: _LONGEST + 1] for cell in column.cells)
-    filled = (_NUMBER_AND_UNIT.fullmatch(text) for text in texts if text and len(text) <= _LONGEST)
+    filled = (_NUMBER_AND_UNIT.fullmatch(text[:_LONGEST]) for text in map(str.strip, column.cells) if text)
     first = next(filled, None)
     if first is None or not is_unit(first[2]) or any(one is None or one[2] != first[2] for one in filled):
         return column

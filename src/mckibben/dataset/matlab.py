@@ -110,15 +110,15 @@ def _columns(
     """Add the columns of a matrix, numbered as in MATLAB; `missing` marks its missing values."""
     notes += at_type_limit(array)
     matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
-    marks = np.zeros(matrix.shape, bool) if missing is None else missing.reshape(matrix.shape)
     if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
         sheet.ignored.append(name)
         return
     for column, values in enumerate(np.ascontiguousarray(matrix.T, dtype=np.float64)):
         full = name if matrix.shape[1] == 1 else f"{name}(:,{column + 1})"
         rows = range(1, len(values) + 1)
-        marked = frozenset((np.flatnonzero(marks[:, column]) + 1).tolist())
-        sheet.channels.append(RawColumn(full, values, rows, full.rpartition(separator)[2], unit, notes, marked))
+        marked = () if missing is None else np.flatnonzero(missing.reshape(matrix.shape)[:, column]) + 1
+        lines = frozenset(map(int, marked))
+        sheet.channels.append(RawColumn(full, values, rows, full.rpartition(separator)[2], unit, notes, lines))
 
 
 def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
