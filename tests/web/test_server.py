@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 from contextlib import closing, contextmanager
+from functools import partial
 
 import pytest
 
@@ -39,7 +40,12 @@ def running(**environment):
         one.bind(("127.0.0.1", 0))
         free = one.getsockname()[1]
     with subprocess.Popen(
-        command(free), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=OUTSIDE | environment
+        command(free),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=OUTSIDE | environment,
+        preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_DFL),  # nohup ignores it, and that is inherited
     ) as process:
         try:
             found = re.match(rf"(http://127\.0\.0\.1:{free}/)\?token=(\S{{40,}}) ", process.stdout.readline())
