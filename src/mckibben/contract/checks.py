@@ -45,6 +45,8 @@ _ROUNDING = 1e-14  # of a result that is the difference of others, relative to t
 _APART = 1e-4  # relative change of the parameters for finite differences, so that equal limits are no kinks
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
 _LONGEST = 300  # characters of a finding
+# each program runs once or twice: to optimise it takes longer than to run it
+_COMPILER = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
 @dataclass(frozen=True)
@@ -300,7 +302,7 @@ class _Sampled:
 
     @functools.cached_property
     def _program(self) -> Any:
-        return jax.jit(jax.vmap(self))
+        return _compiled(self, self._points)
 
     @functools.cached_property
     def _computed(self) -> NDArray[np.float64]:
@@ -353,9 +355,9 @@ class _Sampled:
             raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
         points = np.concatenate([self.points, self._middle])
         try:
-            jacobians = jax.jit(jax.vmap(jax.jacrev(self)))(points)
+            jacobians = _compiled(jax.jacrev(self), points)(points)
         except ValueError:  # a loop that ends on a condition has forward mode alone
-            jacobians = jax.jit(jax.vmap(jax.jacfwd(self)))(points)
+            jacobians = _compiled(jax.jacfwd(self), points)(points)
         found = (np.asarray(jacobians)[..., moving] * self.scales[moving]).swapaxes(
             1, 2
         )  # (points, directions, results)
@@ -389,6 +391,11 @@ class _Sampled:
             raise _SkippedError(str(error)) from None
         if (at := _difference(emitted, self.values, _EQUAL, self.values)) is not None:
             raise _BrokenError(f"emitted C gives {at[0]:.6g}, JAX {at[1]:.6g}", "report it, with the class")
+
+
+def _compiled(function: Callable[[Any], Any], points: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], Any]:
+    """Program of a function of one vector for a batch of them."""
+    return jax.jit(jax.vmap(function)).lower(points).compile(compiler_options=_COMPILER)
 
 
 def _apply(shared: Any, _: Any) -> Any:
