@@ -259,10 +259,11 @@ def main() -> None:
     parser.add_argument(
         "--loads", type=int, metavar="N", help="load so many pages, each in a session of its own, instead"
     )
+    parser.add_argument("--pages", nargs="+", default=["/", "/identify", "/run", "/rig"], help="pages of --loads")
     parser.add_argument("--attack", action="store_true", help="open a hostile page of another port instead")
     asked = parser.parse_args()
     if asked.loads:
-        loads(asked.loads)
+        loads(asked.loads, asked.pages)
         return
     with served() as printed, browser() as tab:
         address = tab.enter(printed)
@@ -288,7 +289,7 @@ def main() -> None:
         print(f"{len(tab.requests)} requests, to others {len(outside)} {outside[:3]}; errors {tab.errors[:3]}")
 
 
-def loads(count: int) -> None:
+def loads(count: int, pages: list[str]) -> None:
     """Memory of the server while pages are loaded, shown by a websocket, and left, each in a new session."""
     with started() as (process, printed):
         address, _, query = printed.partition("/?")
@@ -300,7 +301,7 @@ def loads(count: int) -> None:
             assert found is not None
             return int(found[1]) / 1024
 
-        for path in ("/", "/identify", "/run", "/rig"):
+        for path in pages:
             figures = [f"{memory():.0f}"]
             for number in range(count):
                 text, cookies = get(host, path, cookie)
