@@ -80,6 +80,8 @@ from .plant import (
     JointPlant as JointPlant,
     PressureRegulator as PressureRegulator,
     SwitchingValves as SwitchingValves,
+    Tube as Tube,
+    UnequalValves as UnequalValves,
 )
 from .rig import (
     IsobaricProtocol as IsobaricProtocol,

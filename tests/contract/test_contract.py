@@ -53,6 +53,7 @@ KNEE, LOAD = plant_scope()["joint"], plant_scope()["load"]
 SPECIMEN = KNEE.muscle1.specimen
 SLIP = MaxwellSlip(12.0, 0.5 * mm, growth=1e-5, tension_growth=0.02, viscous=20.0, elements=4)
 ROUGH = dataclasses.replace(KNEE.muscle1, friction=SLIP)
+REGULATOR = plant.PressureRegulator(5e-9, 7 * bar, time_constant=0.02, hysteresis=0.1 * bar)
 TWO_BONES, PULLEY = joint.TwoBonePath(-0.02, 0.30, -0.03, 0.0), joint.Pulley(25 * mm, 0.3)
 PID = control.PID(2 * bar, 60 * bar, 0.4 * bar)
 LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=KNEE)
@@ -104,6 +105,10 @@ EXAMPLES = [
     plant.FlowValve(5e-9, 7 * bar),
     plant.PressureRegulator(5e-9, 7 * bar, time_constant=0.02, reservoir_volume=1e-3, line_conductance=5e-9),
     plant.SwitchingValves(5e-9, 7 * bar, period=0.02),
+    plant.Tube(REGULATOR, volume=5e-6, conductance=2e-9),
+    plant.UnequalValves(
+        plant.Tube(REGULATOR, volume=5e-6, conductance=2e-9), REGULATOR, reservoir_volume=1e-3, line_conductance=5e-9
+    ),
     plant.SampledSensors(0.01 * deg, 1e3, 0.5, 3),
     plant.TorquePulses(0.5),
     plant.JointFriction(0.3, elements=3),

@@ -9,7 +9,7 @@ import xarray as xr
 
 from mckibben.control import DelayCompensation
 from mckibben.errors import ScenarioError, SimulationError
-from mckibben.plant import FlowValve, PressureRegulator, SwitchingValves
+from mckibben.plant import FlowValve, PressureRegulator, SwitchingValves, UnequalValves
 from mckibben.reachability import check_trackability
 from mckibben.scenario import Scenario, run_many, run_scenario
 from mckibben.simulation import Outcome
@@ -20,6 +20,11 @@ SHORT = EXAMPLE.read_text(encoding="utf-8").replace("duration: 10 s", "duration:
 FLOW = (
     "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar, "
     "reservoir_volume: 500 cm^3, line_conductance: 0.2 L/(s*bar)}"
+)
+
+TUBES = (
+    "{class: unequal, muscle: {class: tube, valve: {from: smc-itv0050, supply: 7 bar, hysteresis: 0.05 bar}, "
+    "volume: 3 cm^3, conductance: 0.2 L/(s*bar)}, reservoir_volume: 500 cm^3, line_conductance: 0.2 L/(s*bar)}"
 )
 
 
@@ -102,6 +107,29 @@ def test_a_small_valve_tracks_worse_and_its_rate_limit_is_found(flow):
         for conductance in (0.4, 0.005)
     }
     assert "trackable throughout" in trackable[0.4] and "at the rate limit" in trackable[0.005]
+
+
+@pytest.mark.slow
+def test_unequal_valves_with_tubes_are_a_file_parameters_and_columns():
+    read = scenario(TUBES)
+    valve = read.plant().valve
+    assert isinstance(valve, UnequalValves) and valve.muscle1 == valve.muscle2
+    assert valve.muscle1.valve.conductance == pytest.approx(0.0091e-8) and valve.muscle2.volume == pytest.approx(3e-6)
+    assert Scenario.parse(read.dumps()).plant().valve == valve
+    batch = run_many(
+        read,
+        {
+            "valve.muscle.valve.supply": np.array([7e5, 6.5e5]),
+            "valve.muscle1.valve.conductance": np.array([0.9e-10, 2e-10]),
+            "valve.muscle2.conductance": np.array([2e-9, 1e-9]),
+            "valve.muscle2.valve.hysteresis": np.array([1e3, 1e4]),
+        },
+    )
+    assert np.ptp(batch.table["angle_rmse"].values) > 0
+    result = run_scenario(read).result
+    assert not result.outcome.failed
+    assert float(np.abs(result["outlet1"] - result["pressure1"]).max()) > 100.0
+    assert float(result["reservoir"].min()) < 6.9999 * bar
 
 
 STARTING_POINTS = sorted((Path(__file__).parents[2] / "examples" / "valves").glob("*.yaml"))

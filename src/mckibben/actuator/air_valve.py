@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, NamedTuple
+import dataclasses
+from typing import Annotated, Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -12,19 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from mckibben.actuator.base import Actuator, AirState, AirVolume, Attainable, Scalar, lag_fraction
+from mckibben.actuator.air_actuator import AirActuator
+from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar, lag_fraction
 from mckibben.component.checks import check_within
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain
 from mckibben.muscle.air import (
     ATMOSPHERE,
     DENSITY,
     ENERGY,
-    FLOATS,
-    LAMINAR,
     CriticalRatio,
-    flow_share,
+    exchange_rate,
     mass_flow,
     pressure_rate,
 )
@@ -52,7 +50,7 @@ DeadBand = Annotated[float, Quantity("Pa", "bar", 0, 1e3)]
 Compensation = Annotated[float, Percent("1", "%", 0, 99)]
 
 
-class AirValve(Actuator):
+class AirValve(AirActuator):
     """Base of valves between supply, muscle and exhaust; one for each muscle.
 
     An opening u in -1..1 has the conductance u C from the supply, or where it is negative, -u C from the muscle to the
@@ -82,8 +80,6 @@ class AirValve(Actuator):
         supply drops while air flows. Without, the pressure at the inlets is constant.
     """
 
-    holds_air = True
-
     conductance: Conductance
     supply: PositivePressure
     exhaust_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
@@ -104,10 +100,6 @@ class AirValve(Actuator):
             )
 
     @abc.abstractmethod
-    def init(self, pressure: Scalar) -> Any:
-        """Return the state of a valve that holds a pressure [Pa]."""
-
-    @abc.abstractmethod
     def opening(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the opening -1 (exhaust) to 1 (supply) at a command and a pressure [Pa]."""
 
@@ -125,68 +117,38 @@ class AirValve(Actuator):
         """Error [Pa] of the pressure up to which the loop keeps the valve shut; None for none."""
         return None
 
+    @property
+    def held_within(self) -> Any:
+        """Change [Pa] of the command, in either direction, that does not pass its lag; None for none."""
+        return None
+
     def fastest_rate(self, stroke: float) -> float:
         """Return a bound on the rates [1/s] of valve and loop, where a pressure strokes by `stroke` [Pa/s]."""
         return stroke / float(self.band)
 
-    def before_step(self, state: Any, command: ArrayLike, pressure: ArrayLike, step: ArrayLike) -> Any:
-        """Return the state before an integration step [s]; for valves that switch."""
-        return state
-
     @property
     def switches(self) -> bool:
-        return type(self).before_step is not AirValve.before_step
+        return type(self).before_step is not AirActuator.before_step
 
-    def init_states(self, pressures: tuple[Scalar, ...]) -> AirState:
-        """Return the state of the valves at rest, and of the reservoir at the pressure of the supply."""
-        filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressures[0]), self.supply)
-        return AirState(tuple(map(self.init, pressures)), filled)
+    @property
+    def reservoir(self) -> Reservoir | None:
+        if self.reservoir_volume is None or self.line_conductance is None:
+            return None
+        volume, line = self.reservoir_volume, self.line_conductance
+        return Reservoir(volume, line, self.supply, self.critical_ratio, self.polytropic_index)
 
-    def telemetry(
-        self, state: AirState | tuple[()], commands: Sequence[ArrayLike], pressures: Sequence[ArrayLike]
-    ) -> dict[str, Array]:
-        """Return columns of a result: openings, and the pressure [Pa] of the reservoir where there is one."""
-        assert isinstance(state, AirState)
-        opening1, opening2 = map(self.opening, state.valves, commands, pressures)
-        reservoir = {} if self.reservoir_volume is None else {"reservoir": state.reservoir}
-        return {"opening1": opening1, "opening2": opening2, **reservoir}
+    def signals(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
+        return {"opening": self.opening(state, command, pressure)}
 
-    def rates(
-        self,
-        pressures: Sequence[Scalar],
-        states: AirState | tuple[()],
-        commands: Sequence[ArrayLike],
-        volumes: Callable[[], Sequence[AirVolume]],
-    ) -> tuple[tuple[Array, ...], AirState]:
-        assert isinstance(states, AirState)
-        return self.air_rate(pressures, states, commands, volumes())
-
-    def air_rate(
-        self,
-        pressures: Sequence[Scalar],
-        air: AirState,
-        commands: Sequence[ArrayLike],
-        volumes: Sequence[AirVolume],
-    ) -> tuple[tuple[Array, ...], AirState]:
-        """Return the rates of the pressures [Pa/s] of all muscles, and of the state."""
-        inlet = ATMOSPHERE + (self.supply if self.reservoir_volume is None else air.reservoir)
-        rates, valve_rates, drawn = [], [], 0.0
-        for pressure, state, command, volume in zip(pressures, air.valves, commands, volumes, strict=True):
-            opening = self.opening(state, command, pressure)
-            flow = self.flow(opening, inlet, pressure)
-            index, absolute = self.polytropic_index, pressure + ATMOSPHERE
-            rates.append(
-                pressure_rate(
-                    index, absolute, flow - self._leakage(pressure), volume.effective(index, absolute), volume.rate
-                )
-            )
-            valve_rates.append(self.rate(state, command, pressure))
-            drawn = drawn + jnp.where(opening > 0, flow, 0.0)
-        reservoir: Any = ()
-        if self.reservoir_volume is not None:
-            line = mass_flow(self.line_conductance, self.critical_ratio, self.supply + ATMOSPHERE, inlet)
-            reservoir = pressure_rate(self.polytropic_index, inlet, line - drawn, self.reservoir_volume, 0.0)
-        return tuple(rates), AirState(tuple(valve_rates), reservoir)
+    def muscle_rate(
+        self, pressure: Scalar, state: Any, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
+    ) -> tuple[Array, Any, Array]:
+        opening = self.opening(state, command, pressure)
+        flow = self.flow(opening, inlet, pressure)
+        index, absolute = self.polytropic_index, pressure + ATMOSPHERE
+        net = flow - self.leakage(pressure)
+        rate = pressure_rate(index, absolute, net, volume.effective(index, absolute), volume.rate)
+        return rate, self.rate(state, command, pressure), jnp.where(opening > 0, flow, 0.0)
 
     def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""
@@ -196,23 +158,22 @@ class AirValve(Actuator):
             conductance, self.critical_ratio, jnp.where(opening > 0, inlet, ATMOSPHERE), pressure + ATMOSPHERE
         )
 
-    def _leakage(self, pressure: ArrayLike) -> Array | float:
+    def leakage(self, pressure: ArrayLike) -> Array | float:
         """Mass flow [kg/s] out of a muscle through the leak."""
         if self.leak is None:
             return 0.0
         return mass_flow(self.leak, self.critical_ratio, pressure + ATMOSPHERE, ATMOSPHERE)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
-        """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s], with a full supply.
-
-        Infinite where the open valve or the supply is too small. The lag of a spool is left out.
-        """
+        # the lag of a spool is left out
         absolute = jnp.asarray(pressure) + ATMOSPHERE
         room = volume.effective(self.polytropic_index, absolute)
-        needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY + self._leakage(pressure)
+        needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY + self.leakage(pressure)
         full = jnp.where(needed > 0, 1.0, -1.0)
         share = needed / self.flow(full, self.supply + ATMOSPHERE, pressure)
         command = pressure + self._error_for(full * share) + self.command_lag * rate
+        if self.held_within is not None:
+            command = command + jnp.sign(rate) * self.held_within
         possible = (share >= 0) & (share <= 1) & (jnp.asarray(pressure) <= self.supply)
         return jnp.where(possible, command, full * jnp.inf)
 
@@ -223,9 +184,9 @@ class AirValve(Actuator):
     def predict(
         self, pressure: Scalar, state: Scalar, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
     ) -> tuple[Scalar, Scalar]:
-        slowest, fastest, drift = self._rates(pressure, air)
-        following = state + lag_fraction(self.command_lag, duration) * (command - state)
-        error = self._effective((state + following) / 2 - pressure)
+        slowest, fastest, drift = self.open_rates(pressure, air)
+        following = self.follow(state, command, duration)
+        error = self.effective((state + following) / 2 - pressure)
         rate = jnp.where(error > 0, fastest, -slowest)  # of the open valve
         lag = self.band / rate
         full = jnp.clip(jnp.abs(error) / rate - lag, 0.0, duration)  # time [s] with a fully open valve
@@ -241,7 +202,7 @@ class AirValve(Actuator):
         air: AirVolume | None,
         duration: ArrayLike,
     ) -> Attainable:
-        slowest, fastest, drift = self._rates(pressure, air)
+        slowest, fastest, drift = self.open_rates(pressure, air)
         one = jnp.ones_like(pressure)
         return Attainable(one, (slowest + drift) * duration, (fastest + drift) * duration)
 
@@ -254,15 +215,21 @@ class AirValve(Actuator):
         lag: ArrayLike,
         period: ArrayLike,
     ) -> Scalar:
-        slowest, fastest, drift = self._rates(pressure, air)
+        slowest, fastest, drift = self.open_rates(pressure, air)
         rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
         flow = jnp.clip(rate - drift, slowest, fastest)  # as a rate of the pressure [Pa/s]
         opening = flow / jnp.where(flow > 0, fastest, -slowest)
         wanted = pressure + period / 2 * (flow + drift) + self._error_for(opening)
         lead = lag_fraction(_FASTER * jnp.asarray(lag), period) / lag_fraction(self.command_lag, period)
-        return state + lead * (wanted - state)
+        return state + _leading(lead * (wanted - state), self.held_within)
 
-    def _rates(self, pressure: Scalar, air: AirVolume | None) -> tuple[Scalar, Scalar, Scalar]:
+    def follow(self, state: Scalar, command: ArrayLike, duration: ArrayLike) -> Scalar:
+        """Return the command [Pa] after its lag, a time [s] later."""
+        return state + lag_fraction(self.command_lag, duration) * _beyond(
+            jnp.asarray(command) - state, self.held_within
+        )
+
+    def open_rates(self, pressure: Scalar, air: AirVolume | None) -> tuple[Scalar, Scalar, Scalar]:
         """Rates [Pa/s] by the open valve, to the exhaust and from the full supply, and with the valve shut."""
         assert air is not None
         index, absolute = self.polytropic_index, pressure + ATMOSPHERE
@@ -271,23 +238,10 @@ class AirValve(Actuator):
             pressure_rate(index, absolute, self.flow(opening, self.supply + ATMOSPHERE, pressure), volume, 0.0)
             for opening in (-1.0, 1.0)
         )
-        drift = pressure_rate(index, absolute, -self._leakage(pressure), volume, air.rate)
+        drift = pressure_rate(index, absolute, -self.leakage(pressure), volume, air.rate)
         return jnp.minimum(vent, -_LEAST_RATE), jnp.maximum(fill, _LEAST_RATE), drift
 
-    def model_lag(self, joint: AntagonisticJoint) -> Any:
-        """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""
-        muscle = joint.muscle2 if joint.springs[0] else joint.muscle1
-        domain = muscle.domain
-        volume = np.asarray(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
-        found = self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
-        return np.asarray(found, float) if np.ndim(found) else float(found)
-
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
-        """Return the first-order time constant [s] of a small change of the command at a pressure and volume.
-
-        It is the area between a step of the command and the response of the pressure in a fixed volume [m^3] around a
-        gauge pressure [Pa], over the step; the mean of filling and venting. For the valve model of a controller.
-        """
         inside = pressure + ATMOSPHERE
         fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside, np)
         vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
@@ -297,15 +251,18 @@ class AirValve(Actuator):
     def fastest_rate_in(self, volume: float) -> float:
         """Return a bound on the rates [1/s] of the air in a volume [m^3], of valve, loop and reservoir."""
         index, critical = float(self.polytropic_index), float(self.critical_ratio)
-        widest = max(float(self.conductance), float(self._exhaust))
-        slope = flow_share(critical, LAMINAR, FLOATS) / (1 - LAMINAR)  # of the flow over the pressure, both relative
-        per_volume = index * ENERGY * DENSITY * slope
-        room = volume + float(self.dead_volume)
+        widest, room = self.widest, volume + float(self.dead_volume)
         stroke = index * ENERGY * DENSITY * widest * (float(self.supply) + ATMOSPHERE) / room
-        rates = [per_volume * widest / room + self.fastest_rate(stroke)]
-        if self.reservoir_volume is not None and self.line_conductance is not None:
-            rates.append(per_volume * (float(self.line_conductance) + 2 * widest) / float(self.reservoir_volume))
-        return max(rates)
+        fastest = exchange_rate(index, critical, widest, room) + self.fastest_rate(stroke)
+        return fastest if self.reservoir is None else max(fastest, self.reservoir.fastest_rate(2 * widest))
+
+    @property
+    def widest(self) -> float:
+        return max(float(self.conductance), float(self._exhaust))
+
+    def scaled(self, factor: float) -> Self:
+        exhaust = None if self.exhaust_conductance is None else self.exhaust_conductance * factor
+        return dataclasses.replace(self, conductance=self.conductance * factor, exhaust_conductance=exhaust)
 
     @property
     def _exhaust(self) -> Conductance:
@@ -313,17 +270,25 @@ class AirValve(Actuator):
 
     def _loop(self, command: ArrayLike, pressure: ArrayLike) -> Array:
         """Opening that the proportional loop asks for."""
-        return jnp.clip(self._effective(jnp.asarray(command) - jnp.asarray(pressure)) * (1 / self.band), -1.0, 1.0)
+        return jnp.clip(self.effective(jnp.asarray(command) - jnp.asarray(pressure)) * (1 / self.band), -1.0, 1.0)
 
-    def _effective(self, error: Array) -> Array:
-        """Part of an error [Pa] of the pressure that opens the valve."""
-        shut = self.shut_within
-        return error if shut is None else error - jnp.clip(error, -shut, shut)
+    def effective(self, error: Array) -> Array:
+        """Return the part of an error [Pa] of the pressure that opens the valve."""
+        return _beyond(error, self.shut_within)
 
     def _error_for(self, opening: ArrayLike) -> Array:
         """Error [Pa] at which the loop gives an opening; where it is small, less than what keeps the valve shut."""
-        error, shut = self.band * jnp.asarray(opening), self.shut_within
-        return error if shut is None else error + jnp.clip(error, -shut, shut)
+        return _leading(self.band * jnp.asarray(opening), self.shut_within)
+
+
+def _beyond(error: Array, width: Any) -> Array:
+    """Part of an error beyond a width, None for none, to either side."""
+    return error if width is None else error - jnp.clip(error, -width, width)
+
+
+def _leading(error: Array, width: Any) -> Array:
+    """Error whose part beyond a width is as given, but where it is small twice as large."""
+    return error if width is None else error + jnp.clip(error, -width, width)
 
 
 def _compensated(opening: Array, shut: Any, compensation: Any) -> Array:
@@ -390,16 +355,24 @@ class PressureRegulator(AirValve):
         Lag [s] of the command before the loop.
     dead_zone
         Error [Pa] of the pressure up to which the regulator stays shut; none by default.
+    hysteresis
+        Difference [Pa] between the pressures at a command that rose and one that fell to its value; none by default.
+        The lagged command z follows the command u by T z' = e - clip(e, -h/2, h/2), e = u - z, as with dry friction.
     """
 
     short_name = "regulator"
 
     time_constant: ValveTime = eqx.field(kw_only=True)
     dead_zone: DeadBand | None = eqx.field(kw_only=True, default=None)
+    hysteresis: DeadBand | None = eqx.field(kw_only=True, default=None)
 
     @property
     def shut_within(self) -> Any:
         return self.dead_zone
+
+    @property
+    def held_within(self) -> Any:
+        return None if self.hysteresis is None else self.hysteresis / 2
 
     @property
     def command_lag(self) -> ArrayLike:
@@ -415,7 +388,7 @@ class PressureRegulator(AirValve):
         return self._loop(state, pressure)
 
     def rate(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
-        return (jnp.asarray(command) - state) * (1 / self.time_constant)
+        return _beyond(jnp.asarray(command) - state, self.held_within) * (1 / self.time_constant)
 
 
 class Switching(NamedTuple):

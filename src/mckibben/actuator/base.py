@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,9 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, RigidTendon
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.muscle import Domain
+from mckibben.muscle.air import ATMOSPHERE, exchange_rate, mass_flow, pressure_rate
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.elementary import exp
+from mckibben.numerics.elementary import exp, floating
 
 Scalar = Float[Array, ""]
 
@@ -51,14 +52,15 @@ def air_volumes(
     velocity: ArrayLike,
     pressures: tuple[Scalar, Scalar],
     states: MuscleStates = NO_STATES,
-    dead_volume: ArrayLike = 0.0,
+    dead_volumes: tuple[ArrayLike, ArrayLike] = (0.0, 0.0),
 ) -> tuple[AirVolume, AirVolume]:
-    """Return the volumes of the air in the muscles of a joint, dead volume [m^3] included, at a velocity [rad/s]."""
+    """Return the volumes of the air in the muscles of a joint, dead volumes [m^3] included, at a velocity [rad/s]."""
+    dead1, dead2 = dead_volumes
 
     def volumes(angle: ArrayLike, pressures: tuple[Scalar, Scalar]) -> tuple[Array, Array]:
         contraction1, contraction2 = joint.contractions(angle, pressures, states)
         specimen1, specimen2 = joint.muscle1.specimen, joint.muscle2.specimen
-        return specimen1.volume(contraction1) + dead_volume, specimen2.volume(contraction2) + dead_volume
+        return specimen1.volume(contraction1) + dead1, specimen2.volume(contraction2) + dead2
 
     at, slopes = value_and_derivative(lambda angle: volumes(angle, pressures), angle)
     by_pressure: Any = (None, None)
@@ -106,12 +108,34 @@ class Attainable(NamedTuple):
         return self.keep * pressure + self.lower, self.keep * pressure + self.upper
 
 
-class Actuator(Component):
-    """Response of the pressures of the muscles to their commands; one for each muscle, all alike.
+class Reservoir(NamedTuple):
+    """Air at the inlets of all valves, filled from the supply through a line."""
 
-    The state of an actuator is the pressure, and what it holds beside it (`init`). Derive a closed form over a
-    constant command from `Valve`, and one whose pressures follow from mass flow and volume from `AirValve`.
-    Other packages ask for the properties below, never for the class.
+    volume: Any  # [m^3]
+    conductance: Any  # C of the line [m^3/(s*Pa)]
+    supply: Any  # gauge pressure [Pa]
+    critical_ratio: Any
+    index: Any  # polytropic
+
+    def rate(self, pressure: ArrayLike, drawn: ArrayLike) -> Array:
+        """Return the rate [Pa/s] of the gauge pressure [Pa] while the valves draw a mass flow [kg/s]."""
+        inlet = ATMOSPHERE + pressure
+        line = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inlet)
+        return pressure_rate(self.index, inlet, line - drawn, self.volume, 0.0)
+
+    def fastest_rate(self, conductance: float) -> float:
+        """Return a bound on the rate [1/s] with valves of a conductance [m^3/(s*Pa)], all together."""
+        total = float(self.conductance) + conductance
+        return exchange_rate(float(self.index), float(self.critical_ratio), total, float(self.volume))
+
+
+class Actuator(Component):
+    """Response of the pressures of the muscles to their commands.
+
+    `for_muscle` gives the actuator of each muscle; all are alike unless it is overridden. The state of an actuator is
+    the pressure, and what it holds in addition (`init`). Derive a closed form over a constant command from `Valve`, and
+    one whose pressures follow from mass flow and volume from `AirValve`. Other packages ask for the properties below,
+    never for the class.
 
     A controller may have an actuator as its model of the valves: it uses `init_model`, `predict`, `attainable` and
     `command_toward`. By default these are a first-order response with the time constant `lag`.
@@ -128,8 +152,22 @@ class Actuator(Component):
     """Whether commands are openings -1..1 in place of pressures."""
     dead_volume = 0.0
     """Volume [m^3] of tube and fittings between actuator and muscle."""
-    reservoir_volume = None
-    """Volume [m^3] of air at the inlets, None for a constant pressure there."""
+    muscle_count: ClassVar[int | None] = None
+    """Number of muscles that it is made for, None for any."""
+
+    def for_muscle(self, index: int) -> Any:
+        """Return the actuator of a muscle, numbered from 0."""
+        return self
+
+    @property
+    def attached_volume(self) -> ArrayLike:
+        """Volume [m^3] of tube and fittings that has the pressure of the muscle."""
+        return self.dead_volume
+
+    @property
+    def reservoir(self) -> Reservoir | None:
+        """Air at the inlets of all valves, None for a constant pressure there."""
+        return None
 
     @property
     def lag(self) -> Any:
@@ -150,7 +188,6 @@ class Actuator(Component):
     def init(self, pressure: Scalar) -> Any:
         """Return the state that holds a pressure [Pa], without the pressure itself."""
 
-    @abc.abstractmethod
     def rates(
         self,
         pressures: Sequence[Scalar],
@@ -159,6 +196,48 @@ class Actuator(Component):
         volumes: Callable[[], Sequence[AirVolume]],
     ) -> tuple[tuple[Array, ...], AirState | tuple[()]]:
         """Return the time derivatives of the pressures [Pa/s] and of the states of all muscles."""
+        if self.holds_air:
+            assert isinstance(states, AirState)
+            return self.air_rate(pressures, states, commands, volumes())
+        return value_and_derivative(lambda t: self.all_after(pressures, states, commands, t), jnp.zeros(()))[1]
+
+    def all_after(
+        self,
+        pressures: Sequence[Scalar],
+        states: AirState | tuple[()],
+        commands: Sequence[ArrayLike],
+        elapsed: ArrayLike,
+    ) -> tuple[tuple[Array, ...], AirState | tuple[()]]:
+        """Return the pressures [Pa] and states of all muscles a time [s] later; see `Valve.after`."""
+        given = zip(pressures, held_states(states, len(pressures)), commands, strict=True)
+        found = [self.for_muscle(i).after(*each, elapsed) for i, each in enumerate(given)]
+        return tuple(one for one, _ in found), AirState(tuple(one for _, one in found)) if states else ()
+
+    def air_rate(
+        self,
+        pressures: Sequence[Scalar],
+        air: AirState,
+        commands: Sequence[ArrayLike],
+        volumes: Sequence[AirVolume],
+    ) -> tuple[tuple[Array, ...], AirState]:
+        """Return the rates of the pressures [Pa/s] of all muscles, and of the state; see `AirActuator.muscle_rate`."""
+        rates, valve_rates, drawn, reservoir = [], [], 0.0, self.reservoir
+        for i, each in enumerate(zip(pressures, air.valves, commands, volumes, strict=True)):
+            own = self.for_muscle(i)
+            inlet = ATMOSPHERE + (own.supply if reservoir is None else air.reservoir)
+            rate, valve_rate, flow = own.muscle_rate(*each, inlet)
+            rates.append(rate)
+            valve_rates.append(valve_rate)
+            drawn = drawn + flow
+        filled: Any = () if reservoir is None else reservoir.rate(air.reservoir, drawn)
+        return tuple(rates), AirState(tuple(valve_rates), filled)
+
+    def before_steps(
+        self, air: AirState, commands: Sequence[ArrayLike], pressures: Sequence[ArrayLike], step: ArrayLike
+    ) -> AirState:
+        """Return the states of all muscles before an integration step [s]; see `AirActuator.before_step`."""
+        each = enumerate(zip(air.valves, commands, pressures, strict=True))
+        return air._replace(valves=tuple(self.for_muscle(i).before_step(*one, step) for i, one in each))
 
     def model_lag(self, joint: AntagonisticJoint) -> Any:
         """Return the first-order time constant [s] of small changes in a joint; None if unknown."""
@@ -203,16 +282,32 @@ class Actuator(Component):
         """Return a bound on the rates [1/s] of the integrated states with an air volume [m^3]."""
         return 0.0
 
+    def signals(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
+        """Return quantities of a run at the actuator of one muscle, by name."""
+        return {}
+
     def telemetry(
         self, state: AirState | tuple[()], commands: Sequence[ArrayLike], pressures: Sequence[ArrayLike]
     ) -> dict[str, Array]:
-        """Return quantities of a run, by name, from the states, commands [Pa] and pressures [Pa] of both muscles."""
-        return {}
+        """Return quantities of a run, by name, from the states, commands [Pa] and pressures [Pa] of all muscles.
+
+        They are the `signals` of each muscle, followed by its number, and the pressure [Pa] of the reservoir.
+        """
+        found: dict[str, Array] = {}
+        for i, one in enumerate(zip(held_states(state, len(pressures)), commands, pressures, strict=True)):
+            found |= {f"{name}{i + 1}": value for name, value in self.for_muscle(i).signals(*one).items()}
+        return found if self.reservoir is None else {**found, "reservoir": state.reservoir}  # type: ignore[union-attr]
 
     def init_states(self, pressures: tuple[Scalar, ...]) -> AirState | tuple[()]:
-        """Return the states that hold the pressures [Pa] of all muscles; empty if there are none beside these."""
-        states = tuple(map(self.init, pressures))
-        return AirState(states) if jax.tree.leaves(states) else ()
+        """Return the states that hold the pressures [Pa] of all muscles, with the reservoir at its supply pressure.
+
+        Empty if there are none in addition to the pressures.
+        """
+        states = tuple(self.for_muscle(i).init(pressure) for i, pressure in enumerate(pressures))
+        if not (self.holds_air or jax.tree.leaves(states)):
+            return ()
+        reservoir = self.reservoir
+        return AirState(states, () if reservoir is None else jnp.full_like(floating(pressures[0]), reservoir.supply))
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         """Return the pressure [Pa] right after a new command [Pa]."""

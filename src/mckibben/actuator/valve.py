@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirState, AirVolume, Attainable, Scalar, held_states
-from mckibben.numerics.calculus import value_and_derivative
+from mckibben.actuator.base import Actuator, AirVolume, Attainable, Scalar
 from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 
@@ -37,27 +35,6 @@ class Valve(Actuator):
     @abc.abstractmethod
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s]."""
-
-    def all_after(
-        self,
-        pressures: Sequence[Scalar],
-        states: AirState | tuple[()],
-        commands: Sequence[ArrayLike],
-        elapsed: ArrayLike,
-    ) -> tuple[tuple[Array, ...], AirState | tuple[()]]:
-        """Return the pressures [Pa] and states of all muscles a time [s] later; see `after`."""
-        given = zip(pressures, held_states(states, len(pressures)), commands, strict=True)
-        found = [self.after(*each, elapsed) for each in given]
-        return tuple(one for one, _ in found), AirState(tuple(one for _, one in found)) if states else ()
-
-    def rates(
-        self,
-        pressures: Sequence[Scalar],
-        states: AirState | tuple[()],
-        commands: Sequence[ArrayLike],
-        volumes: Callable[[], Sequence[AirVolume]],
-    ) -> tuple[tuple[Array, ...], AirState | tuple[()]]:
-        return value_and_derivative(lambda t: self.all_after(pressures, states, commands, t), jnp.zeros(()))[1]
 
 
 class IdealValve(Valve):

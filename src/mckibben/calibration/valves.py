@@ -218,7 +218,7 @@ def calibrate_valves(
     prior = prior or JointPrior()
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
-    if valve.direct or valve.reservoir_volume is not None:
+    if valve.direct or valve.reservoir is not None:
         what = "takes openings in place of pressures" if valve.direct else "has a reservoir that all valves share"
         raise IdentificationError(f"the valve {what}, and cannot be identified", remedy="leave that out of its model")
     problem = _problem_of(joint, valve, prior, delay)
@@ -335,7 +335,7 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     joint = dataclasses.replace(problem.joint, geometry=ScaledArms(problem.joint.geometry, 1 + arms))
     pressures = tuple(map(jnp.asarray, record.pressures))
     air = air_volumes(joint, record.angle - zero, 0.0, pressures)[muscle]  # type: ignore[arg-type]
-    room = air.volume * (1 + volume) + valve.dead_volume
+    room = air.volume * (1 + volume) + valve.attached_volume
     rate = jnp.diff(room, append=room[-1:]) / record.period  # exactly the changes of the volume: errors do not add up
     air = AirVolume(room, rate, air.by_pressure)
 

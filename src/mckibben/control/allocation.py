@@ -105,7 +105,8 @@ def achieved(model: AntagonisticJoint, commands: Pair, cocontraction: ArrayLike)
 
 def command_limits(model: AntagonisticJoint, valve: Actuator) -> tuple[Pair, Pair]:
     """Lowest and highest commands [Pa]: those of the model's domains, and at most the supply of the valves."""
-    ranges = [valve.command_range(muscle.domain) for muscle in (model.muscle1, model.muscle2)]
+    both = enumerate((model.muscle1, model.muscle2))
+    ranges = [valve.for_muscle(i).command_range(muscle.domain) for i, muscle in both]
     (low1, high1), (low2, high2) = ((floating(low), floating(high)) for low, high in ranges)
     return (low1, low2), (high1, high2)
 

@@ -39,19 +39,21 @@ class Valves(NamedTuple):
     def predict(self, commands: Pair, duration: ArrayLike) -> tuple[Pair, tuple[Any, Any]]:
         """Return the pressures [Pa] and states a time [s] later, under constant commands [Pa]."""
         each = zip(self.pressures, self.states, commands, self.air, strict=True)
-        (pressure1, state1), (pressure2, state2) = (self.model.predict(*one, duration) for one in each)
+        (pressure1, state1), (pressure2, state2) = (
+            self.model.for_muscle(i).predict(*one, duration) for i, one in enumerate(each)
+        )
         return (pressure1, pressure2), (state1, state2)
 
     def attainable(self, duration: ArrayLike) -> tuple[Attainable, Attainable]:
         """Return the pressures that can be reached within a time [s]."""
         each = zip(self.pressures, self.states, zip(*self.commands, strict=True), self.air, strict=True)
-        reach1, reach2 = (self.model.attainable(*one, duration) for one in each)
+        reach1, reach2 = (self.model.for_muscle(i).attainable(*one, duration) for i, one in enumerate(each))
         return reach1, reach2
 
     def commands_toward(self, targets: Pair, lag: ArrayLike, period: ArrayLike) -> Pair:
         """Return the commands [Pa] of a control period [s] that lead the pressures to targets [Pa] with a lag [s]."""
         each = zip(self.pressures, self.states, targets, self.air, strict=True)
-        wanted = (self.model.command_toward(*one, lag, period) for one in each)
+        wanted = (self.model.for_muscle(i).command_toward(*one, lag, period) for i, one in enumerate(each))
         command1, command2 = map(jnp.clip, wanted, *self.commands)
         return command1, command2
 
@@ -136,7 +138,7 @@ class ModelBasedControl(Controller):
             added_stiffness=added,
             friction=zero,
             commands=pressures,
-            actuators=(self.valve.init_model(pressures[0]), self.valve.init_model(pressures[1])),
+            actuators=tuple(self.valve.for_muscle(i).init_model(pressures[i]) for i in (0, 1)),  # type: ignore
             saturated=jnp.asarray(False),
         )
 
@@ -201,7 +203,8 @@ class ModelBasedControl(Controller):
             valve = dataclasses.replace(valve, time_constant=adapted.time_constant)
         air: Any = (None, None)
         if valve.holds_air:
-            air = air_volumes(self.model, angle, velocity, pressures, dead_volume=valve.dead_volume)
+            dead1, dead2 = (valve.for_muscle(i).attached_volume for i in (0, 1))
+            air = air_volumes(self.model, angle, velocity, pressures, dead_volumes=(dead1, dead2))
         return Valves(valve, pressures, states, air, command_limits(self.model, valve))
 
     def _stiffness(self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair, isobaric: Scalar) -> Pair:

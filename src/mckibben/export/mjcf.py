@@ -128,7 +128,7 @@ def check_valve(valve: Actuator) -> None:
     """Raise an error for a valve that the plugin does not support."""
     if valve.switches:
         raise cannot("valve", "valves that switch between steps", "give it a FlowValve")
-    if valve.reservoir_volume is not None:
+    if valve.reservoir is not None:
         raise cannot("reservoir_volume", "a supply that drops, which couples the muscles", "leave it out")
 
 
@@ -276,7 +276,10 @@ def _mjcf(
     both = plant.joint.muscle1, plant.joint.muscle2
     for number, (one, summary, muscle) in enumerate(zip(moved, muscles, both, strict=True), 1):
         target = f'tendon="muscle{number}"' if one.tendon else 'joint="joint"'
-        dynamics, limits = summary.dynamics(plant.valve), command_range(plant.valve, muscle)
+        dynamics, limits = (
+            summary.dynamics(plant.valve.for_muscle(number - 1)),
+            command_range(plant.valve.for_muscle(number - 1), muscle),
+        )
         actuators.append(plugin_actuator(name, number, f"muscle{number}", target, dynamics, limits))
     fixed, moving = (
         "\n    ".join(filter(None, (getattr(one, part) for one in moved))) for part in ("fixed_sites", "moving_sites")

@@ -69,7 +69,7 @@ class MuscleFunctions:
         start: tuple[MuscleState, Any, Any],
     ) -> None:
         self._fixed, self._number, self._muscle_of, self._path_of = fixed, number, muscle_of, path_of
-        valve = fixed.valve
+        valve = fixed.valve.for_muscle(number - 1)
         state, pressure, air = start
         pressure = pressure if valve.holds_pressure else ()
         self.pressure = float(start[1])
@@ -128,7 +128,7 @@ class MuscleFunctions:
 
     def _rates(self, parameters: Any, given: Any) -> Any:
         plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, given)
-        valve, command, velocity = plant.valve, given["command"], given["velocity"]
+        valve, command, velocity = plant.valve.for_muscle(self._number - 1), given["command"], given["velocity"]
         creep = muscle.state_rate(held, slope * velocity).creep
         if not valve.holds_pressure:
             return self._layout.pack(Activations(creep, (), ()), jnp)
@@ -138,7 +138,7 @@ class MuscleFunctions:
                 return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
 
             size, growth = value_and_derivative(volume, given["length"])
-            air = AirVolume(size + valve.dead_volume, growth * velocity)
+            air = AirVolume(size + valve.attached_volume, growth * velocity)
             return air, air
 
         states = AirState((state, state)) if jax.tree.leaves(state) else ()

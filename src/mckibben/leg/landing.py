@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import equinox as eqx
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.actuator import AirActuator
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LEG_UNITS, LegMetrics
@@ -21,7 +21,7 @@ from mckibben.leg.scenario import LegScenario
 from mckibben.leg.simulate import simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
-from mckibben.plant import AirValve, IdealValve
+from mckibben.plant import IdealValve
 from mckibben.simulation.result import attributes
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.files import explain_write_errors, file_lock
@@ -337,14 +337,14 @@ def _valves(plant: LegPlant, time_constants: tuple[float, ...]) -> dict[str, Any
     found: dict[str, Any] = {ISOBARIC: IdealValve()}
     if valve.holds_air:
         found |= {f"{one / ms:g} ms": valve_with(valve, plant, one) for one in time_constants}
-        found[CLOSED] = _scaled(valve, _SHUT)
+        found[CLOSED] = valve.scaled(_SHUT)
     return found
 
 
-def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirValve:
+def valve_with(valve: AirActuator, plant: LegPlant, time_constant: float) -> AirActuator:
     """Return a valve with a conductance for a time constant [s] at small changes of its command.
 
-    For the first muscle of the leg, in the middle of its pressures and contractions (`AirValve.time_constant_at`).
+    For the first muscle of the leg, in the middle of its pressures and contractions (`AirActuator.time_constant_at`).
 
     Raises
     ------
@@ -354,8 +354,9 @@ def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirVal
     muscle = plant.leg.muscles[0]
     domain = muscle.domain
     volume = float(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
-    now = float(valve.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume))
-    lag = float(np.asarray(valve.command_lag))
+    pressure = (domain.pressure_min + domain.pressure_max) / 2
+    now, slower = (float(one.time_constant_at(pressure, volume)) for one in (valve, valve.scaled(0.5)))
+    lag = 2 * now - slower  # what the flow adds to it is inversely proportional to the conductance
     if not time_constant > lag:
         raise RangeError(
             f"a time constant of {time_constant / ms:g} ms is not above the lag of the valve",
@@ -365,12 +366,7 @@ def valve_with(valve: AirValve, plant: LegPlant, time_constant: float) -> AirVal
             unit="s",
             remedy="give a longer one, or a valve with less lag",
         )
-    return _scaled(valve, (now - lag) / (time_constant - lag))
-
-
-def _scaled(valve: AirValve, factor: float) -> AirValve:
-    exhaust = None if valve.exhaust_conductance is None else valve.exhaust_conductance * factor
-    return dataclasses.replace(valve, conductance=valve.conductance * factor, exhaust_conductance=exhaust)
+    return valve.scaled((now - lag) / (time_constant - lag))
 
 
 @contextmanager

@@ -365,7 +365,7 @@ class LegPlant(Plant):
 
     def air_volumes(self, state: LegState) -> list[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included."""
-        dead = self.valve.dead_volume
+        dead = self.valve.attached_volume
         volumes = []
         units = self.leg.routed_muscles(state.posture.angles)
         for unit, pressure, held in zip(units, state.pressures, state.muscles, strict=True):

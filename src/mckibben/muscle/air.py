@@ -64,6 +64,34 @@ def mass_flow(conductance: Any, critical: Any, inlet: Any, outlet: Any, xp: Any 
     return conductance * DENSITY * upstream * flow_share(critical, downstream * inverse, xp) * direction
 
 
+def pressure_behind(conductance: Any, critical: Any, pressure: Any, flow: Any) -> Any:
+    """Return the absolute pressure [Pa] beyond a restriction through which a mass flow [kg/s] arrives at a pressure.
+
+    The inverse of `mass_flow` for its inlet; a negative flow leaves. The lowest is that at which the flow is choked.
+
+    >>> flow = mass_flow(2 * L_PER_S_BAR, 0.3, 5e5, 4e5)
+    >>> round(float(pressure_behind(2 * L_PER_S_BAR, 0.3, 4e5, flow)), 3)
+    500000.0
+    >>> round(float(pressure_behind(2 * L_PER_S_BAR, 0.3, 5e5, -flow)), 3)
+    400000.0
+    """
+    choked = flow * (1 / (conductance * DENSITY))  # pressure [Pa] that drives the flow if it is choked
+    steepest = flow_share(critical, LAMINAR) / (1 - LAMINAR)
+    linear = pressure + choked * (1 / steepest)
+    square, rest = pressure**2 + (choked * (1 - critical)) ** 2, critical * pressure
+    subsonic = square / (rest + jnp.sqrt(jnp.maximum(rest**2 + (1 - 2 * critical) * square, 0.0)))
+    upstream = jnp.where(choked * critical >= pressure, choked, subsonic)
+    share = jnp.sqrt(jnp.maximum(1 - (choked / pressure) ** 2, 0.0))
+    downstream = pressure * (critical + (1 - critical) * share)
+    above = jnp.where(linear * LAMINAR <= pressure, linear, upstream)
+    return jnp.where(flow > 0, above, jnp.where(linear >= LAMINAR * pressure, linear, downstream))
+
+
+def exchange_rate(index: float, critical: float, conductance: float, volume: float) -> float:
+    """Return a bound on the rate [1/s] at which a conductance evens out the pressure in a volume [m^3]."""
+    return index * ENERGY * DENSITY * flow_share(critical, LAMINAR, FLOATS) / (1 - LAMINAR) * conductance / volume
+
+
 def nominal_conductance(flow: float, critical: float = 0.3) -> float:
     """Return the sonic conductance [m^3/(s*Pa)] of a valve with a standard nominal flow [m^3/s (ANR)].
 

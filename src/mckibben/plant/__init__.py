@@ -9,6 +9,8 @@ from mckibben.actuator import (
     PressureRegulator,
     SecondOrderValve,
     SwitchingValves,
+    Tube,
+    UnequalValves,
     Valve,
 )
 from mckibben.plant.base import IOState, Plant
@@ -36,5 +38,7 @@ __all__ = [
     "Sensors",
     "SwitchingValves",
     "TorquePulses",
+    "Tube",
+    "UnequalValves",
     "Valve",
 ]

@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import AirState, AirVolume, delay_periods
 from mckibben.component.base import Component
-from mckibben.errors import SimulationError
+from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import rk4
@@ -109,6 +109,17 @@ class Plant(Component):
     sensors: Sensors = eqx.field(kw_only=True, default=PerfectSensors())
     command_delay: CommandDelay | None = eqx.field(kw_only=True, default=None)
     delay_periods: int = eqx.field(kw_only=True, default=0, static=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        count = self._valve.muscle_count
+        if count is not None and count != len(self.muscles):
+            raise RangeError(
+                f"{type(self).__name__}: a {type(self._valve).__name__} is for {count} muscles, "
+                f"and there are {len(self.muscles)}",
+                field="valve",
+                remedy="give an actuator that all muscles have",
+            )
 
     @property
     def _valve(self) -> Any:
@@ -214,13 +225,15 @@ class Plant(Component):
         Openings of valves with `direct` commands are clipped to -1..1.
         """
         rated = (muscle.specimen.domain for muscle in self.muscles)
-        return tuple(map(self._valve.clip_command, commands, rated))
+        each = enumerate(zip(commands, rated, strict=False))  # `clip_commands` of each plant checks the count
+        return tuple(self._valve.for_muscle(i).clip_command(*one) for i, one in each)
 
     def apply_commands(self, state: S, commands: Sequence[ArrayLike]) -> S:
         """Return the state right after new commands [Pa]."""
         if self._valve.holds_air:
             return state
-        return state._replace(pressures=tuple(map(self._valve.after_command, state.pressures, commands)))
+        each = enumerate(zip(state.pressures, commands, strict=True))
+        return state._replace(pressures=tuple(self._valve.for_muscle(i).after_command(*one) for i, one in each))
 
     def arriving(self, state: State, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[Any, ...]:
         """Return the commands [Pa] that reach the valves in a control period [s], of which new ones are sent.
@@ -270,8 +283,7 @@ class Plant(Component):
     def _step_with_air(self, valve: Any, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
         """State after a step [s] in which motion and air are integrated together."""
         assert isinstance(state.air, AirState)
-        each = zip(state.air.valves, commands, state.pressures, strict=True)
-        state = state._replace(air=state.air._replace(valves=tuple(valve.before_step(*one, step) for one in each)))
+        state = state._replace(air=valve.before_steps(state.air, commands, state.pressures, step))
 
         def rate(motion: Motion) -> Motion:
             at = motion.applied_to(state, state.pressures)
@@ -283,13 +295,12 @@ class Plant(Component):
 
     def commands_for(self, state: State, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite where none does."""
-        given = zip(state.pressures, rates, strict=True)
+        given = enumerate(zip(state.pressures, rates, strict=True))
         valve = self._valve
         if not valve.holds_air:
-            return tuple(valve.command_for(*pair) for pair in given)
-        return tuple(
-            valve.command_for(*pair, volume) for pair, volume in zip(given, self.air_volumes(state), strict=True)
-        )
+            return tuple(valve.for_muscle(i).command_for(*pair) for i, pair in given)
+        volumes = self.air_volumes(state)
+        return tuple(valve.for_muscle(i).command_for(*pair, volumes[i]) for i, pair in given)
 
     def complete_state(self, state: S) -> S:
         """Return a state with initial values for the internal states, the io state and the commands that it lacks."""

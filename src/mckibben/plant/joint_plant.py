@@ -87,14 +87,15 @@ class JointPlant(Plant):
     @property
     def supplied_joint(self) -> AntagonisticJoint:
         """The joint with its muscles rated for the supply of the valves, where that is below their own rating."""
-        supply = getattr(self.valve, "supply", None)
-        if supply is None:
+        supplies = [getattr(self.valve.for_muscle(i), "supply", None) for i in (0, 1)]
+        if supplies == [None, None]:
             return self.joint
 
         def highest(joint: AntagonisticJoint) -> tuple[Any, Any]:
             return joint.muscle1.specimen.domain.pressure_max, joint.muscle2.specimen.domain.pressure_max
 
-        limits = tuple(jnp.minimum(jnp.asarray(rated), supply) for rated in highest(self.joint))
+        both = zip(highest(self.joint), supplies, strict=True)
+        limits = tuple(rated if supply is None else jnp.minimum(jnp.asarray(rated), supply) for rated, supply in both)
         return eqx.tree_at(highest, self.joint, limits)
 
     def with_ideal_io(self) -> JointPlant:
@@ -114,9 +115,8 @@ class JointPlant(Plant):
 
     def air_volumes(self, state: PlantState) -> tuple[AirVolume, AirVolume]:
         """Return the volumes of the air, dead volume included, at the velocity of a state."""
-        return air_volumes(
-            self.joint, state.angle, state.velocity, state.pressures, state.muscles, self.valve.dead_volume
-        )
+        dead1, dead2 = (self.valve.for_muscle(i).attached_volume for i in (0, 1))
+        return air_volumes(self.joint, state.angle, state.velocity, state.pressures, state.muscles, (dead1, dead2))
 
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""

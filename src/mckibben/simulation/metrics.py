@@ -78,12 +78,12 @@ def trajectory(
         force1 = joint.muscle1.tension(contraction1, pressure1)
         force2 = joint.muscle2.tension(contraction2, pressure2)
     muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
-    dead = plant.valve.dead_volume
+    dead = [plant.valve.for_muscle(i).dead_volume for i in (0, 1)]
     air1, air2 = (
-        (m.specimen.volume(contraction) + dead) * (pressure + atm) / atm
+        (m.specimen.volume(contraction) + dead[i]) * (pressure + atm) / atm
         if m.specimen.has_volume
         else jnp.full_like(stiffness, jnp.nan)
-        for m, contraction, pressure in muscles
+        for i, (m, contraction, pressure) in enumerate(muscles)
     )
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
     beyond = [

@@ -124,6 +124,8 @@ UNITS = {
     "command2": (_PRESSURE, "commanded pressure of muscle 2"),
     "opening1": ("1", "opening of the valve of muscle 1, to the supply or where negative to the exhaust"),
     "opening2": ("1", "opening of the valve of muscle 2, to the supply or where negative to the exhaust"),
+    "outlet1": (_PRESSURE, "gauge pressure between valve and tube of muscle 1"),
+    "outlet2": (_PRESSURE, "gauge pressure between valve and tube of muscle 2"),
     "reservoir": (_PRESSURE, "gauge pressure at the inlets of the valves"),
     "force1": ("N", "tension of muscle 1"),
     "force2": ("N", "tension of muscle 2"),

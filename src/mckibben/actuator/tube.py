@@ -1,0 +1,256 @@
+"""Tube between a valve and a muscle, with a pressure of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any, NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+
+from mckibben.actuator.air_actuator import AirActuator
+from mckibben.actuator.air_valve import AirValve
+from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar
+from mckibben.errors import RangeError
+from mckibben.muscle.air import (
+    ATMOSPHERE,
+    DENSITY,
+    ENERGY,
+    LAMINAR,
+    CriticalRatio,
+    exchange_rate,
+    flow_share,
+    mass_flow,
+    pressure_behind,
+    pressure_rate,
+)
+from mckibben.numerics.elementary import exp, floating
+from mckibben.units import Conductance, Quantity
+
+TubeVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6, open_lower=True)]
+
+_FASTER = 0.5  # lag of the pressure at the valve relative to that of the muscle
+_LEAST_ERROR = 1e3  # Pa, between a pressure and that to which the open valve leads
+
+
+class TubeState(NamedTuple):
+    """State of a valve with its tube: that of the valve, and the gauge pressure [Pa] at its outlet."""
+
+    valve: Any
+    pressure: Scalar
+
+
+class Tube(AirActuator):
+    r"""Valve with a tube to the muscle: a restriction, with the volume V_t of its air at the valve's outlet.
+
+    .. math:: \dot p_t = \frac{n R T}{V_t} (\dot m_v - \dot m_t), \qquad \dot p = \frac{n}{V}(R T \dot m_t - p \dot V)
+
+    The flows of valve and tube follow ISO 6358 (`mckibben.muscle.air`). The valve measures and controls the pressure at
+    its outlet, so that the muscle lags behind it. The time of sound through the tube, 3 ms per metre, belongs to the
+    `command_delay` of the plant.
+
+    Parameters
+    ----------
+    valve
+        The valve; its `dead_volume` adds to that of the tube, its `leak` is that of the muscle.
+    volume
+        V_t [m^3].
+    conductance, critical_ratio
+        Sonic conductance C [m^3/(s*Pa)] and critical pressure ratio b [-] of the tube, as its manufacturer
+        gives them for its length and diameter.
+    """
+
+    short_name = "tube"
+
+    valve: AirValve
+    volume: TubeVolume = eqx.field(kw_only=True)
+    conductance: Conductance = eqx.field(kw_only=True)
+    critical_ratio: CriticalRatio = eqx.field(kw_only=True, default=0.3)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.valve.direct:
+            raise RangeError(
+                "Tube: the valve takes openings in place of pressures",
+                field="valve",
+                remedy="give it a valve without `direct`",
+            )
+
+    @property
+    def switches(self) -> bool:
+        return self.valve.switches
+
+    @property
+    def supply(self) -> Any:
+        """Gauge pressure [Pa] of the supply."""
+        return self.valve.supply
+
+    @property
+    def polytropic_index(self) -> Any:
+        """Index n of the air in tube and muscle."""
+        return self.valve.polytropic_index
+
+    @property
+    def widest(self) -> float:
+        return self.valve.widest
+
+    @property
+    def dead_volume(self) -> Any:  # type: ignore[override]
+        return self.volume + self.valve.dead_volume
+
+    @property
+    def attached_volume(self) -> ArrayLike:
+        return 0.0
+
+    @property
+    def reservoir(self) -> Reservoir | None:
+        return self.valve.reservoir
+
+    def init(self, pressure: Scalar) -> TubeState:
+        return TubeState(self.valve.init(pressure), floating(pressure))
+
+    def before_step(self, state: TubeState, command: ArrayLike, pressure: ArrayLike, step: ArrayLike) -> TubeState:
+        return state._replace(valve=self.valve.before_step(state.valve, command, state.pressure, step))
+
+    def signals(self, state: TubeState, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
+        return {**self.valve.signals(state.valve, command, state.pressure), "outlet": state.pressure}
+
+    def muscle_rate(
+        self, pressure: Scalar, state: TubeState, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
+    ) -> tuple[Array, TubeState, Array]:
+        index, absolute, outlet = self.polytropic_index, pressure + ATMOSPHERE, state.pressure + ATMOSPHERE
+        through = mass_flow(self.conductance, self.critical_ratio, outlet, absolute)
+        net = through - self.valve.leakage(pressure)
+        rate = pressure_rate(index, absolute, net, volume.effective(index, absolute), volume.rate)
+        at_valve = AirVolume(self.dead_volume, self._growth(through, outlet))
+        tube, valve, drawn = self._tight.muscle_rate(state.pressure, state.valve, command, at_valve, inlet)
+        return rate, TubeState(valve, tube), drawn
+
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
+        absolute = jnp.asarray(pressure) + ATMOSPHERE
+        needed = self._flow_for(absolute, rate, volume)
+        outlet = pressure_behind(self.conductance, self.critical_ratio, absolute, needed)
+        at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(needed, outlet))
+        choked = -needed > self.conductance * DENSITY * absolute
+        return jnp.where(choked, -jnp.inf, self._tight.command_for(outlet - ATMOSPHERE, rate, at_valve))
+
+    def time_constant_at(self, pressure: Any, volume: Any) -> Any:
+        slope = ENERGY * DENSITY * flow_share(self.critical_ratio, LAMINAR, np) / (1 - LAMINAR)
+        tube = volume / (self.polytropic_index * self.conductance * slope)
+        return self.valve.time_constant_at(pressure, volume + self.volume) + tube
+
+    def fastest_rate_in(self, volume: float) -> float:
+        index, critical, own = float(self.polytropic_index), float(self.critical_ratio), float(self.dead_volume)
+        each = exchange_rate(index, critical, float(self.conductance), volume * own / (volume + own))
+        return each + self.valve.fastest_rate_in(float(self.volume))
+
+    def scaled(self, factor: float) -> Self:
+        return dataclasses.replace(self, valve=self.valve.scaled(factor))
+
+    def init_model(self, pressure: Scalar) -> TubeState:
+        return TubeState(self.valve.init_model(pressure), floating(pressure))
+
+    def predict(
+        self, pressure: Scalar, state: TubeState, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
+    ) -> tuple[Scalar, TubeState]:
+        slowest, fastest, _ = self._open_rates(state.pressure)
+        following = self.valve.follow(state.valve, command, duration)
+        error = self.valve.effective((state.valve + following) / 2 - state.pressure)
+        speed = jnp.where(error > 0, fastest, -slowest) / jnp.maximum(jnp.abs(error), self.valve.band)
+        muscle, tube = self._moved(pressure, state.pressure, error, speed, air, duration)
+        return pressure + muscle, TubeState(following, state.pressure + tube)
+
+    def attainable(
+        self,
+        pressure: Scalar,
+        state: TubeState,
+        commands: tuple[ArrayLike, ArrayLike],
+        air: AirVolume | None,
+        duration: ArrayLike,
+    ) -> Attainable:
+        slowest, fastest, _ = self._open_rates(state.pressure)
+        empty = jnp.maximum(state.pressure, _LEAST_ERROR)
+        full = jnp.maximum(self.supply - state.pressure, _LEAST_ERROR)
+        lower, _ = self._moved(pressure, state.pressure, -empty, -slowest / empty, air, duration)
+        upper, _ = self._moved(pressure, state.pressure, full, fastest / full, air, duration)
+        return Attainable(jnp.ones_like(pressure), lower, upper)
+
+    def command_toward(
+        self,
+        pressure: Scalar,
+        state: TubeState,
+        target: ArrayLike,
+        air: AirVolume | None,
+        lag: ArrayLike,
+        period: ArrayLike,
+    ) -> Scalar:
+        assert air is not None
+        rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
+        needed = self._flow_for(pressure + ATMOSPHERE, rate, air)
+        outlet = pressure_behind(self.conductance, self.critical_ratio, pressure + ATMOSPHERE, needed)
+        at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(needed, state.pressure + ATMOSPHERE))
+        wanted = jnp.clip(outlet - ATMOSPHERE, 0.0, self.supply)
+        faster = _FASTER * jnp.asarray(lag)
+        return self._tight.command_toward(state.pressure, state.valve, wanted, at_valve, faster, period)
+
+    @property
+    def _tight(self) -> AirValve:
+        """The valve without the leak, which is at the muscle."""
+        return self.valve if self.valve.leak is None else dataclasses.replace(self.valve, leak=None)
+
+    def _growth(self, flow: ArrayLike, outlet: ArrayLike) -> Array:
+        """Rate [m^3/s] of a volume that takes up a mass flow [kg/s] at an absolute pressure [Pa]."""
+        return ENERGY * jnp.asarray(flow) / outlet
+
+    def _flow_for(self, absolute: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
+        """Mass flow [kg/s] through the tube at which an absolute pressure [Pa] changes at a rate [Pa/s]."""
+        room = volume.effective(self.polytropic_index, absolute)
+        filling = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
+        return filling + self.valve.leakage(absolute - ATMOSPHERE)
+
+    def _open_rates(self, outlet: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        """Rates [Pa/s] of the pressure [Pa] at the outlet by the open valve, and with it shut."""
+        return self._tight.open_rates(outlet, AirVolume(jnp.asarray(self.dead_volume), jnp.zeros_like(outlet)))
+
+    def _moved(
+        self,
+        pressure: Scalar,
+        outlet: Scalar,
+        error: ArrayLike,
+        speed: ArrayLike,
+        air: AirVolume | None,
+        duration: ArrayLike,
+    ) -> tuple[Scalar, Scalar]:
+        """Changes [Pa] of the pressures of muscle and outlet within a time [s].
+
+        The valve leads the outlet towards a pressure at an error [Pa] with a speed [1/s]. The tube has the conductance
+        of its mean pressures, and the step is that of the (0, 2) Pade approximant of the matrix exponential, which is
+        stable with any tube.
+        """
+        assert air is not None
+        index, step = self.polytropic_index, jnp.asarray(duration)
+        room = air.effective(index, pressure + ATMOSPHERE)
+        tight = -(pressure + ATMOSPHERE) * air.rate / ENERGY - self.valve.leakage(pressure)
+        drift = pressure_rate(index, pressure + ATMOSPHERE, tight, room, 0.0)
+        muscle = tube = jnp.zeros_like(pressure)
+        for _ in range(2):
+            flow = self._conductance(outlet + tube / 2, pressure + muscle / 2)
+            fill, drain = step * index * ENERGY * flow / room, step * index * ENERGY * flow / self.dead_volume
+            lead, between = step * speed, outlet - pressure
+            first, second = lead * error - drain * between, fill * between + step * drift  # rates times the step
+            a, b, c, d = lead + drain, -drain, -fill, fill  # minus their derivatives, X
+            first, second = first + (a * first + b * second) / 2, second + (c * first + d * second) / 2
+            p, q = 1 + a + (a * a + b * c) / 2, b + b * (a + d) / 2  # 1 + X + X^2 / 2
+            r, s = c + c * (a + d) / 2, 1 + d + (b * c + d * d) / 2
+            scale = 1 / (p * s - q * r)
+            tube, muscle = (s * first - q * second) * scale, (p * second - r * first) * scale
+        return muscle, tube
+
+    def _conductance(self, outlet: Scalar, pressure: Scalar) -> Scalar:
+        """Mass flow [kg/s] through the tube over the difference of its pressures [Pa]."""
+        upstream = jnp.maximum(outlet, pressure) + ATMOSPHERE
+        ratio = (jnp.minimum(outlet, pressure) + ATMOSPHERE) / upstream
+        share = flow_share(self.critical_ratio, ratio)
+        return self.conductance * DENSITY * share / jnp.maximum(1 - ratio, 1 - LAMINAR)

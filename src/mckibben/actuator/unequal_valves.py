@@ -1,0 +1,118 @@
+"""Actuators that differ between the two muscles of a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import equinox as eqx
+
+from mckibben.actuator.base import Actuator, Reservoir, Scalar
+from mckibben.errors import RangeError
+from mckibben.joint import AntagonisticJoint
+from mckibben.units import Conductance, Volume
+
+
+class UnequalValves(Actuator):
+    """Actuators of the two muscles of a joint, such as two valves of one type whose numbers differ.
+
+    Parameters
+    ----------
+    muscle1, muscle2
+        Actuators of muscle 1 and 2: both with air, or both without. In a file, `muscle` gives both.
+    reservoir_volume, line_conductance
+        As for an `AirValve`: a reservoir at the inlets of both, filled from the supply of muscle 1.
+    """
+
+    short_name = "unequal"
+    aliases: ClassVar = {"muscle": ("muscle1", "muscle2")}
+    muscle_count = 2
+
+    muscle1: Actuator
+    muscle2: Actuator
+    reservoir_volume: Volume | None = eqx.field(kw_only=True, default=None)
+    line_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        one, other = self.muscle1, self.muscle2
+        for name in ("holds_air", "holds_pressure", "direct"):
+            if getattr(one, name) != getattr(other, name):
+                raise RangeError(
+                    f"UnequalValves: a {type(one).__name__} and a {type(other).__name__} cannot drive one joint",
+                    field="muscle2",
+                    remedy="give two valves with air, two without, or two with `direct` commands",
+                )
+        for number, each in enumerate((one, other), 1):
+            if each.muscle_count is not None or each.reservoir is not None:
+                raise RangeError(
+                    f"UnequalValves: muscle{number} has a {'pair of valves' if each.muscle_count else 'reservoir'}",
+                    field=f"muscle{number}",
+                    remedy="give each muscle one valve, and the reservoir at the inlets of both to the pair",
+                )
+        if (self.reservoir_volume is None) != (self.line_conductance is None):
+            raise RangeError(
+                "UnequalValves: a reservoir has a volume and a line that fills it",
+                remedy="give reservoir_volume and line_conductance, or neither",
+            )
+        if self.reservoir_volume is not None and not self.holds_air:
+            raise RangeError(
+                "UnequalValves: a reservoir at valves without air",
+                field="reservoir_volume",
+                remedy="leave it out, or give valves with a conductance",
+            )
+
+    def for_muscle(self, index: int) -> Any:
+        return (self.muscle1, self.muscle2)[index]
+
+    @property
+    def holds_air(self) -> bool:  # type: ignore[override]
+        return self.muscle1.holds_air
+
+    @property
+    def holds_pressure(self) -> bool:  # type: ignore[override]
+        return self.muscle1.holds_pressure
+
+    @property
+    def direct(self) -> bool:  # type: ignore[override]
+        return self.muscle1.direct
+
+    @property
+    def is_linear(self) -> bool:
+        return self.muscle1.is_linear and self.muscle2.is_linear
+
+    @property
+    def switches(self) -> bool:
+        return self.muscle1.switches or self.muscle2.switches
+
+    @property
+    def lag(self) -> Any:
+        return _mean(lambda one: one.lag, self.muscle1, self.muscle2)
+
+    @property
+    def reservoir(self) -> Reservoir | None:
+        if self.reservoir_volume is None or self.line_conductance is None:
+            return None
+        first: Any = self.muscle1
+        volume, line = self.reservoir_volume, self.line_conductance
+        return Reservoir(volume, line, first.supply, first.critical_ratio, first.polytropic_index)
+
+    def init(self, pressure: Scalar) -> Any:
+        """Return the state of muscle 1; see `for_muscle`."""
+        return self.muscle1.init(pressure)
+
+    def model_lag(self, joint: AntagonisticJoint) -> Any:
+        return _mean(lambda one: one.model_lag(joint), self.muscle1, self.muscle2)
+
+    def fastest_rate_in(self, volume: float) -> float:
+        each: Any = (self.muscle1, self.muscle2)
+        fastest = max(one.fastest_rate_in(volume) for one in each)
+        if self.reservoir is None:
+            return fastest
+        return max(fastest, self.reservoir.fastest_rate(sum(one.widest for one in each)))
+
+
+def _mean(of: Callable[[Actuator], Any], one: Actuator, other: Actuator) -> Any:
+    """Mean of a quantity of two actuators, None where one of them has none."""
+    first, second = of(one), of(other)
+    return None if first is None or second is None else (first + second) / 2
