@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from mckibben.actuator import AirVolume, FlowValve, PressureRegulator, Switching
 from mckibben.errors import RangeError
 from mckibben.muscle.air import mass_flow, pressure_behind
 from mckibben.numerics.calculus import rk4
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.units import bar, cm, ms
 
 ATMOSPHERE, ENERGY, DENSITY, INDEX = 101325.0, 288.0 * 293.15, 1.185, 1.2
@@ -216,3 +218,35 @@ def test_switching_valves_measure_the_pressure_at_their_outlet():
     before = tube.before_step(state, 3 * bar, 2 * bar, 1 * ms)
     assert tube.switches and float(before.valve.duty) == 0.0  # the outlet has the pressure of the command
     assert float(tube.signals(before, 3 * bar, 2 * bar)["outlet"]) == 3 * bar
+
+
+@pytest.mark.parametrize(("command", "side"), [(8 * bar, 1), (0.0, 0)])
+@pytest.mark.slow
+def test_the_attainable_pressures_are_those_of_the_flow_that_lasts(command, side):
+    """With the valve fully open, after the tube has followed; conductances in series are an approximation."""
+    start, time = 2.5 * bar, np.array([0.03, 0.031])
+    muscle, tube, *_ = independent(start, lambda t: command, time)
+    state = TUBE.init_model(jnp.asarray(muscle[0]))._replace(pressure=jnp.asarray(tube[0]))
+    air = AirVolume(jnp.asarray(VOLUME + 0.03 * GROWTH), jnp.asarray(GROWTH))
+    reach = TUBE.attainable(jnp.asarray(muscle[0]), state, (0.0, 8 * bar), air, 1 * ms)(muscle[0])
+    assert float(reach[side]) - muscle[0] == pytest.approx(muscle[1] - muscle[0], rel=0.2)
+
+
+REGULATOR = Path(__file__).parents[2] / "examples" / "valves" / "regulator-decoupling.yaml"
+
+
+@pytest.mark.slow
+def test_a_controller_that_knows_the_tube_has_less_than_half_of_the_error():
+    """At 6 deg and 1 Hz, against one that takes the tube for a dead volume; a tube of 0.03 L/(s*bar)."""
+    text = REGULATOR.read_text(encoding="utf-8").replace("amplitude: 3 deg, frequency: 0.5 Hz", "amplitude: 6 deg")
+    text = text.replace("start: {angle: 3 deg}", "start: {angle: 6 deg}").replace("duration: 4 s", "duration: 2 s")
+    scenario = Scenario.parse(text.replace("amplitude: 6 deg", "amplitude: 6 deg, frequency: 1 Hz"))
+    valve = dataclasses.replace(scenario.valve, dead_volume=1 * cm**3)
+    tube = Tube(valve, volume=5 * cm**3, conductance=0.03e-8)
+    errors = []
+    for model in (tube, dataclasses.replace(valve, dead_volume=6 * cm**3)):
+        inner = dataclasses.replace(scenario.controller.controller, valve=model)
+        controller = dataclasses.replace(scenario.controller, valve=model, controller=inner)
+        changed = {"valve": tube, "controller": controller, "substeps": 12}
+        errors.append(run_scenario(scenario.model_copy(update=changed)).result.metrics["angle_rmse"])
+    assert errors[0] < 0.5 * errors[1]

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mckibben import catalog
-from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve, PressureRegulator
+from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve, PressureRegulator, Tube, UnequalValves
 from mckibben.calibration import JointPrior, JointRecording, calibrate_valves
 from mckibben.calibration.valve_experiment import valve_statements
 from mckibben.errors import IdentificationError, McKibbenWarning
@@ -76,6 +76,27 @@ def regulated(sent, volume):
     return sampled(rate, [sent[0], sent[0]], sent)[:, 0]
 
 
+def tubed(sent, volume):
+    """Pressures [Pa] of a constant volume [m^3] behind a tube of 6 cm^3 and 0.03 L/(s*bar)."""
+
+    def flow(conductance, inlet, outlet):
+        if outlet > inlet:
+            return -flow(conductance, outlet, inlet)
+        share = math.sqrt(1 - (max(min(outlet / inlet, 0.999) - 0.3, 0.0) / 0.7) ** 2)
+        return conductance * DENSITY * inlet * share * min((1 - outlet / inlet) / 0.001, 1.0)
+
+    def rate(_, y, command):
+        muscle, tube, lagged = y[0] + ATMOSPHERE, y[1] + ATMOSPHERE, y[2]
+        opening = min(max((lagged - y[1]) / DATA_SHEET.band, -1.0), 1.0)
+        ends = (7 * bar + ATMOSPHERE, tube) if opening > 0 else (ATMOSPHERE, tube)
+        valve = flow(abs(opening) * DATA_SHEET.conductance, *ends)
+        through = flow(0.03 * L_PER_S_BAR, tube, muscle)
+        changes = 1.2 / volume * ENERGY * through, 1.2 / (6 * cm**3) * ENERGY * (valve - through)
+        return [*changes, (command - lagged) / DATA_SHEET.time_constant]
+
+    return sampled(rate, [sent[0]] * 3, sent)[:, 0]
+
+
 def recording(sent, pressures, seed=1):
     noise = NOISE * np.random.default_rng(seed).standard_normal(sent.shape)
     return JointRecording(np.arange(len(sent)) * PERIOD, np.zeros(len(sent)), pressures + noise + OFFSET, commands=sent)
@@ -137,8 +158,32 @@ def test_unequal_valves_are_told_apart():
     for valve, delay, lag in zip(found.valves, found.delays, (40 * ms, 55 * ms), strict=True):
         assert valve.time_constant == pytest.approx(lag, rel=0.02)
         assert delay == pytest.approx(DELAY, rel=0.02)
-    assert found.valve.time_constant == pytest.approx(math.sqrt(40 * 55) * ms, rel=0.02)
+    assert found.valve == UnequalValves(*found.valves)
+    assert found.differing == ("time_constant",)
     assert any("time_constant" in one for one in valve_statements(found))
+    again = calibrate_valves(catalog.joint("knee-table-2"), found.valve, [one], delay=found.delay)
+    for valve, lag in zip(again.valves, (40 * ms, 55 * ms), strict=True):
+        assert valve.time_constant == pytest.approx(lag, rel=0.02)
+    assert isinstance(again.valve, UnequalValves)
+    alike = calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(0.1), [first_order((40 * ms, 40 * ms))])
+    assert alike.valve.time_constant == pytest.approx(40 * ms, rel=0.02) and alike.differing == ()
+
+
+@pytest.mark.slow
+def test_a_tube_is_identified_with_its_valve():
+    """Of the equations written anew: the conductance of the tube, and the volume at the valve's outlet."""
+    joint, sent = catalog.joint("knee-table-2"), commands(20.0)
+    contraction = float(joint.contractions(0.0, (0.0, 0.0))[0])
+    volume = float(joint.muscle1.specimen.volume(contraction))
+    one = tubed(sent[:, 0], volume)
+    model = Tube(dataclasses.replace(DATA_SHEET, dead_volume=0.0), volume=10 * cm**3, conductance=0.1 * L_PER_S_BAR)
+    spring = AntagonisticJoint(joint.geometry, joint.muscle1, return_spring(4e3, 0.13))
+    prior = JointPrior(volume=0.01, zero=1e-3, arm_scale=1e-3)
+    found = calibrate_valves(spring, model, [recording(sent, np.stack([one, one], axis=1))], prior, delay=DELAY)
+    thin, own = found.quantities["valve1.conductance"], found.quantities["valve1.valve.conductance"]
+    assert abs(thin.value - 0.03 * L_PER_S_BAR) < 3 * thin.deviation and thin.determined
+    assert abs(own.value - 0.05 * L_PER_S_BAR) < 3 * own.deviation and own.determined
+    assert isinstance(found.valve, Tube) and found.residual == pytest.approx(NOISE, rel=0.05)
 
 
 def test_pressures_that_do_not_follow_their_commands_are_warned_of():

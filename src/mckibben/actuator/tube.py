@@ -32,7 +32,6 @@ from mckibben.units import Conductance, Quantity
 TubeVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6, open_lower=True)]
 
 _FASTER = 0.5  # lag of the pressure at the valve relative to that of the muscle
-_LEAST_ERROR = 1e3  # Pa, between a pressure and that to which the open valve leads
 
 
 class TubeState(NamedTuple):
@@ -170,12 +169,10 @@ class Tube(AirActuator):
         air: AirVolume | None,
         duration: ArrayLike,
     ) -> Attainable:
-        slowest, fastest, _ = self._open_rates(state.pressure)
-        empty = jnp.maximum(state.pressure, _LEAST_ERROR)
-        full = jnp.maximum(self.supply - state.pressure, _LEAST_ERROR)
-        lower, _ = self._moved(pressure, state.pressure, -empty, -slowest / empty, air, duration)
-        upper, _ = self._moved(pressure, state.pressure, full, fastest / full, air, duration)
-        return Attainable(jnp.ones_like(pressure), lower, upper)
+        # the rates that last: those of one flow through valve and tube, which fills both muscle and tube
+        assert air is not None
+        whole = AirVolume(air.volume + self.dead_volume, air.rate, air.by_pressure)
+        return self._in_series.attainable(pressure, state.valve, commands, whole, duration)
 
     def command_toward(
         self,
@@ -199,6 +196,17 @@ class Tube(AirActuator):
     def _tight(self) -> AirValve:
         """The valve without the leak, which is at the muscle."""
         return self.valve if self.valve.leak is None else dataclasses.replace(self.valve, leak=None)
+
+    @property
+    def _in_series(self) -> AirValve:
+        """The valve with the conductances of valve and tube in series, 1/C^2 = 1/C_v^2 + 1/C_t^2."""
+        valve, tube = self.valve, self.conductance
+        exhaust = valve.conductance if valve.exhaust_conductance is None else valve.exhaust_conductance
+        fill, vent = (1 / (1 / one**2 + 1 / tube**2) ** 0.5 for one in (valve.conductance, exhaust))
+        # of the critical ratios, 1 - b = C^2 ((1 - b_v)/C_v^2 + (1 - b_t)/C_t^2)
+        share = (fill / tube) ** 2
+        critical = (1 - share) * valve.critical_ratio + share * self.critical_ratio
+        return dataclasses.replace(valve, conductance=fill, exhaust_conductance=vent, critical_ratio=critical)
 
     def _growth(self, flow: ArrayLike, outlet: ArrayLike) -> Array:
         """Rate [m^3/s] of a volume that takes up a mass flow [kg/s] at an absolute pressure [Pa]."""

@@ -14,7 +14,6 @@ from mckibben.actuator import Actuator
 from mckibben.calibration.equations import JointPrior, JointRecording
 from mckibben.calibration.experiment import SHOWN, field_of, holds, load_of, model_of, with_fields
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
-from mckibben.component.base import field_quantities
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import ParameterError
 from mckibben.joint import AntagonisticJoint
@@ -30,8 +29,6 @@ _DWELL = (0.4, 2.5)  # s, of the steps
 _FREQUENCIES = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3)  # Hz
 _DIFFERENCE = ((0.17, 0.41), 0.1)  # Hz, and amplitudes relative to the range: of opposite sign, to move the joint
 _SHRINK, _TRIES = 0.8, 10
-_APART = 2.0  # standard deviations, and
-_DIFFERENT = 1.1  # ratio, by which the valves differ
 
 
 @dataclass(frozen=True)
@@ -176,13 +173,9 @@ def scenario_with_valves(scenario: Scenario, found: ValveCalibration) -> Scenari
 def valve_statements(found: ValveCalibration) -> list[str]:
     """Return one sentence for each quantity of the model in which the valves differ."""
     said = []
-    for name in (*field_quantities(type(found.valve)), "delay"):
-        one, two = (found.quantities.get(f"valve{number}.{name}") for number in (1, 2))
-        if one is None or two is None or not (one.determined and two.determined):
-            continue
-        wide = math.hypot(one.deviation, two.deviation)
-        low, high = sorted((one.value, two.value))
-        if high - low > _APART * wide and high > _DIFFERENT * low:
-            texts = (show(each.value, SHOWN[each.unit], 3) for each in (one, two))
-            said.append(f"the valves differ: {name} is {' and '.join(texts)}; the model has the mean of both")
+    for name in found.differing:
+        both = [found.quantities[f"valve{number}.{name}"] for number in (1, 2)]
+        texts = " and ".join(show(one.value, SHOWN[one.unit], 3) for one in both)
+        model = "the mean of both" if name == "delay" else "both"
+        said.append(f"the valves differ: {name} is {texts}; the model has {model}")
     return said

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from operator import itemgetter
@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Array
 from scipy.signal import savgol_filter
 
-from mckibben.actuator import Actuator, AirState, AirVolume
+from mckibben.actuator import Actuator, AirState, AirVolume, UnequalValves
 from mckibben.actuator.base import air_volumes
 from mckibben.calibration.equations import Floats, JointPrior, JointRecording, check_recording, sampling_period
 from mckibben.calibration.estimation import JointEstimate, minimised, variance_of
@@ -45,6 +45,7 @@ _DEAD_ZONE = {"1": 0.05, "Pa": 0.1 * bar}  # scale by unit
 _NUISANCES = ("pressure_zero", "zero", "arm_scale", "volume")
 _ZEROS = {"pressure_zero": "Pa", "zero": "rad"}  # units of those that are no factors
 _SHOWN = 2.0  # standard deviations from zero of what the first model lacks
+_APART, _DIFFERENT = 3.0, 1.1  # standard deviations and ratio beyond which two valves differ
 _BEGIN = 0.3  # scales, of what the first model lacks: its derivative is zero at zero
 
 
@@ -98,19 +99,40 @@ class ValveCalibration:
     quantities: dict[str, JointEstimate]
     residual: float
     noise: float
-    _problem: _Problem
-    _estimates: Floats
-    _deviations: Floats
+    _problems: dict[int, _Problem]  # by muscle
+    _estimates: tuple[Floats, ...]
+    _deviations: tuple[Floats, ...]
 
     @property
     def valve(self) -> Actuator:
-        """The valve between those of both muscles: the mean of the estimates, or of their logarithms."""
-        return _valve_of(self._problem, self._estimates.mean(axis=0), self._deviations.mean(axis=0))
+        """The valve of both muscles: the mean of the estimates, or of their logarithms.
+
+        Where the valves differ significantly, or differed in the first model, `UnequalValves` of both.
+        """
+        if len(self.valves) == 1:
+            return self.valves[0]
+        one, other = self._problems.values()
+        if one.parameters != other.parameters or set(self.differing) - {"delay"}:
+            return UnequalValves(*self.valves)
+        return _valve_of(one, sum(self._estimates) / 2, sum(self._deviations) / 2)  # type: ignore[arg-type]
+
+    @property
+    def differing(self) -> tuple[str, ...]:
+        """Names of the quantities of valve and delay in which the two valves differ significantly."""
+        found = []
+        for name in (one.name for one in next(iter(self._problems.values())).parameters):
+            one, two = (self.quantities.get(f"valve{number}.{name}") for number in (1, 2))
+            if one is None or two is None or not (one.determined and two.determined):
+                continue
+            low, high = sorted((one.value, two.value))
+            if high - low > _APART * math.hypot(one.deviation, two.deviation) and high > _DIFFERENT * low:
+                found.append(name)
+        return tuple(found)
 
     @property
     def muscles(self) -> tuple[int, ...]:
         """Index of the muscle of each valve: 0 and 1, or one of them beside a return spring."""
-        return self._problem.muscles
+        return tuple(self._problems)
 
     @property
     def delay(self) -> float:
@@ -120,12 +142,11 @@ class ValveCalibration:
     def simulate(self, recording: JointRecording) -> Floats:
         """Return the pressures [Pa] simulated from the commands and angles of a recording, shape (samples, valves)."""
         record = _record_of(recording)
-        estimates = np.concatenate([self._estimates[:, : self._problem.size], np.zeros((len(self.valves), 1))], axis=1)
-        substeps = _substeps(self._problem, self.valves, [record])
-        found = [
-            np.asarray(_pressures(_traced(self._problem), z, numeric(record), muscle, substeps))
-            for z, muscle in zip(estimates, self.muscles, strict=True)
-        ]
+        substeps = _substeps(self._problems, self.valves, [record])
+        found = []
+        for (muscle, problem), estimates in zip(self._problems.items(), self._estimates, strict=True):
+            z = np.append(estimates[: problem.size], 0.0)
+            found.append(np.asarray(_pressures(_traced(problem), z, numeric(record), muscle, substeps)))
         return np.stack(found, axis=1)
 
     def __repr__(self) -> str:
@@ -140,7 +161,6 @@ class _Problem(NamedTuple):
     valve: Actuator
     parameters: tuple[_Parameter, ...]  # fields of the valve, and last the delay
     nuisances: tuple[float, ...]  # standard deviations of `_NUISANCES`; the first alone of valves that know no volume
-    muscles: tuple[int, ...]  # 0 and 1; one beside a return spring
 
     @property
     def size(self) -> int:
@@ -221,14 +241,15 @@ def calibrate_valves(
     if valve.direct or valve.reservoir is not None:
         what = "takes openings in place of pressures" if valve.direct else "has a reservoir that all valves share"
         raise IdentificationError(f"the valve {what}, and cannot be identified", remedy="leave that out of its model")
-    problem = _problem_of(joint, valve, prior, delay)
+    muscles = [index for index, spring in enumerate(joint.springs) if not spring]  # one beside a return spring
+    problems = {one: _problem_of(joint, valve.for_muscle(one), prior, delay) for one in muscles}
     records = list(map(_record_of, recordings, range(len(recordings))))
-    substeps = _substeps(problem, [valve], records)
+    substeps = _substeps(problems, [one.valve for one in problems.values()], records)
     while True:
-        solved = [_solve(problem, records, one, substeps) for one in problem.muscles]
-        z, deviations = (np.stack([one[place] for one in solved]) for place in (0, 1))
-        valves = tuple(_valve_of(problem, *one) for one in zip(z, deviations, strict=True))
-        if (needed := _substeps(problem, valves, records)) <= substeps:
+        solved = [_solve(problem, records, muscle, substeps) for muscle, problem in problems.items()]
+        z, deviations = tuple(one[0] for one in solved), tuple(one[1] for one in solved)
+        valves = tuple(_valve_of(*one) for one in zip(problems.values(), z, deviations, strict=True))
+        if (needed := _substeps(problems, valves, records)) <= substeps:
             break
         substeps = needed
     errors = [error for one in solved for error in one[2]]
@@ -239,9 +260,10 @@ def calibrate_valves(
         text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensors, {noise / kPa:.2g} kPa"
         remedy = "the intervals are too narrow; check the class of the valve, the units, and which muscle is which"
         warnings.warn(f"{text}: the model does not describe the valves; {remedy}", McKibbenWarning, stacklevel=2)
-    delays = tuple(float(problem.parameters[-1].at(one[len(problem.parameters) - 1])) for one in z)
-    quantities = _quantities(problem, z, deviations)
-    return ValveCalibration(valves, delays, quantities, residual, noise, problem, z, deviations)
+    numbered = zip([problem.parameters for problem in problems.values()], z, strict=True)
+    delays = tuple(float(parameters[-1].at(one[len(parameters) - 1])) for parameters, one in numbered)
+    quantities = _quantities(problems, z, deviations)
+    return ValveCalibration(valves, delays, quantities, residual, noise, problems, z, deviations)
 
 
 def _rms(errors: list[Floats]) -> float:
@@ -250,22 +272,39 @@ def _rms(errors: list[Floats]) -> float:
 
 def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, delay: float | None) -> _Problem:
     parameters = []
-    for name, quantity in field_quantities(type(valve)).items():
-        value, unit = getattr(valve, name), quantity.unit
-        if name in _KNOWN or not (value is None or isinstance(value, Real)):
+    for name, value, quantity in _numbers(valve):
+        own, unit = name.rpartition(".")[2], quantity.unit
+        if own in _KNOWN:
             continue
-        if value is None and name == "exhaust_conductance":
-            value = valve.conductance  # type: ignore[attr-defined]
-        scale = _DEAD_ZONE[unit] if name == "dead_zone" else _SCALES.get(name)
+        scale = _DEAD_ZONE[unit] if own == "dead_zone" else _SCALES.get(own)
         if value:
-            deviation = getattr(prior, _PRIORS.get(name, "valve"))
+            deviation = getattr(prior, _PRIORS.get(own, "valve"))
             parameters.append(_Parameter(name, unit, float(value), deviation))
         elif scale is not None:
             parameters.append(_Parameter(name, unit, scale, 0.0))
     parameters.append(_Parameter("delay", "s", delay or _SCALES["delay"], prior.delay if delay else 0.0))
     nuisances = tuple(getattr(prior, name) for name in (_NUISANCES if valve.holds_air else _NUISANCES[:1]))
-    muscles = tuple(index for index, spring in enumerate(joint.springs) if not spring)
-    return _Problem(joint, valve, tuple(parameters), nuisances, muscles)
+    return _Problem(joint, valve, tuple(parameters), nuisances)
+
+
+def _numbers(part: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Name, value and quantity of each number of a valve, and of one within it (`Tube`); None where there is none."""
+    for field in dataclasses.fields(part):
+        value, quantity = getattr(part, field.name), field_quantities(type(part)).get(field.name)
+        if isinstance(value, Actuator):
+            yield from _numbers(value, f"{prefix}{field.name}.")
+        elif quantity is not None and (value is None or isinstance(value, Real)):
+            lacking = value is None and field.name == "exhaust_conductance"
+            yield f"{prefix}{field.name}", part.conductance if lacking else value, quantity
+
+
+def _with(valve: Any, values: dict[str, Any]) -> Any:
+    """The valve with other numbers, named as by `_numbers`."""
+    own = {name: value for name, value in values.items() if "." not in name}
+    for name in {name.partition(".")[0] for name in values if "." in name}:
+        inner = {each.partition(".")[2]: value for each, value in values.items() if each.startswith(f"{name}.")}
+        own[name] = _with(getattr(valve, name), inner)
+    return dataclasses.replace(valve, **own)
 
 
 def _record_of(recording: JointRecording, number: int = 0) -> _Record:
@@ -283,15 +322,16 @@ def _record_of(recording: JointRecording, number: int = 0) -> _Record:
     return _Record(angle, (pressures[0], pressures[1]), (commands[0], commands[1]), np.float64(period), number)
 
 
-def _substeps(problem: _Problem, valves: Sequence[Actuator], records: Sequence[_Record]) -> int:
+def _substeps(problems: dict[int, _Problem], valves: Sequence[Actuator], records: Sequence[_Record]) -> int:
     """Integration steps per sample that resolve the valves at the smallest volume of a muscle, with a margin."""
-    if not problem.valve.holds_air:
+    if not valves[0].holds_air:
         return 1
+    joint = next(iter(problems.values())).joint
     angle = np.concatenate([one.angle for one in records])
     room = min(
         float(np.min(one.volume))
-        for index, one in enumerate(air_volumes(problem.joint, angle, 0.0, _mean_pressures(records)))
-        if index in problem.muscles
+        for index, one in enumerate(air_volumes(joint, angle, 0.0, _mean_pressures(records)))
+        if index in problems
     )
     fastest = max(one.fastest_rate_in(room) for one in valves)
     return math.ceil(_MARGIN * fastest * max(float(one.period) for one in records) / STABILITY_LIMIT)
@@ -304,19 +344,19 @@ def _mean_pressures(records: Sequence[_Record]) -> tuple[Any, Any]:
 
 def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
     """Valve with the estimates; what the first model lacks and the recordings do not show, stays away."""
-    own, ranges = {}, field_quantities(type(problem.valve))
+    own, ranges = {}, {name: quantity for name, _, quantity in _numbers(problem.valve)}
     for one, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
         if one.deviation or abs(at) > _SHOWN * wide:
             lower, upper = ranges[one.name].limits
             own[one.name] = float(np.clip(float(one.at(at)), lower, upper))
-    return dataclasses.replace(problem.valve, **own)
+    return _with(problem.valve, own)
 
 
 def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, substeps: int) -> Array:
     """Pressure [Pa] of a muscle at the samples, for parameters in prior standard deviations."""
     own = [one.at(z[number]) for number, one in enumerate(problem.parameters)]
     names = [one.name for one in problem.parameters[:-1]]
-    valve = dataclasses.replace(problem.valve, **dict(zip(names, own[:-1], strict=True)))
+    valve = _with(problem.valve, dict(zip(names, own[:-1], strict=True)))
     steps = jnp.arange(record.angle.shape[0])
     late = steps - own[-1] / record.period  # between two samples a valve gets their mean over the period
     commands = jnp.interp(late, steps, jnp.asarray(record.commands[muscle]))
@@ -430,9 +470,11 @@ def _solve(
     return z, np.sqrt(np.diag(np.linalg.inv(terms(z)[2]))), errors
 
 
-def _quantities(problem: _Problem, z: Floats, deviations: Floats) -> dict[str, JointEstimate]:
+def _quantities(
+    problems: dict[int, _Problem], z: Sequence[Floats], deviations: Sequence[Floats]
+) -> dict[str, JointEstimate]:
     found = {}
-    for muscle, row, wide in zip(problem.muscles, z, deviations, strict=True):
+    for (muscle, problem), row, wide in zip(problems.items(), z, deviations, strict=True):
         for number, one in enumerate(problem.parameters):
             found[f"valve{muscle + 1}.{one.name}"] = one.estimate(float(row[number]), float(wide[number]))
         for number, (name, scale) in enumerate(
