@@ -33,6 +33,7 @@ _FAST, _FAST_SHARE, _FASTEST = 1.0, 0.15, 1.0  # Hz; part of the amplitude; rad/
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
+_TOGETHER = 1000  # periods that a simulated joint computes at once
 _PRESSURES = ("pressure1", "pressure2")
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
@@ -206,7 +207,7 @@ def run_parts(
             ready(name)
         session = prepare(part, rig, paced=rig is not None and rig.physical)
         kept = Path(folder) / name
-        ran: JointRunResult = session.run(kept, progress=progress)
+        ran: JointRunResult = session.run(kept, progress=progress, together=_TOGETHER)
         if ran.outcome.error is not None or ran.result is None:
             raise StoppedError(f"stopped: {ran.outcome.text}; {ran.outcome.venting}")
         ran.result.to_netcdf(kept / "result.nc")

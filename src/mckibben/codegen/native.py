@@ -93,11 +93,11 @@ class NativeFunction:
     """A pure function compiled as C, of a tree shared by all runs and, in a batch, a tree with an entry per run.
 
     Arrays of the second tree have the runs along their last axis, as do the results; leaves other than arrays are
-    static.
+    static. `flags` are further options of the compiler.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    def __init__(self, function: Callable[..., Any], flags: Sequence[str] = ()) -> None:
+        self._function, self._flags = function, flags
         self._known: dict[Any, _Compiled | ExportError] = {}
         self._lock = threading.Lock()
 
@@ -126,23 +126,15 @@ class NativeFunction:
 
     def _compiled(self, shared: _Split, lanes: _Split, single: bool) -> _Compiled:
         """From the program cache, or compiled."""
-        folder, path = programs_folder(), None
-        if folder is not None:
-            path = program_path(folder, self._function, (shared.key, lanes.key, single), _compiler_state(), "native")
-        if path is not None and (found := _stored(path, width(single))) is not None:
-            return found
 
         def function(given: Sequence[Any], varying: Sequence[Any]) -> Any:
             return self._function(shared.filled(given), lanes.filled(varying))
 
-        varying = [x[..., 0] for x in lanes.arrays]
-        source, leaves, tree = write_native(function, shared.arrays, varying, single=single)
-        flags = (*_FOR_LANES, *(_FOR_SHORT if len(source) < _SHORT else ())) if varying else _ALONE
-        library = compile_library(source, flags)
-        found = _Compiled(load_library(library), leaves, tree, width(single))
-        if path is not None:
-            write_program(path, pickle.dumps((library, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
-        return found
+        def written() -> Written:
+            return write_native(function, shared.arrays, [x[..., 0] for x in lanes.arrays], single=single)
+
+        key = shared.key, lanes.key, single
+        return _load_or_compile(self._function, key, written, self._flags, lanes=bool(lanes.arrays), single=single)
 
 
 @dataclass(frozen=True)
@@ -219,13 +211,45 @@ def _stored(path: Path, width: int) -> _Compiled | None:
         return None
 
 
-def compile_alone(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile a function of 64-bit float vectors for calls that take microseconds.
+def _load_or_compile(
+    function: Callable[..., Any],
+    key: tuple[Any, ...],
+    written: Callable[[], Written],
+    flags: Sequence[str],
+    *,
+    lanes: bool = False,
+    single: bool = False,
+) -> _Compiled:
+    """Program of a function from the program cache, or written and compiled."""
+    folder, path = programs_folder(), None
+    if folder is not None:
+        path = program_path(folder, function, key, _compiler_state(), tuple(flags), "native")
+    if path is not None and (found := _stored(path, width(single))) is not None:
+        return found
+    source, leaves, tree = written()
+    options = (*_FOR_LANES, *(_FOR_SHORT if len(source) < _SHORT else ())) if lanes else _ALONE
+    library = compile_library(source, (*options, *flags))
+    found = _Compiled(load_library(library), leaves, tree, width(single))
+    if path is not None:
+        write_program(path, pickle.dumps((library, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
+    return found
+
+
+EXACT = ("-ffp-contract=off",)
+"""Compiler option by which a computation has the same result in every program: no product and sum are fused."""
+
+
+def compile_alone(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
+    """Compile a function of static arguments and 64-bit float vectors for calls that take microseconds.
 
     Raises `ExportError` if the function cannot be emitted or compiled.
     """
-    source, leaves, tree = write_native(lambda given, _: function(*given), [np.zeros(size) for size in sizes], ())
-    compiled = _Compiled(load_library(compile_library(source, _ALONE)), leaves, tree)
+
+    def written() -> Written:
+        vectors = [np.zeros(size) for size in sizes]
+        return write_native(lambda given, _: function(*static, *given), vectors, ())
+
+    compiled = _load_or_compile(function, (*static, *sizes), written, EXACT)
     return lambda *given: compiled.bound(given)()
 
 

@@ -114,6 +114,11 @@ class RowBuffer:
         self._recorder.append(table)
         self._table[:] = np.nan
 
+    def extend(self, own: Mapping[str, NDArray[Any]], telemetry: NDArray[np.float64]) -> None:
+        """Record complete rows; the telemetry has the shape (rows, values)."""
+        self.flush()
+        self._recorder.append({**own, **dict(zip(self._names[_TELEMETRY:], telemetry.T, strict=True))})
+
     def event(self, kind: str, text: str, **data: Any) -> None:
         """Record an event."""
         self._recorder.event(kind, text, **data)

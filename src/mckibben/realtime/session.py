@@ -71,9 +71,15 @@ class JointSession:
     header: Mapping[str, Any]
 
     def run(
-        self, folder: str | os.PathLike[str], *, progress: Callable[[RunProgress], None] | None = None
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        progress: Callable[[RunProgress], None] | None = None,
+        together: int = 1,
     ) -> JointRunResult:
         """Run the scenario and record it in a folder that holds no record; `progress` is called each period.
+
+        A simulated joint that is not paced may compute many periods `together`, with the same results.
 
         Raises
         ------
@@ -102,6 +108,7 @@ class JointSession:
                         recorder,
                         stop_flag=stop_flag,
                         progress=progress,
+                        together=together,
                     )
             except RigError as error:
                 if outcome is None:

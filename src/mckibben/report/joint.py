@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,9 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
-from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
 from mckibben.control import Constant, Sine
-from mckibben.paper.identification import JointMap
 from mckibben.reachability import Design, Envelope, FeasibleReference, Preserved, StaticEnvelope
 from mckibben.report.style import (
     BLACK,
@@ -36,9 +35,13 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.simulation import Result
 from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, StiffnessTests
 from mckibben.units import bar, deg, kPa
+
+if TYPE_CHECKING:
+    from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
+    from mckibben.paper.identification import JointMap
+    from mckibben.simulation import Result
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _SAMPLES_APART = 100
