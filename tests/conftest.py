@@ -24,10 +24,12 @@ from mckibben.codegen import cuda
 from mckibben.codegen.native import NativeFunction
 from mckibben.component import extensions
 from mckibben.control import Controller
+from mckibben.errors import DeviceError
 from mckibben.joint import AntagonisticJoint
+from mckibben.leg import simulate as leg_runs
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
-from mckibben.simulation import Batch, Metrics, Outcome, compiled_episode, episode
+from mckibben.simulation import Batch, Metrics, Outcome, batch, compiled_episode, episode
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.result import OUTCOMES
 
@@ -303,6 +305,19 @@ def cuda_here(cuda_driver, monkeypatch):
     cuda_driver.set(version=12080, devices=1, capability=90, failing="", status=0)
     yield cuda_driver
     cuda.device.cache_clear()
+
+
+@pytest.fixture(params=["processor", "GPU"])
+def cuda_device(request, monkeypatch):
+    """The engine "cuda" on this processor, and on a GPU where there is one."""
+    for one in (batch._run, leg_runs._run):
+        monkeypatch.setattr(one._cuda, "_known", {})
+    if request.param == "processor":
+        return request.getfixturevalue("cuda_here")
+    try:
+        return cuda.device()
+    except DeviceError as error:
+        pytest.skip(str(error))
 
 
 def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="native"):

@@ -5,5 +5,5 @@ extern "C" void launch(unsigned blocks, unsigned threads, void **arguments)
     blockDim.x = threads;
     for (blockIdx.x = 0; blockIdx.x < blocks; ++blockIdx.x)
         for (threadIdx.x = 0; threadIdx.x < threads; ++threadIdx.x)
-            run(*(double **)arguments[0], *(double **)arguments[1], *(double **)arguments[2], *(int64_t *)arguments[3]);
+            run(*(Scalars *)arguments[0], *(double **)arguments[1], *(double **)arguments[2], *(int64_t *)arguments[3]);
 }

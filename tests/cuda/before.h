@@ -4,5 +4,5 @@
 #include <cstring>
 using namespace std;
 #define __global__
-#define __launch_bounds__(threads)
+#define __launch_bounds__(threads, blocks)
 static thread_local struct { unsigned x; } gridDim, blockDim, blockIdx, threadIdx;

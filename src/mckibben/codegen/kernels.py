@@ -15,13 +15,9 @@ from mckibben.codegen.writer import Language, Text, Writer
 THREADS = 128
 """Threads per block."""
 
-_POINTERS = "const double *__restrict__ scalars, const double *__restrict__ arrays, double *__restrict__ results"
-KERNEL = (
-    f'extern "C" __global__ void __launch_bounds__({THREADS})\nrun({_POINTERS}, int64_t lanes)',
-    "blockIdx.x * (int64_t)blockDim.x + threadIdx.x",
-    "(int64_t)gridDim.x * blockDim.x",
-)
-"""Head of a kernel, and first run and step between the runs of a thread."""
+FIRST, STEP = "blockIdx.x * (int64_t)blockDim.x + threadIdx.x", "(int64_t)gridDim.x * blockDim.x"
+"""First run of a thread, and step to its next one."""
+_BLOCKS = 2, 4  # per multiprocessor, in 64 and 32 bits: they limit the registers per thread to 255 and 128
 _ATOM = 8
 _OF_INTEGERS = {
     "abs": "{0} < 0 ? -{0} : {0}",
@@ -41,6 +37,13 @@ def _language(real: str) -> Language:
         for name in ("bits", "from_bits_32")
     }
     return replace(language, helpers={**language.helpers, **helpers})
+
+
+def head(scalars: int, *, single: bool) -> str:
+    """Declaration of a kernel; numbers of all runs are its parameters, which take no registers."""
+    pointers = "const double *__restrict__ arrays, double *__restrict__ results, int64_t lanes"
+    return f"""struct Scalars {{ double x[{max(scalars, 1)}]; }};
+extern "C" __global__ void __launch_bounds__({THREADS}, {_BLOCKS[single]}) run(const Scalars given, {pointers})"""
 
 
 class KernelWriter(Writer):

@@ -216,10 +216,13 @@ class Lowering(ArrayRules):
         ]
 
     def _rule(self, name: str, inner: Any, arguments: list[Array]) -> tuple[str, ...]:
-        """Operations in place of one of our polynomials, except in batched programs."""
-        if name != "custom_jvp_call" or self._in_vectors(arguments):
+        """Operations in place of one of our polynomials; of batches only the exponential, in kernels."""
+        if name != "custom_jvp_call":
             return ()
-        return _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
+        rule = _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
+        if all(map(_is_uniform, arguments)) or (self._graph.threads and rule == _RULES["_exp_rule"]):
+            return rule
+        return ()  # sine and cosine of CUDA have a branch for large angles
 
     def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)

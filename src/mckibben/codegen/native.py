@@ -25,9 +25,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from mckibben.codegen import kernels
 from mckibben.codegen.functions import definitions, native_language
 from mckibben.codegen.graph import Graph, Kind, StoredArray
-from mckibben.codegen.kernels import KERNEL, KernelWriter
+from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.source_module import inputs_of
 from mckibben.codegen.vectors import HEADERS, VectorWriter, prelude, width
@@ -274,7 +275,7 @@ def write_native(
     values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
     if threads:
         writer, before = KernelWriter([graph.scope], values, single=single), ""
-        head, first, step = KERNEL
+        head, first, step = kernels.head(sum(not x.ndim for x in given), single=single), kernels.FIRST, kernels.STEP
     elif varying:
         writer, before = VectorWriter([graph.scope], values, single=single), prelude(single)
         head, first, step = _HEAD, "0", "W"
@@ -285,6 +286,7 @@ def write_native(
     lines = [
         head,
         "{",
+        *(["    const double *scalars = given.x;"] if threads else []),
         *_places(given, varying, leaves),
         f"    for (int64_t b = {first}; b < lanes; b += {step}) {{",
         *_body(graph, writer, inputs, results),

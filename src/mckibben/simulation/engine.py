@@ -200,7 +200,7 @@ def chunk_size(
     workers = cores() if workers is None else check_count("workers", workers)
     engine = check_engine(engine, precision, many=True)
     if chunk is None:
-        best = {"native": NATIVE, "cuda": min(ON_CUDA, max(VECTOR, MOST_NUMBERS // numbers))}
+        best = {"native": NATIVE, "cuda": min(ON_CUDA, max(VECTOR, MOST_NUMBERS // max(numbers, 1)))}
         chunk = best.get(engine, CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR)
     check_count("runs per chunk", chunk)
     even = count if engine == "cuda" else -(-count // workers)
