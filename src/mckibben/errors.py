@@ -128,6 +128,10 @@ class CompilerError(ExportError):
     """The machine's C compiler, or the program that it wrote, does not work."""
 
 
+class DeviceError(McKibbenError, RuntimeError):
+    """A CUDA device, its driver or its compiler is missing or fails."""
+
+
 class RigError(McKibbenError, RuntimeError):
     """A test rig is missing, or cannot execute a command."""
 

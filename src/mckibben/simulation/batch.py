@@ -197,6 +197,8 @@ def simulate_many(
         workers=workers,
         engine=engine,
         precision=asked.precision,
+        numbers=len(asked.keep) * times.size // stride
+        + times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference)),
         progress=progress,
     )
     table = _table(columns, over or {}, times[::stride], asked)
