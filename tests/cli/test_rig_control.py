@@ -25,10 +25,9 @@ def short(shortened, tmp_path):
 @pytest.mark.slow
 def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced", "--ideal", "--json")
-    assert (found.code, found.err.splitlines()[-1]) == (
-        0,
-        "kept the record, scenario.yaml, results.json, result.nc, tracking.png and .svg in run",
-    )
+    assert found.code == 0
+    for name in ("scenario.yaml", "results.json", "result.nc", "tracking.png", "tracking.svg", "run"):
+        assert name in found.err.splitlines()[-1]
     numbers = json.loads(found.out)
     simulated = run_scenario(Scenario.read(tmp_path / "short.yaml")).result
     expected = in_shown_units(simulated.metrics)

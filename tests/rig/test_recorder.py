@@ -315,10 +315,10 @@ def test_a_slow_disk_holds_the_appender_back_and_loses_nothing(tmp_path, monkeyp
 
 
 def test_something_else_is_no_record(tmp_path):
-    with pytest.raises(DatasetError, match="holds no record of a rig"):
+    with pytest.raises(DatasetError, match="no record of a rig"):
         read_record(tmp_path)
     (tmp_path / "record-0001.chunks").write_bytes(b"something else")
-    with pytest.raises(DatasetError, match="is no record of a rig"):
+    with pytest.raises(DatasetError, match="not a rig record"):
         read_record(tmp_path)
 
 

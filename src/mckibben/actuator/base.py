@@ -109,9 +109,9 @@ class Attainable(NamedTuple):
 class Actuator(Component):
     """Response of the pressures of the muscles to their commands; one for each muscle, all alike.
 
-    The state of an actuator is the pressure, and what it holds beside it (`init`). Derive a closed form over a
-    constant command from `Valve`, and one whose pressures follow from mass flow and volume from `AirValve`.
-    Other packages ask for the properties below, never for the class.
+    The state of an actuator consists of the pressure and its internal state (`init`). Derive actuators with a closed
+    form for a constant command from `Valve`, and those whose pressures follow from mass flow and volume from
+    `AirValve`. Other packages use the properties below, and never test the class.
 
     A controller may have an actuator as its model of the valves: it uses `init_model`, `predict`, `attainable` and
     `command_toward`. By default these are a first-order response with the time constant `lag`.
@@ -148,7 +148,7 @@ class Actuator(Component):
 
     @abc.abstractmethod
     def init(self, pressure: Scalar) -> Any:
-        """Return the state that holds a pressure [Pa], without the pressure itself."""
+        """Return the internal state at a constant pressure [Pa], without the pressure itself."""
 
     @abc.abstractmethod
     def rates(
@@ -210,7 +210,7 @@ class Actuator(Component):
         return {}
 
     def init_states(self, pressures: tuple[Scalar, ...]) -> AirState | tuple[()]:
-        """Return the states that hold the pressures [Pa] of all muscles; empty if there are none beside these."""
+        """Return the internal states at constant pressures [Pa] of all muscles; empty if there are none."""
         states = tuple(map(self.init, pressures))
         return AirState(states) if jax.tree.leaves(states) else ()
 
@@ -230,5 +230,5 @@ class Actuator(Component):
 
 
 def held_states(states: AirState | tuple[()], count: int) -> tuple[Any, ...]:
-    """Return the state of each of a number of actuators; empty ones for actuators without."""
+    """Return the state of each of a number of actuators; empty ones for actuators without states."""
     return states.valves if isinstance(states, AirState) else ((),) * count

@@ -303,7 +303,7 @@ def stiffness(found: StiffnessTests) -> Figure:
             label = f"simulated, {test.frequency[row]:.2g} Hz"
             look = {"color": color, "linestyle": "", "marker": marker, "markersize": size, "fillstyle": "none"}
             first.plot(amplitudes, test.stiffness[row], label=label if color == BLUE else None, **look)
-    letter(first, 0, "held pressures, closed valves")
+    letter(first, 0, "constant pressures, closed valves")
     for i, (axes, name) in enumerate(zip(others, varied, strict=True)):
         for _, secant, _, color in forms:
             axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
@@ -376,7 +376,7 @@ def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -
         order = np.argsort(angle)
         over_angle.plot(angle[order] / deg, (after - before)[order], ".", color=BLUE, markersize=2)
     letter(over_time, 0, "stiffness along the recordings")
-    letter(over_angle, 1, "calibrated less before")
+    letter(over_angle, 1, "calibrated minus before")
     over_time.set(xlabel="time [s]", ylabel="stiffness [N·m/rad]")
     over_angle.set(xlabel="joint angle [deg]", ylabel="difference [N·m/rad]")
     over_angle.axhline(0.0, color=BLACK, linewidth=0.6)
@@ -402,7 +402,7 @@ def valve_calibration(found: ValveCalibration, recordings: Sequence[JointRecordi
             error = (one.pressures[:, column] - simulated[:, place]) / kPa
             over_error.plot(time[::_ERRORS_APART], error[::_ERRORS_APART], color=colour, linewidth=0.5)
         letter(over_time, number, "commands (black), measured (pale) and simulated")
-        letter(over_error, number + 1, "measured less simulated")
+        letter(over_error, number + 1, "measured minus simulated")
         over_time.set(xlabel="time [s]", ylabel="pressure [bar]")
         over_error.set(xlabel="time [s]", ylabel="error [kPa]")
         number += 2

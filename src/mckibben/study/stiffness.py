@@ -22,7 +22,7 @@ from mckibben.units import bar, deg
 Values = NDArray[np.float64]
 
 _SETTLING = 2.0  # s
-HELD, CLOSED, COMMANDED, CONTROLLED = "pressures held", "valves closed", "commands constant", "controller at work"
+HELD, CLOSED, COMMANDED, CONTROLLED = "constant pressures", "closed valves", "constant commands", "controller active"
 
 
 @dataclass(frozen=True)
