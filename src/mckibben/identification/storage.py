@@ -28,7 +28,7 @@ from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import BoundedInt, factor, quantity, show
 
-_HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
+_HEAD = "# A force law identified by mckibben. Each number is followed by its unit; comments give published units.\n"
 
 
 def write_fit(fit: Fit, path: Path) -> None:
