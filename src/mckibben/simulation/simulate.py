@@ -88,7 +88,7 @@ class Feasibility:
             worst = int(np.nanargmax(missing))
             sentences.append(
                 f"the desired stiffness is not attainable {_when(self.times, short)}, by up to "
-                f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (wanted "
+                f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (desired "
                 f"{self.desired_stiffness[worst]:.4g}, attainable "
                 f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
                 f"{self.desired_angle[worst] / deg:.3g} deg)"
