@@ -121,7 +121,7 @@ def test_hardware_of_an_extension_runs_and_its_missing_watchdog_is_reported(cli,
     assert unknown.code == 2 and "own_joint:LentJoint" in unknown.err and "--extension" in unknown.err
     found = cli("--extension", "own_joint.py", *arguments)
     assert found.code == 0, found.err
-    assert "the lent rig is vented by its own watchdog alone" in found.err
+    assert "the lent rig is vented only by its own watchdog" in found.err
     assert read_record(tmp_path / "run").header["backend"] == {"kind": "lent"}
     refused = cli("--extension", "own_joint.py", *arguments[:-1], "other", "--unpaced")
     assert refused.code == 2 and "--unpaced" in refused.err

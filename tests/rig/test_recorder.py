@@ -164,11 +164,11 @@ def test_what_was_flushed_was_brought_to_the_disk(tmp_path, monkeypatch):
 
 
 def test_a_record_is_no_start_twice_and_not_gone_on_with_by_another(filled, tmp_path):
-    with pytest.raises(FileError, match="holds a record already; resume it, or choose another"):
+    with pytest.raises(FileError, match="contains a record; resume it, or choose another"):
         Recorder.create(filled, {}, COLUMNS)
-    with pytest.raises(FileError, match="holds a record of other columns"):
+    with pytest.raises(FileError, match="other columns"):
         Recorder.resume(filled, {}, COLUMNS[:2])
-    with pytest.raises(FileError, match="holds no record to go on with"):
+    with pytest.raises(FileError, match="no record to continue"):
         Recorder.resume(tmp_path / "elsewhere", {}, COLUMNS)
     with pytest.raises(RangeError, match="cannot be told apart"):
         Recorder.create(tmp_path / "new", {}, [COLUMNS[0], COLUMNS[0]])

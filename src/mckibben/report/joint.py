@@ -37,7 +37,7 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.simulation import Result
-from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, StiffnessTests
+from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessTests
 from mckibben.units import bar, deg, kPa
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
@@ -296,8 +296,10 @@ def stiffness(found: StiffnessTests) -> Figure:
     amplitudes = found.amplitudes / deg
     forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
     for name, secant, slope, color in forms:
-        first.plot(amplitudes, secant, color=color, label=f"{name}, closed form")
-        first.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=f"{name}, without friction")
+        first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
+        first.axhline(
+            slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=f"{SHOWN[name]}, without friction"
+        )
         test = found.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz"
@@ -312,7 +314,7 @@ def stiffness(found: StiffnessTests) -> Figure:
         for k, (rate, row) in enumerate(zip(test.frequency, values, strict=True)):
             color = shades(k / max(len(test.frequency) - 1, 1))
             axes.plot(amplitudes, row, color=color, linewidth=1.0, label=f"{rate:.2g} Hz")
-        letter(axes, i + 1, name)
+        letter(axes, i + 1, SHOWN[name])
     for axes in (first, *others):
         axes.set(xscale="log", xlabel="amplitude [deg]")
         plain_numbers(axes.xaxis)

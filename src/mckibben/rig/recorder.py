@@ -73,7 +73,7 @@ class Recorder:
         folder = make_folder(folder)
         if segments(folder):
             remedy = "resume it, or choose another folder"
-            raise FileError(str(folder), [Problem("already contains a record", remedy=remedy)])
+            raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
         return cls(folder / _name(1), header, _checked(columns), 0)
 
     @classmethod

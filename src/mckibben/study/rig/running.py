@@ -186,7 +186,7 @@ def run_test(
     if not resume:
         if segments(folder):
             remedy = "resume it (--resume), or choose another folder"
-            raise FileError(str(folder), [Problem("already contains a record", remedy=remedy)])
+            raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
         check_free(folder, [PROTOCOL, data_name(checked.test)], "resume the test (--resume), or choose another folder")
     make_folder(folder)
     with file_lock(folder / "lock", "running a test here"):
