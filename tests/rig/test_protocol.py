@@ -145,5 +145,5 @@ def test_strokes_that_are_none_are_refused():
     with pytest.raises(RangeError, match=r"at 5, 5.5, 6 bar the force exceeds 598.5 N over the whole stroke; leave"):
         boundaries(MUSCLE, IsobaricProtocol(contraction_max=-1 * percent))
     endless = type(SPECIMEN)("free", 0.18, 0.01, 0.4, 630.0, Domain())
-    with pytest.raises(RangeError, match="free has no range of its own; give the end of the stroke"):
+    with pytest.raises(RangeError, match="free has no range; give the end of the stroke"):
         IsobaricProtocol().check(endless)

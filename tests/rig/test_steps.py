@@ -114,7 +114,8 @@ def test_every_limit_is_held_against_the_steps():
         "[2].move: the force by the law is 982 N at -3 % and 7 bar, above the limit of 630 N; stay at higher "
         "contractions, or lower the pressure",
         "[3].walk.step: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm",
-        "[3].walk.acquire.samples: 700 samples in 1 s are not a whole part of 1000 Hz; take 1000, or a whole part of it",
+        "[3].walk.acquire.samples: 700 samples in 1 s are not a whole part of 1000 Hz; take 1000, or a whole part "
+        "of it",
     }
 
 
