@@ -199,7 +199,7 @@ def _lines(lines: Sequence[int]) -> str:
 
 
 class FileError(McKibbenError, ValueError):
-    """A file cannot be used; lists all its problems in file order, those that repeat once, with their lines.
+    """A file cannot be used; lists all its problems in file order; repeated ones appear once, with their lines.
 
     >>> print(FileError("rig.csv", [Problem("'abc' is not a number", line=7, field="force_N")]))
     rig.csv: 1 problem

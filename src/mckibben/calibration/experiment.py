@@ -140,7 +140,7 @@ def field_of(controller: Controller, name: str) -> Any:
 
 
 def holds(controller: Controller, name: str) -> bool:
-    """Whether a controller, or one that it wraps, has a field of its own, not inherited from the plant."""
+    """Whether a controller, or one that it wraps, has a field that is not inherited from the plant."""
     own = name not in inherited_fields(controller) and vars(controller).get(name) is not None
     return own or any(holds(one, name) for one in _inner(controller).values())
 
@@ -228,8 +228,8 @@ def read_joint_recording(
 ) -> JointRecording:
     """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
 
-    Columns ``command1_bar,command2_bar`` give commands beside or instead of pressures, ``tension1_N,tension2_N`` the
-    readings of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
+    Columns ``command1_bar,command2_bar`` give commands in addition to or instead of pressures,
+    ``tension1_N,tension2_N`` the readings of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
     """
     file = Path(path)
     if file.suffix == ".nc":

@@ -348,7 +348,7 @@ def _in_conditions(
 
 def _condition_rows(runs: list[dict[str, Any]], count: int) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     share = runs[0]["in_conditions"]["percentile"]
-    few = ", the worst of so few" if (1 - share / 100) * count < 1 and share < 100 else ""
+    few = ", here the worst" if (1 - share / 100) * count < 1 and share < 100 else ""
     headers = ("scenario", "nominal", "median", f"{share:g} %{few}", "worst", "diverged", "gain margin")
     rows = []
     for run in runs:

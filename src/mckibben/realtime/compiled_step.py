@@ -34,7 +34,7 @@ def vented_angle(plant: JointPlant) -> float:
 
 
 def _zero(plant: JointPlant, low: float, high: float) -> float:
-    """Angle at which the torque falls through zero."""
+    """Angle at which the torque crosses zero from above."""
     angles = np.linspace(low, high, _POINTS)
     torque = np.asarray(_torque(plant, angles))
     stable = np.flatnonzero((torque[:-1] >= 0) & (torque[1:] <= 0))
@@ -189,12 +189,12 @@ def advance_flat(
 
 
 def compute_in_this_thread() -> None:
-    """Let JAX compute in the calling thread, before any computation; another takes longer than a small program."""
+    """Let JAX compute in the calling thread, before any computation; a change of threads would take longer."""
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
 def compile_flat(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
-    """Compile a function of static arguments and arrays by the C compiler; by XLA where that cannot be done."""
+    """Compile a function of static arguments and arrays by the C compiler or, if that is not possible, by XLA."""
     try:
         return compile_alone(function, *sizes, static=static)
     except ExportError as error:

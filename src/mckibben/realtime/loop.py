@@ -115,7 +115,7 @@ class RunOutcome:
     def venting(self) -> str:
         """Result of the venting, as a sentence."""
         if self.vented_after is None:
-            return "the valves were told to vent, but the pressures were not measured to fall: check before you touch"
+            return "the valves were commanded to vent, but no fall in pressure was measured: check before touching it"
         return f"both muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
 
 
@@ -178,14 +178,14 @@ def control(
     """Open a backend, run a controller on it, vent it and close it; all of it is recorded.
 
     `recorder` needs the columns of `record.columns` and is left open; `stop_flag` stops the run when it is set;
-    `progress` is called each period and must return at once. Errors that are not of mckibben are raised again, after
+    `progress` is called each period and must return at once. Errors that are not from mckibben are raised again, after
     the vent. A simulated joint that is not paced may compute many periods `together`, with the same results; `progress`
     is then called, and `stop_flag` checked, once for all of them.
 
     Raises
     ------
     RigError
-        If the backend does not fit, before anything moves.
+        If the backend does not match, before anything moves.
     """
     connected = Connected(backend)
     _check(backend, plan, connected)
@@ -222,11 +222,11 @@ _KINDS = {"SignalledError": "signal", "SilentError": "silent", "StoppedError": "
 
 
 def _check(backend: Backend, plan: RunPlan, connected: Connected) -> None:
-    """Raise if the backend does not fit the plan."""
+    """Raise if the backend does not match the plan."""
     if not math.isclose(backend.rate * plan.period, 1.0, rel_tol=1e-9):
         raise RigError(
-            f"the rig takes {backend.rate:g} samples a second, and the control period is {plan.period * 1e3:g} ms",
-            remedy="set both alike",
+            f"the rig takes {backend.rate:g} samples per second, and the control period is {plan.period * 1e3:g} ms",
+            remedy="set both to the same value",
         )
     if backend.patience < 3 * plan.period:
         raise RigError(
@@ -354,7 +354,7 @@ class ControlLoop:
         plan, monitor, rows = self._plan, self._monitor, self._rows
         lost = first - self._next
         if lost < 0:
-            raise RigError(f"sample {first} came where {self._next} was due", remedy="check the device")
+            raise RigError(f"sample {first} came when {self._next} was due", remedy="check the device")
         last = len(times) - 1
         row, readings = self._record(first, times, volts, clock)
         self._delay = min(self._delay, clock - times[last])

@@ -22,7 +22,7 @@ from mckibben.simulation.loop import Record
 from mckibben.simulation.result import attributes
 
 _TOGETHER = 50  # rows that go to the recorder at once: 50 ms of 1 kHz
-_LONGEST = 0.1  # s that a row waits for others, where they are not as many
+_LONGEST = 0.1  # s that a row waits for others, if they are fewer
 
 
 class Phase(enum.IntEnum):
@@ -158,7 +158,7 @@ def measured_result(
 
 
 def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """RowBuffer without gaps: a missing sample or command has the value before it."""
+    """RowBuffer without gaps: a missing sample or command has the previous value."""
     sample = columns["sample"]
     if not sample.size:
         return dict(columns)

@@ -45,7 +45,7 @@ class JointRunResult(NamedTuple):
     result
         Measured trajectory, with the columns of a simulation; None if the run did not begin.
     timing
-        Timing of the loop; without meaning for an unpaced run.
+        Timing of the loop; meaningless for an unpaced run.
     priority
         Of the process: "real-time" or "ordinary".
     """
@@ -86,7 +86,7 @@ class JointSession:
         FileError
             If the folder cannot be written to, or holds a record.
         RigError
-            If the rig is not connected, or does not fit, before anything moves.
+            If the rig is not connected, or does not match, before anything moves.
         StoppedError
             If the folder was removed during the run, which was stopped and vented.
         """
@@ -134,7 +134,7 @@ def prepare(
     paced: bool = True,
     ideal: bool = False,
 ) -> JointSession:
-    """Check and compile a scenario for a rig, the simulated joint unless given.
+    """Check and compile a scenario for a rig (default: the simulated joint).
 
     Parameters
     ----------
@@ -149,11 +149,11 @@ def prepare(
     Raises
     ------
     ScenarioError
-        If parts of the scenario make no sense together, or a calibration cannot be read.
+        If parts of the scenario contradict each other, or a calibration cannot be read.
     """
     rig = rig or JointRig.parse("rig: simulated")
     if ideal and rig.physical:
-        raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
+        raise ScenarioError(rig.name, [Problem("is not a simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
         plant = scenario.plant()
         hanging = vented_angle(plant)
@@ -218,7 +218,7 @@ def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[
 
 @contextmanager
 def _building(source: str, field: str) -> Iterator[None]:
-    """Say of an error which part of a scenario it is about."""
+    """Add the affected part of the scenario to an error."""
     try:
         yield
     except FileError:

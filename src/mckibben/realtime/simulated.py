@@ -30,7 +30,7 @@ from mckibben.rig.simulated.faults import (
 )
 from mckibben.units import AngleStep, PressureNoise, deg, kPa, ms
 
-_SPIN = 80e-6  # s of spinning, by which a sleep may end late
+_SPIN = 80e-6  # s of spinning, as a sleep may end late
 _DRAWN = 1024  # samples of noise drawn at once
 _INPUTS = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
 _OUTPUTS = tuple(AnalogChannel(name, 0.0, 10.0, "simulated") for name in ("valve1", "valve2"))
@@ -76,15 +76,15 @@ class SimulatedJoint(Backend):
     """The plant of a scenario as a backend: angle and two pressures in, two valves out, in volts.
 
     Samples are taken at multiples of the sampling period [s], the first when it is opened. Signals reach the valves
-    when they are set, in between, or after the plant's delay of commands; the watchdog vents without one. Unpaced, its
-    time advances only in `read`; paced, it is real time, and `read` sleeps, then spins.
+    when they are set, between two samples, or after the plant's delay of commands. Without a heartbeat the watchdog
+    vents. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps, then spins.
 
     Parameters
     ----------
     substeps
         Runge-Kutta steps per sample.
     start
-        Initial state, at constant pressures until then; unless given, vented and at rest.
+        Initial state, at constant pressures until then. Default: vented and at rest.
     patience
         Timeout of the watchdog [s].
     seed
@@ -285,7 +285,7 @@ class SimulatedJoint(Backend):
         return self._program
 
     def pass_time(self, duration: float) -> None:
-        """Advance the time [s] without a host; unpaced."""
+        """Advance the time [s] without a host, if unpaced."""
         self._now += duration
         if self.is_open:
             self._check_watchdog(self._now)
@@ -320,7 +320,7 @@ class SimulatedJoint(Backend):
         self._integrate(until)
 
     def _integrate(self, until: float) -> None:
-        """Integrate under the present commands, in sampling periods and the rest of one."""
+        """Integrate under the present commands, in sampling periods and a remainder."""
         little = 1e-9 * self._period
         while (stretch := until - self._at) > little:
             step = self._period if stretch > self._period - little else stretch

@@ -225,7 +225,7 @@ def _tracking_row(name: str, run: Mapping[str, Any], columns: Mapping[str, str],
     return (
         name,
         *(cell(key) for key in columns.values()),
-        f"{run['unstable']} of {seeds}" if "unstable" in run else "no seeds",
+        f"{run['unstable']} of {seeds}" if "unstable" in run else "–",
     )
 
 

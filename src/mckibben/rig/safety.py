@@ -19,7 +19,7 @@ from mckibben.rig.calibration import Calibration
 from mckibben.storage.files import handle_signals
 from mckibben.units import bar, deg, mm, ms
 
-_BUSY = "find out what kept the device or the host busy"
+_BUSY = "find out what delayed the device or the host"
 _PLUG = "check its plug and its supply"
 _SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
@@ -169,7 +169,7 @@ class SafetyMonitor:
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
-        """Stop before an exception leaves the block, whatever it is."""
+        """Stop before any exception leaves the block."""
         try:
             yield
         except BaseException:
@@ -185,7 +185,7 @@ class SafetyMonitor:
         try:
             begun = backend.clock() if self.stopped_at is None else self.stopped_at
             newest = self._time if self._time is not None else begun
-            left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even where its clock stands still
+            left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even if its clock stands still
             while left > 0:
                 waiting = int((backend.clock() - newest) * rate)
                 block = backend.read(min(max(waiting, samples), _MOST), timeout=timeout)
@@ -225,7 +225,7 @@ class SafetyMonitor:
         before, self._time = self._time, last
         if before is not None and not first > before:
             raise StoppedError(
-                f"the time of the samples goes back, from {before:.6g} s to {first:.6g} s",
+                f"the time of the samples jumps back, from {before:.6g} s to {first:.6g} s",
                 remedy="check the device and its driver",
             )
         if before is not None and not first - before <= self._maximum_age:
@@ -355,7 +355,7 @@ class RigMonitor(SafetyMonitor):
 
     def check_block(self, block: Block, clock: float) -> BlockMeans:
         """Means of a block, if no limit is exceeded; `clock` is that of the backend after reading [s]."""
-        columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as quick along the last axis
+        columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as fast along the last axis
         self.sums = columns.sum(axis=1)
         pulses = block.pulses[[0, -1]]
         first, last = float(block.time[0]), float(block.time[-1])

@@ -34,15 +34,15 @@ VECTOR = 16
 """Smallest chunk: one vector of 32-bit numbers."""
 
 ENGINES = ("auto", "native", "xla", "cuda")
-"""Engines: programs emitted as C and compiled by the machine's compiler, XLA's, or the first where it can be used; or
+"""Engines: programs emitted as C and compiled by the machine's compiler, XLA's, or the first if it can be used; or
 batches emitted as CUDA kernels, which are never chosen automatically."""
 
 
 def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False) -> str:
-    """The engine to be tried: any but "auto"; raises `ParameterError` for a wrong one, or one that is not there."""
+    """The engine to be tried: any but "auto"; raises `ParameterError` for an unknown or unavailable one."""
     if engine not in ENGINES:
         raise ParameterError(
-            f"{quoted(engine)} is no engine", field="engine", value=engine, remedy=f"give {', '.join(ENGINES)}"
+            f"{quoted(engine)} is not an engine", field="engine", value=engine, remedy=f"give {', '.join(ENGINES)}"
         )
     if engine == "cuda":
         _check_cuda(many)
@@ -52,7 +52,7 @@ def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False
     if compiler() is None:
         missing = "there is no C compiler"
     elif np.dtype(precision) != np.float64 and not many:
-        missing = "it has 32 bits for batches only"
+        missing = "it supports 32 bits only in batches"
     elif jax.default_backend() != "cpu":
         missing = "runs are computed on an accelerator"
     if missing and engine == "native":
@@ -182,7 +182,7 @@ def compute_chunks(
 
 
 def check_count(what: str, count: int) -> int:
-    """A number of something; `SimulationError` unless it is an integer from 1 up."""
+    """A count; `SimulationError` unless it is an integer from 1 up."""
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise SimulationError(f"{count} {what}", value=count, remedy="give an integer from 1 up")
     return count
