@@ -43,7 +43,7 @@ def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
     _add_valves(bench, problem)
     rows = inverted(bench.timed())
     starved = any(row.cores is not None and row.cores < 0.8 * _cores_of(row) for row in rows)
-    busy = "Some rows got fewer cores than they asked for: others were using the machine, their ratios mislead."
+    busy = "Some rows had fewer cores than requested, as other programs used the machine: their ratios are misleading."
     return Table(
         "Batches",
         "million control steps",
@@ -52,7 +52,7 @@ def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
         rows,
         (
             f"Lanes are the PID episode above{', its first 2 s,' if quick else ''} with external loads of 0.3 to 0.7 "
-            "kg; each gives the RMS errors of angle and stiffness and keeps nothing else. All cores: a thread each.",
+            "kg; each gives only the RMS errors of angle and stiffness. All cores: one thread per core.",
             "Valves with air (the last rows) have two pressures, and state of the valves, to integrate; their ratio is "
             "against the first-order valve of the same batch.",
             f"Deviation: the largest of both RMS errors (rad, N*m/rad) from plain C in f64 over {CHECKED} of the "

@@ -40,7 +40,7 @@ def cold(folder: Path, *, quick: bool) -> Table:
     if command.exists():
         bench.entries += [
             candidate("mckibben --help", [str(command), "--help"]),
-            candidate(f"mckibben simulate {SCENARIO}", simulate, note="what XLA compiled is kept in the user's cache"),
+            candidate(f"mckibben simulate {SCENARIO}", simulate, note="compiled programs are kept in the user's cache"),
             candidate("the same, for the first time", simulate, cache="empty", note="one run, nothing cached", most=1),
         ]
     else:

@@ -38,7 +38,7 @@ def measured(*, quick: bool) -> list[dict]:
     try:
         device = jax.devices("gpu")[0]
     except RuntimeError:
-        return [Row("ours, GPU", note="no GPU that JAX sees (pip install 'jax[cuda12]' where there is one)").as_dict()]
+        return [Row("ours, GPU", note="no GPU found by JAX (if there is one: pip install 'jax[cuda12]')").as_dict()]
 
     import ours
     from batch import DTYPES, MILLION, TOLERANCE, deviation, loads

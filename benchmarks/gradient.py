@@ -23,7 +23,7 @@ LARGEST = np.array([2, 60, 0.4, 0.08, 5, 0.04]) * bar  # gains that matter
 STEP = 1e-4  # of them, of the central differences
 MODES = (
     ("forward", False, "exact: six tangents at once"),
-    ("reverse", True, "exact: keeps a state a control period and works each out again"),
+    ("reverse", True, "exact: stores one state per control period and recomputes each period"),
 )
 AGREED = 1e-5  # what central differences are good for
 

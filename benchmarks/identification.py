@@ -60,7 +60,7 @@ def identification(folder: Path, *, quick: bool) -> Table:
 
     def comparators(name: str, fit: Callable[[Points, NDArray], NDArray]) -> list[Candidate]:
         return [
-            fitted(f"{name}, on plateau means", fit, means(dataset), note=f"{len(dataset)} means, worked out before"),
+            fitted(f"{name}, on plateau means", fit, means(dataset), note=f"{len(dataset)} means, computed beforehand"),
             fitted(
                 f"{name}, on all samples",
                 fit,
@@ -99,7 +99,10 @@ def identification(folder: Path, *, quick: bool) -> Table:
     bench.entries += [
         Candidate(OURS, lambda: identify(ExponentialLaw, dataset), 1.0, off(truth), 1.0, note, OURS),
         Candidate(
-            f"{OURS}, on plateau means", lambda: identify(ExponentialLaw, plateaus), note="worked out before", base=OURS
+            f"{OURS}, on plateau means",
+            lambda: identify(ExponentialLaw, plateaus),
+            note="computed beforehand",
+            base=OURS,
         ),
         Candidate("NumPy, plateau means alone", lambda: _averaged(dataset), note="float64 sums", base=OURS),
         Candidate(
@@ -120,7 +123,7 @@ def identification(folder: Path, *, quick: bool) -> Table:
             f"x {SAMPLES} samples (float32, of force and of pressure), from Eq. 3 with {FORCE_NOISE} N and "
             f"{PRESSURE_NOISE:.0f} Pa of noise; all points taut.",
             "scipy and lmfit start from the truth times 1.2, in bar and percent, and differentiate numerically, as "
-            "they do unless told otherwise. They give estimates and covariances alone.",
+            "they do by default. They give only estimates and covariances.",
             "Deviation: the largest of the fitted force over the points, from that of mk.identify [N]; that of "
             "mk.identify is from the truth.",
         ),

@@ -100,7 +100,7 @@ def print_steps():
         cells = []
         for compiler in compilers:
             compiled_step.compile_alone = compiler
-            compiled_step._compiled_step.cache_clear()
+            compiled_step.flat_program.cache_clear()
             cells.append("{:.2f} s, {:.0f} us".format(*steps(one.control())))
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
 

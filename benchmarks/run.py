@@ -100,8 +100,8 @@ def document(described: dict, tables: list[Table], *, quick: bool) -> str:
     how = "make bench" + (" (quick: fewer and shorter runs)" if quick else "")
     head = (
         "# Benchmarks\n\n"
-        f"Written by `{how}`; do not edit. Ratios were measured side by side in one run, after each engine was seen to "
-        "compute the same; they hold for this machine, and times differ from hour to hour.\n\n"
+        f"Written by `{how}`; do not edit. Ratios were measured side by side in one run, after a check that all "
+        "engines compute the same; they hold for this machine, and times vary from hour to hour.\n\n"
         f"{machine.sentence(described)}\n"
     )
     return "\n".join([head, *(as_markdown(table) for table in tables)])

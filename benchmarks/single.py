@@ -45,7 +45,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
         deviation = float(np.abs(run() - truth[base][: part.periods]).max())
         work = part.periods / problem.periods
         if work < 1:
-            shortened = f"{part.periods * PERIOD:g} s were run, the time is scaled"
+            shortened = f"{part.periods * PERIOD:g} s simulated, the time is scaled"
             more["note"] = f"{more['note']}; {shortened}" if "note" in more else shortened
         return Candidate(engine, run, work, deviation, base=base, **{"tolerance": SAME} | more)
 
@@ -66,14 +66,14 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
     def bound(controller: Controller, base: str) -> Candidate:
         parts = numeric((problem.plant, controller, problem.setpoints, problem.start))
         compute = native_episode.bound((*parts, np.float64(PERIOD), SUBSTEPS))
-        note = "its arguments packed before, as those of plain C"
+        note = "arguments packed beforehand, as for plain C"
         return candidate(f"ours, native program, {_loops(base)}", lambda: compute().state.angle, base=base, note=note)
 
     def simulated(controller: Controller, base: str) -> Candidate:
         def run() -> Angles:
             return simulate(problem.plant, controller, REFERENCE, initial=problem.start)["angle"]
 
-        note = "with the feasibility of the reference; torques and forces are computed when asked for"
+        note = "with the feasibility of the reference; torques and forces are computed on demand"
         return candidate(f"ours, mk.simulate, {_loops(base)}", run, base=base, note=note)
 
     def by_xla(controller: Controller, base: str) -> Candidate:
@@ -99,7 +99,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
     def scipy() -> Candidate:
         from engines import scipy_ivp
 
-        note = f"RK45 of its own step (rtol {scipy_ivp.RELATIVE:.0e}), called anew each control period"
+        note = f"RK45 with adaptive steps (rtol {scipy_ivp.RELATIVE:.0e}), called in each control period"
         return candidate("SciPy solve_ivp", scipy_ivp.angles(short), short, tolerance=1e-6, note=note)
 
     def casadi() -> Candidate:
@@ -162,10 +162,10 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
         bench.timed(),
         (
             "10 s, control at 1 kHz with held commands, RK4 with 4 substeps, first-order valves, two loops over "
-            "position and stiffness. BP: loops whose gains a network learns while they run.",
-            "Other people's engines run PID loops; they and plain C have the stiffness as a formula written out, ours "
-            "differentiates the torque. Deviation: the largest of the angle from plain C [rad]; beyond 1e-9 (or what "
-            "the note says) nothing is timed.",
+            "position and stiffness. BP: loops whose gains are adapted online by a network.",
+            "Other engines run only the PID loops; they and plain C compute the stiffness by an explicit formula, ours "
+            "differentiates the torque. Deviation: the largest of the angle from plain C [rad]; beyond 1e-9 (or the "
+            "value in the note) nothing is timed.",
         ),
     )
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
+import importlib.util
 import os
+import shutil
 import signal
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -16,13 +20,16 @@ import pytest
 import xarray as xr
 
 from mckibben import catalog
+from mckibben.codegen import cuda
 from mckibben.codegen.native import NativeFunction
 from mckibben.component import extensions
 from mckibben.control import Controller
+from mckibben.errors import DeviceError
 from mckibben.joint import AntagonisticJoint
+from mckibben.leg import simulate as leg_runs
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
-from mckibben.simulation import Batch, Metrics, Outcome, compiled_episode, episode
+from mckibben.simulation import Batch, Metrics, Outcome, batch, compiled_episode, episode
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.result import OUTCOMES
 
@@ -258,6 +265,59 @@ def short_episode():
         return compute_with("auto", np.float64, lambda: _episode(parts), lambda: compiled_episode(*parts))[0]
 
     return short_episode
+
+
+class CudaOnProcessor:
+    """A CUDA device that is this processor; numbers of its driver are attributes."""
+
+    def __init__(self, folder: Path) -> None:
+        spec = importlib.util.spec_from_file_location("processor", Path(__file__).parent / "cuda" / "processor.py")
+        assert spec is not None and spec.loader is not None
+        self.module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(self.module)
+        self.driver, self.compiler = self.module.driver(folder), self.module.Compiler()
+
+    def get(self, name: str) -> int:
+        return ctypes.c_int64.in_dll(self.driver, name).value
+
+    def set(self, **values: int | str) -> None:
+        """Change how the driver answers, such as the `status` of the function that is `failing`."""
+        for name, value in values.items():
+            if isinstance(value, str):
+                (ctypes.c_char * 64).in_dll(self.driver, name).value = value.encode()
+            else:
+                ctypes.c_int.in_dll(self.driver, name).value = value
+
+
+@pytest.fixture(scope="session")
+def cuda_driver(tmp_path_factory):
+    if not (shutil.which("c++") and sys.platform == "linux"):
+        pytest.skip("there is no C++ compiler")
+    return CudaOnProcessor(tmp_path_factory.mktemp("cuda"))
+
+
+@pytest.fixture
+def cuda_here(cuda_driver, monkeypatch):
+    """The engine "cuda" on this processor."""
+    monkeypatch.setattr(cuda, "nvrtc", lambda: cuda_driver.compiler)
+    monkeypatch.setattr(cuda, "driver_library", lambda: cuda_driver.driver)
+    cuda.device.cache_clear()
+    cuda_driver.set(version=12080, devices=1, capability=90, failing="", status=0)
+    yield cuda_driver
+    cuda.device.cache_clear()
+
+
+@pytest.fixture(params=["processor", "GPU"])
+def cuda_device(request, monkeypatch):
+    """The engine "cuda" on this processor, and on a GPU where there is one."""
+    for one in (batch._run, leg_runs._run):
+        monkeypatch.setattr(one._cuda, "_known", {})
+    if request.param == "processor":
+        return request.getfixturevalue("cuda_here")
+    try:
+        return cuda.device()
+    except DeviceError as error:
+        pytest.skip(str(error))
 
 
 def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="native"):

@@ -139,6 +139,12 @@ def test_a_decimal_comma_is_refused_and_the_point_is_suggested():
         quantity("4,5 bar", "Pa")
 
 
+def test_a_bare_number_is_refused_and_a_unit_is_suggested():
+    with pytest.raises(UnitError, match="'180 mm'") as caught:
+        quantity("180", "m")
+    assert (caught.value.value, caught.value.unit) == ("180", "m")
+
+
 def test_megamolar_is_no_millimetre_and_the_known_units_are_listed():
     with pytest.raises(UnitError, match=r"unknown unit 'MM'.*\bmm\b"):
         quantity("180 MM", "m")

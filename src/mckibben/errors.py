@@ -128,6 +128,10 @@ class CompilerError(ExportError):
     """The machine's C compiler, or the program that it wrote, does not work."""
 
 
+class DeviceError(McKibbenError, RuntimeError):
+    """A CUDA device, its driver or its compiler is missing or fails."""
+
+
 class RigError(McKibbenError, RuntimeError):
     """A test rig is missing, or cannot execute a command."""
 
@@ -195,7 +199,7 @@ def _lines(lines: Sequence[int]) -> str:
 
 
 class FileError(McKibbenError, ValueError):
-    """A file cannot be used; lists all its problems in file order, those that repeat once, with their lines.
+    """A file cannot be used; lists all its problems in file order; repeated ones appear once, with their lines.
 
     >>> print(FileError("rig.csv", [Problem("'abc' is not a number", line=7, field="force_N")]))
     rig.csv: 1 problem

@@ -195,7 +195,10 @@ def quantity(text: str, unit: str) -> float:
     stripped = text.strip()
     number = NUMBER.match(stripped)
     rest = stripped[number.end() :].strip() if number else ""
-    if not number or not (rest or unit == "1") or not _REST.fullmatch(rest):
+    if number and not rest and unit != "1":
+        example = f"{stripped} {_COMMON.get(unit, unit)}"
+        raise UnitError(f"{quoted(text)} has no unit", value=text, unit=unit, remedy=f"write it like {example!r}")
+    if not number or not _REST.fullmatch(rest):
         example = (
             stripped.replace(",", ".") if re.fullmatch(r"\d+,\d+ \S+", stripped) else f"12.5 {_COMMON.get(unit, unit)}"
         )
@@ -273,7 +276,7 @@ class Quantity:
         if not self.shown:
             object.__setattr__(self, "shown", self.unit)
         if self.unit not in SYMBOLS:
-            factor(self.shown, self.unit)  # raises for what is no unit, or of another kind
+            factor(self.shown, self.unit)  # raises an error for an unknown unit, or one of other dimensions
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
@@ -356,7 +359,7 @@ class Quantity:
             return quantity(stripped, self.unit)
         except UnitError:
             return quantity(stripped, self.shown) * factor(self.shown, self.unit)  # the error names the unit shown
-        except ArithmeticError:  # a product of units beyond the floats
+        except ArithmeticError:  # a product beyond the range of floats
             self._fail(f"{quoted(text)} is not a finite number", text)
 
     def _fail(self, message: str, value: object, remedy: str = "") -> NoReturn:

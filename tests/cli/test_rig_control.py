@@ -25,10 +25,9 @@ def short(shortened, tmp_path):
 @pytest.mark.slow
 def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced", "--ideal", "--json")
-    assert (found.code, found.err.splitlines()[-1]) == (
-        0,
-        "kept the record, scenario.yaml, results.json, result.nc, tracking.png and .svg in run",
-    )
+    assert found.code == 0
+    for name in ("scenario.yaml", "results.json", "result.nc", "tracking.png", "tracking.svg", "run"):
+        assert name in found.err.splitlines()[-1]
     numbers = json.loads(found.out)
     simulated = run_scenario(Scenario.read(tmp_path / "short.yaml")).result
     expected = in_shown_units(simulated.metrics)
@@ -122,7 +121,7 @@ def test_hardware_of_an_extension_runs_and_its_missing_watchdog_is_reported(cli,
     assert unknown.code == 2 and "own_joint:LentJoint" in unknown.err and "--extension" in unknown.err
     found = cli("--extension", "own_joint.py", *arguments)
     assert found.code == 0, found.err
-    assert "the lent rig is vented by its own watchdog alone" in found.err
+    assert "the lent rig is vented only by its own watchdog" in found.err
     assert read_record(tmp_path / "run").header["backend"] == {"kind": "lent"}
     refused = cli("--extension", "own_joint.py", *arguments[:-1], "other", "--unpaced")
     assert refused.code == 2 and "--unpaced" in refused.err

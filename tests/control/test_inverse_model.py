@@ -23,6 +23,7 @@ from mckibben.control import (
 )
 from mckibben.control.backprop import Network
 from mckibben.control.inverse_model import FilteredSignal, InitialOffset, MeasuredMotion
+from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
@@ -250,6 +251,17 @@ def test_nothing_is_learned_from_a_slack_muscle(alone):
         after, off = taught(numeric(alone), network(), moved(pressures=pressures), jnp.asarray(0.0))
         assert bool(np.any(after.output != network().output)) == learns
         assert (float(off[0]) != 0.0) == learns
+
+
+def test_the_inverse_is_that_of_the_reference_after_the_lag_of_the_valves(knee):
+    """Of a reference with constant acceleration, exactly."""
+    lag, acceleration = 0.03, 1.5
+    control = InverseModelControl(loops(knee), valve_time_constant=lag)
+    reference = jax.tree.map(jnp.asarray, ReferenceDerivatives(0.1, 0.2, acceleration, 0.0, 3.0))
+    ahead = control._preview(reference, jnp.asarray(15.0), PERIOD)
+    assert float(ahead.angle) == pytest.approx(0.1 + 0.2 * lag + acceleration * lag**2 / 2, rel=1e-12)
+    assert float(ahead.velocity) == pytest.approx(0.2 + acceleration * lag, rel=1e-12)
+    assert float(ahead.acceleration) == pytest.approx(acceleration, rel=1e-12)
 
 
 def test_motion_and_pressures_are_of_one_moment(alone):

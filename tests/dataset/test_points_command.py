@@ -124,7 +124,7 @@ def test_corrupt_rows_are_refused_or_left_out_and_named(run):
 @pytest.mark.parametrize(
     ("arguments", "error", "expected"),
     [
-        (("--dwell", "1"), UnitError, "--dwell: '1' is not a number and a unit"),
+        (("--dwell", "1"), UnitError, "--dwell: '1' has no unit"),
         (("--levels", "2", "--isometric"), UnitError, "--levels '2' has no unit; write --levels '1, 2, 3 bar'"),
         (("--levels", "1, 2 bar, 3", "--isometric"), UnitError, "is not a list of pressures"),
         (("--levels", "1, 2 bar, 300 kPa", "--isometric"), UnitError, "'1, 2 bar, 300 kPa'"),

@@ -306,7 +306,7 @@ def test_no_file_and_a_directory(tmp_path):
 def test_bad_comments_and_arguments_are_problems_of_the_file(file):
     assert problems(file("# slack_force: small\n# initial_length: 180\n" + FESTO)) == [
         "line 1, slack_force: 'small' is not a number and a unit; write it like '12.5 N'",
-        "line 2, initial_length: '180' is not a number and a unit; write it like '12.5 mm'",
+        "line 2, initial_length: '180' has no unit; write it like '180 mm'",
     ]
     assert problems(file(FESTO), initial_length=-0.1) == ["initial_length: -0.1 m is not above 0"]
     assert problems(file(FESTO), slack_force=np.nan) == ["slack_force: nan is not a finite number"]

@@ -157,6 +157,20 @@ def model(drifting):
     return PathDependentModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6, 200.0, rate)
 
 
+def test_a_path_begins_at_the_edge_of_the_band_of_its_direction(drifting, model):
+    data, _ = drifting
+    loading = data.table["direction"].to_numpy() == "loading"
+    later = np.zeros(len(data), bool)
+    for rows in model.paths.rows:
+        later[rows[np.argmax(loading[rows]) :]] = True
+    unit = dict.fromkeys(model.law_names, 1.0) | dict.fromkeys(FRICTION, 0.0) | {"log_presliding": np.log(1e-3)}
+    for test, side in ((data, 1.0), (data.select(later), -1.0)):
+        along = dataclasses.replace(model, paths=LoadingPaths.of(test), means=test, rate=None)
+        np.testing.assert_array_equal(along.paths.side, side)
+        first = [rows[0] for rows in along.paths.rows]
+        np.testing.assert_allclose(along.band_side(unit)[first], side, atol=1e-6)
+
+
 def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
@@ -220,7 +234,7 @@ def test_a_law_that_fits_badly_is_said_to_spoil_the_friction(drifting):
     assert found.rmse < 0.25 * 10
     bad = identify_hysteresis(ReynoldsLaw, data)
     assert bad.rmse > 20
-    assert "ReynoldsLaw leaves residuals of" in bad.warnings[-1] and "may pass for friction" in bad.warnings[-1]
+    assert "ReynoldsLaw leaves residuals of" in bad.warnings[-1] and "friction or drift" in bad.warnings[-1]
 
 
 @pytest.mark.parametrize("overshot", [True, False])

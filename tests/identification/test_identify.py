@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mckibben import catalog
-from mckibben.dataset import IsobaricDataset
+from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, read_law
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
@@ -17,6 +17,7 @@ from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, Pressure
 from mckibben.units import bar, deg, mm, percent
 
 EQ_3 = catalog.law("lei-mas-10-180n")
+RIG = read_dataset("examples/rig.csv")
 
 
 def grid(law, pressures=None, contractions=None, noise=0.0, **more) -> IsobaricDataset:
@@ -27,6 +28,25 @@ def grid(law, pressures=None, contractions=None, noise=0.0, **more) -> IsobaricD
     force = np.asarray(law.force(contraction, pressure))
     force = force + noise * np.random.default_rng(1).normal(size=force.shape)
     return IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.maximum(force, 0), **more)
+
+
+# --- warnings ---
+
+
+def test_friction_at_a_reversal_is_not_a_wrong_number():
+    assert not [text for text in identify(ExponentialLaw, RIG).warnings if "neighbouring" in text]
+
+
+@pytest.mark.parametrize(
+    ("row", "shift"), [(40, 10.0), (100, -10.0), (10 + int(np.argmin(RIG.taut.contraction[10:])), 60.0)]
+)
+def test_a_single_wrong_force_is_named(row, shift):
+    table = RIG.taut.table.copy(deep=True)
+    force = table["force"].to_numpy().copy()
+    force[row] += shift
+    table["force"] = ("point", force)
+    (warning,) = (text for text in identify(ExponentialLaw, IsobaricDataset(table)).warnings if "neighbouring" in text)
+    assert f"{force[row]:.4g} N" in warning
 
 
 # --- recovery -----------------------------------------------------------------------------------------------

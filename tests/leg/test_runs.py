@@ -54,6 +54,16 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
 
 
 @pytest.mark.slow
+def test_legs_on_cuda_are_those_of_the_c_compiler(plant: LegPlant, start: LegStart, cuda_device: object) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    over = {"start.upward_speed": np.linspace(-1.4, -0.5, 5)}
+    tables = [simulate_legs(plant, schedule, start, over=over, engine=engine, **STEP) for engine in ("native", "cuda")]
+    assert tables[1].attrs["engine"] == "cuda"
+    for name in tables[0]:
+        assert np.allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, equal_nan=True), name
+
+
+@pytest.mark.slow
 def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: LegStart) -> None:
     joints = tuple(dataclasses.replace(one, damping=1000.0) for one in plant.leg.joints)
     stiff = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=joints))

@@ -69,6 +69,12 @@ def test_sine_keeps_its_relative_accuracy_around_the_multiples_of_pi(form):
     assert np.allclose(np.asarray(got)[small], exact[small].astype(float), rtol=1e-4, atol=1e-33)
 
 
+@pytest.mark.parametrize(("dtype", "low", "high"), [(np.float64, -708.0, 709.79), (np.float32, -86.9, 88.73)])
+def test_exp_is_zero_below_its_range_and_infinite_above(dtype, low, high):
+    x = np.array([1.001 * low, 1.2 * low, 1.9 * low, 1e4 * low, high, 1.2 * high, 1.9 * high, 1e4 * high], dtype)
+    np.testing.assert_array_equal(elementary.exp(jnp.asarray(x)), [0.0] * 4 + [np.inf] * 4)
+
+
 @pytest.mark.parametrize("form", ["eager", "compiled"])
 def test_special_values_are_those_of_numpy(form):
     x = jnp.array([0.0, -0.0, jnp.inf, -jnp.inf, jnp.nan, 710.0, -1000.0, 1e300, -1e300])

@@ -61,7 +61,7 @@ def test_hardware_of_ones_own_runs_a_scenario_and_warns_that_no_process_watches(
 
 
 def test_ideal_is_for_simulated_hardware(scenario):
-    with pytest.raises(ScenarioError, match="no simulated joint"):
+    with pytest.raises(ScenarioError, match="not a simulated joint"):
         prepare(scenario, JointRig.parse(TEXT), ideal=True)
 
 

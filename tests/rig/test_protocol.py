@@ -31,7 +31,7 @@ def test_the_papers_protocol_counted_by_hand():
     assert rows.contraction[50] == pytest.approx(-3 * percent + 50 / 180)
     text = protocol.describe(SPECIMEN)
     assert text.endswith("6630 plateaus, 6630000 samples, 20 h 04 min 40 s")
-    assert "  6.00 bar:  -3.0 .. 24.8 %, 51 plateaus a pass" in text
+    assert "  6.00 bar:  -3.0 .. 24.8 %, 51 plateaus per pass" in text
 
 
 def test_the_five_seconds_read_as_the_move_itself():
@@ -128,7 +128,7 @@ def test_a_protocol_that_does_not_suit_the_specimen_says_all_that_is_wrong():
         protocol.check(SPECIMEN)
     assert str(error.value).splitlines() == [
         "the isobaric protocol does not suit MAS-10-180N-AA-MC-O: 2 problems",
-        "  pressures: 9, -1 bar outside 0..8 bar of MAS-10-180N-AA-MC-O; leave out what is outside",
+        "  pressures: 9, -1 bar outside 0..8 bar of MAS-10-180N-AA-MC-O; leave out the values outside",
         "  contraction_min: -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; "
         "give the end of the stroke inside, as a ratio, or leave it to the muscle",
     ]
@@ -145,5 +145,5 @@ def test_strokes_that_are_none_are_refused():
     with pytest.raises(RangeError, match=r"at 5, 5.5, 6 bar the force exceeds 598.5 N over the whole stroke; leave"):
         boundaries(MUSCLE, IsobaricProtocol(contraction_max=-1 * percent))
     endless = type(SPECIMEN)("free", 0.18, 0.01, 0.4, 630.0, Domain())
-    with pytest.raises(RangeError, match="free has no range of its own; give the end of the stroke"):
+    with pytest.raises(RangeError, match="free has no range; give the end of the stroke"):
         IsobaricProtocol().check(endless)

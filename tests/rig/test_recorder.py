@@ -164,11 +164,11 @@ def test_what_was_flushed_was_brought_to_the_disk(tmp_path, monkeypatch):
 
 
 def test_a_record_is_no_start_twice_and_not_gone_on_with_by_another(filled, tmp_path):
-    with pytest.raises(FileError, match="holds a record already; resume it, or choose another"):
+    with pytest.raises(FileError, match="contains a record; resume it, or choose another"):
         Recorder.create(filled, {}, COLUMNS)
-    with pytest.raises(FileError, match="holds a record of other columns"):
+    with pytest.raises(FileError, match="other columns"):
         Recorder.resume(filled, {}, COLUMNS[:2])
-    with pytest.raises(FileError, match="holds no record to go on with"):
+    with pytest.raises(FileError, match="no record to continue"):
         Recorder.resume(tmp_path / "elsewhere", {}, COLUMNS)
     with pytest.raises(RangeError, match="cannot be told apart"):
         Recorder.create(tmp_path / "new", {}, [COLUMNS[0], COLUMNS[0]])
@@ -315,10 +315,10 @@ def test_a_slow_disk_holds_the_appender_back_and_loses_nothing(tmp_path, monkeyp
 
 
 def test_something_else_is_no_record(tmp_path):
-    with pytest.raises(DatasetError, match="holds no record of a rig"):
+    with pytest.raises(DatasetError, match="no record of a rig"):
         read_record(tmp_path)
     (tmp_path / "record-0001.chunks").write_bytes(b"something else")
-    with pytest.raises(DatasetError, match="is no record of a rig"):
+    with pytest.raises(DatasetError, match="not a rig record"):
         read_record(tmp_path)
 
 

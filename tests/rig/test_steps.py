@@ -108,13 +108,14 @@ def test_every_limit_is_held_against_the_steps():
     said = problems(*steps)
     assert said == {
         "[0].move.to: 26 % is outside -3..25 % of MAS-10-180N-AA-MC-O; stay inside",
-        "[0].move.speed: 6 mm/s are 2400 pulses a second; the motor does 2000 at most; move at up to 5 mm/s",
+        "[0].move.speed: 6 mm/s are 2400 pulses per second; the motor does 2000 at most; move at up to 5 mm/s",
         "[1].pressurise.pressure: 7 bar is outside 0..6 bar of MAS-10-180N-AA-MC-O; stay inside",
         "[1].pressurise.pressure: 7 bar is above the limit of 6.5 bar; lower it, or raise limits.pressure",
         "[2].move: the force by the law is 982 N at -3 % and 7 bar, above the limit of 630 N; stay at higher "
         "contractions, or lower the pressure",
         "[3].walk.step: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm",
-        "[3].walk.acquire.samples: 700 samples in 1 s are no whole part of 1000 Hz; take 1000, or a whole part of it",
+        "[3].walk.acquire.samples: 700 samples in 1 s are not a whole part of 1000 Hz; take 1000, or a whole part "
+        "of it",
     }
 
 
@@ -122,10 +123,10 @@ def test_a_way_longer_than_the_travel_is_refused():
     short = replace(BENCH, limits=replace(LIMITS, shorten=20 * mm, stretch=2 * mm))
     said = problems(Walk(to=20 * percent), Move(to=-2 * percent), bench=short)
     assert said == {
-        "[0].walk.to: 20 % is 36 mm from where it was mounted, and the travel is 20 mm; raise limits.shorten, if the "
-        "rig has it",
-        "[1].move.to: -2 % is 3.6 mm from where it was mounted, and the travel is 2 mm; raise limits.stretch, if the "
-        "rig has it",
+        "[0].walk.to: 20 % is 36 mm from the mounted position, and the travel is 20 mm; raise limits.shorten, if the "
+        "rig has this travel",
+        "[1].move.to: -2 % is 3.6 mm from the mounted position, and the travel is 2 mm; raise limits.stretch, if the "
+        "rig has this travel",
     }
 
 

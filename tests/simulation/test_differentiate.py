@@ -9,7 +9,8 @@ import pytest
 from mckibben.control import PID, BackpropPID, PositionStiffnessControl, Reference, Samples, Sine, Step
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
-from mckibben.simulation import AtRest, Mode, differentiate, simulate_many
+from mckibben.simulation import AtRest, Mode, derivatives, differentiate, simulate_many
+from mckibben.simulation.problem import SimulationProblem, split_problem
 from mckibben.units import bar, deg
 
 SHORT = {"duration": 0.06, "substeps": 2}
@@ -108,6 +109,30 @@ def parts(knee, load):
 @pytest.fixture(scope="module")
 def forwards(parts):
     return differentiate(*parts, REFERENCE, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_gradients_of_known_functions_come_by_name_for_one_point_and_for_many(parts, monkeypatch, mode):
+    """Of metrics that are functions of two numbers in place of a run."""
+
+    def known(run, times, period, asked):
+        mass, law = run.plant.load.mass2, run.controller.model.muscle1.law
+        return {"angle_rmse": mass**2 * law.a2, "stiffness_rmse": 3 * mass - law.a2}
+
+    monkeypatch.setattr(derivatives, "_metrics", known)
+    plant, control = parts
+    problem = SimulationProblem.of(plant, control, REFERENCE, START)
+    names, masses = ("controller.model.muscle1.law.a2", "load.mass2"), np.array([0.4, 0.5, 0.7])
+    a2 = float(control.model.muscle1.law.a2)
+    for over, m in (({}, np.asarray(plant.load.mass2)), ({"load.mass2": masses}, masses)):
+        lanes, shared, count = split_problem(problem, over, 1e-3)
+        asked = derivatives._Asked(2, ("angle_rmse", "stiffness_rmse"), names, mode, count is not None)
+        values, gradients = derivatives._derivatives(lanes, shared, np.arange(3.0), 1e-3, asked)
+        np.testing.assert_allclose(values["angle_rmse"], m**2 * a2, rtol=1e-12)
+        expected = {"angle_rmse": (m**2, 2 * m * a2), "stiffness_rmse": (-1 + 0 * m, 3 + 0 * m)}
+        for metric, slopes in expected.items():
+            for name, slope in zip(names, slopes, strict=True):
+                np.testing.assert_allclose(gradients[metric][name], slope, rtol=1e-12)
 
 
 @pytest.mark.slow

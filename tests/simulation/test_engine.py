@@ -125,6 +125,21 @@ def test_batches_in_32_bits_are_near_those_in_64(scenario, in_64_bits):
 
 
 @pytest.mark.slow
+def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device):
+    found, near = batch(scenario, engine="cuda"), batch(scenario, engine="cuda", precision=32)
+    assert [one.table.attrs["engine"] for one in (found, near)] == ["cuda", "cuda"]
+    noisy = scenario.sensors is not None  # noise is of 32 bits
+    np.testing.assert_allclose(found["angle"], in_64_bits["angle"], rtol=0, atol=1e-6 if noisy else 1e-9)
+    np.testing.assert_array_equal(found["outcome"], in_64_bits["outcome"])
+    for name, expected in in_64_bits.metrics.items():
+        scale = np.nanmax(np.abs(expected), initial=1e-9)
+        tolerance = (1e-5 if noisy else 1e-9) * scale
+        np.testing.assert_allclose(found[name], expected, rtol=0, atol=tolerance, err_msg=name)
+    assert near["angle"].dtype == np.float32
+    assert np.median(np.abs(near["angle"] - in_64_bits["angle"]).max(axis=1)) < 5e-6
+
+
+@pytest.mark.slow
 def test_without_a_compiler_xla_does_it(monkeypatch):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])
     plant = scenario.plant()
@@ -148,8 +163,8 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
 
 
-@pytest.mark.parametrize("engine", ["", "c", None])
-def test_there_are_two_engines(engine):
+@pytest.mark.parametrize("engine", ["", "c", None, "cuda"])
+def test_one_run_has_two_engines(engine):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])
     with pytest.raises(ParameterError) as caught:
         mk.simulate(scenario.plant(), scenario.control(), scenario.reference(), engine=engine, **timing(scenario))

@@ -10,6 +10,7 @@ from mckibben.actuator import FirstOrderValve
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.plant import SampledSensors
 from mckibben.simulation import Outcome, margins
+from mckibben.simulation.stability import _margins_of
 from mckibben.units import deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -73,3 +74,37 @@ def test_the_poles_are_those_that_were_placed(found):
     """The slowest pole of the closed loop decays within the bandwidths: 60 rad/s with a damping of 2.5."""
     slowest = -np.log(found.radius.max()) / 1e-3
     assert 15.0 < slowest < 60.0
+
+
+def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
+    """L = k / (z (z - 1)) for each command: |L| = 1 where 2 sin(w/2) = k, with a phase of -(pi + 3 w)/2."""
+    gains, period = (0.2, 0.3), 1e-3
+    zero = np.zeros((2, 2))
+    a = np.block([[np.eye(2), np.eye(2)], [-np.diag(gains), zero]])
+    radius, gain, phase, delay, disk, largest, loci = _margins_of(
+        a, np.concatenate([zero, np.eye(2)]), np.concatenate([-np.diag(gains), zero], axis=1), period
+    )
+    turn = np.exp(1j * np.pi * np.geomspace(0.01, 1.0, loci.shape[0]))[:, None]
+    open_loop = np.array(gains) / (turn * (turn - 1))
+    crossover = 2 * np.arcsin(np.array(gains) / 2)
+    phases = np.pi / 2 - 1.5 * crossover
+    np.testing.assert_allclose(np.sort_complex(loci), np.sort_complex(open_loop), rtol=1e-9)
+    np.testing.assert_allclose(largest, np.abs(1 / (1 + open_loop)).max(axis=1), rtol=1e-9)
+    assert radius == pytest.approx(max(np.abs(np.roots([1, -1, k])).max() for k in gains))
+    assert gain == pytest.approx(1 / max(gains), rel=0.01)
+    assert phase == pytest.approx(phases.min(), rel=1e-3)
+    assert delay == pytest.approx((phases / crossover).min() * period, rel=1e-3)
+    assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=1e-9)
+
+
+def test_an_unstable_loop_has_no_margins():
+    radius, *margins_of_it, largest, _ = _margins_of(1.1 * np.eye(2), np.eye(2), -0.1 * np.eye(2), 1e-3)
+    assert radius == pytest.approx(1.1)
+    assert margins_of_it == [0.0, 0.0, 0.0, 0.0]
+    assert np.isfinite(largest).all()
+
+
+def test_a_counter_is_not_an_unstable_pole():
+    counter = np.diag([1.0, 0.5, 0.4])
+    radius = _margins_of(counter, np.eye(3)[:, 1:], -0.1 * np.eye(3)[1:], 1e-3)[0]
+    assert radius == pytest.approx(0.5)

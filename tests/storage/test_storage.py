@@ -34,6 +34,12 @@ def test_it_is_let_go_of_after_an_error_too(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_lock_whose_file_someone_removed_ends_as_others(tmp_path):
+    with file_lock(tmp_path / ".lock", "at it"):
+        (tmp_path / ".lock").unlink()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_a_killed_process_left_is_no_lock(tmp_path):
     (tmp_path / ".lock").write_text("pid 1 on elsewhere, and much more than will be written\n")
     with file_lock(tmp_path / ".lock", "at it"):

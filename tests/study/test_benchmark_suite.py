@@ -262,7 +262,7 @@ def test_runs_have_to_differ():
 def test_parts_stand_where_parts_belong():
     for key in ("references", "controllers"):
         rest = re.sub(rf"^{key}:\n(  .*\n)+", f"{key}: some\n", TEXT, flags=re.M)
-        with pytest.raises(ScenarioError, match="'some' stands where names and sections belong"):
+        with pytest.raises(ScenarioError, match="names and sections"):
             Suite.parse(rest)
         with pytest.raises(ScenarioError, match="is empty; give at least 1"):
             Suite.parse(rest.replace("some", "{}"))

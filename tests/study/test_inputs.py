@@ -68,8 +68,14 @@ def test_kinds_of_law_in_any_case(name):
 
 @pytest.mark.parametrize("name", ["", "law", "expo", "chou "])
 def test_no_other_kind_is_guessed(name):
-    with pytest.raises(NotInCatalogError, match=r"known are .*chou, .*tondu-lopez, .*exponential"):
+    with pytest.raises(NotInCatalogError, match=r"chou|exponential") as caught:
         law_type_named(name)
+    assert caught.value.value == name
+
+
+def test_a_misspelt_law_has_a_suggestion():
+    with pytest.raises(NotInCatalogError, match="did you mean 'tondu-lopez'"):
+        law_type_named("Tondu-Lopes")
 
 
 def test_options_are_followed_or_refused_for_catalog_entries_too():

@@ -63,7 +63,7 @@ def test_the_sum_is_elementwise():
         ("angle_rms/1 deg", "did you mean 'angle_rmse'"),
         ("angle_rmse/1 N", "does not have the dimensions of 'rad'"),
         ("force_max/1 deg", "does not have the dimensions of 'N'"),
-        ("angle_rmse/1", "not a number and a unit"),
+        ("angle_rmse/1", "has no unit"),
         ("angle_rmse/1 deg + angle_rmse/2 deg", "angle_rmse appears twice"),
         ("angle_rmse + stiffness_rmse/1 N*m/rad", "angle_rmse has no scale.*write it like angle_rmse/0.1 deg"),
         ("angle_rmse/1 deg + stiffness_rmse", "write it like stiffness_rmse/0.1 N.m/rad"),

@@ -1,4 +1,4 @@
-"""Actuators: the pressure in a muscle as a response to its command; of the plant, and of a controller's model."""
+"""Actuators: the pressure in a muscle as a response to its command, in the plant and in a controller's model."""
 
 from mckibben.actuator.air_actuator import AirActuator
 from mckibben.actuator.air_valve import AirValve, FlowValve, PressureRegulator, SwitchingValves

@@ -64,7 +64,7 @@ class AirValve(AirActuator):
     supply
         Gauge pressure of the supply [Pa]; no muscle exceeds it.
     exhaust_conductance
-        C to the exhaust; unless given, that from the supply.
+        C to the exhaust. Default: that from the supply.
     critical_ratio
         Critical pressure ratio b [-].
     band
@@ -77,7 +77,7 @@ class AirValve(AirActuator):
         C of a leak of muscle, tube and fittings to the atmosphere; none by default.
     reservoir_volume, line_conductance
         Volume [m^3] of air at the valves' inlets, and the C of the line that fills it from the supply: with them the
-        supply drops while air flows. Without, the pressure at the inlets is constant.
+        supply drops while air flows. Default: the pressure at the inlets is constant.
     """
 
     conductance: Conductance
@@ -123,7 +123,7 @@ class AirValve(AirActuator):
         return None
 
     def fastest_rate(self, stroke: float) -> float:
-        """Return a bound on the rates [1/s] of valve and loop, where a pressure strokes by `stroke` [Pa/s]."""
+        """Return a bound on the rates [1/s] of valve and loop, for a pressure that changes by up to `stroke` [Pa/s]."""
         return stroke / float(self.band)
 
     @property
@@ -277,7 +277,7 @@ class AirValve(AirActuator):
         return _beyond(error, self.shut_within)
 
     def _error_for(self, opening: ArrayLike) -> Array:
-        """Error [Pa] at which the loop gives an opening; where it is small, less than what keeps the valve shut."""
+        """Error [Pa] at which the loop gives an opening; if small, below the error that keeps the valve shut."""
         return _leading(self.band * jnp.asarray(opening), self.shut_within)
 
 
@@ -292,7 +292,7 @@ def _leading(error: Array, width: Any) -> Array:
 
 
 def _compensated(opening: Array, shut: Any, compensation: Any) -> Array:
-    """Command that opens a valve which is shut up to a part of its range; within the rest of it the steps are small."""
+    """Command for an opening, which skips a part of the dead zone; within the rest of it the steps are small."""
     jump, rest = compensation * shut, jnp.maximum((1 - compensation) * shut, 1e-9)
     return (1 - jump) * opening + jump * jnp.clip(opening * (1 / rest), -1.0, 1.0)
 
@@ -305,11 +305,11 @@ class FlowValve(AirValve):
     spool_lag
         Time constant [s] of the spool.
     dead_zone
-        Part of the stroke, to either side of the middle, at which the valve is shut.
+        Part of the stroke, on either side of the middle, at which the valve is shut.
     compensation
         Part of the dead zone that the loop skips. The rest, times `band`, is the error of the pressure at rest.
     direct
-        Whether commands are openings -1..1 in place of pressures, for a controller with its own loop of the pressure.
+        Whether commands are openings -1..1 in place of pressures, for a controller with its own pressure loop.
 
     A `band` below 4 times `spool_lag` times the fastest change of the pressure makes the loop oscillate visibly.
     """

@@ -132,10 +132,10 @@ class Reservoir(NamedTuple):
 class Actuator(Component):
     """Response of the pressures of the muscles to their commands.
 
-    `for_muscle` gives the actuator of each muscle; all are alike unless it is overridden. The state of an actuator is
-    the pressure, and what it holds in addition (`init`). Derive a closed form over a constant command from `Valve`, and
-    one whose pressures follow from mass flow and volume from `AirValve`. Other packages ask for the properties below,
-    never for the class.
+    `for_muscle` gives the actuator of each muscle; all are alike unless it is overridden. The state of an actuator
+    consists of the pressure and its internal state (`init`). Derive actuators with a closed form for a constant command
+    from `Valve`, and those whose pressures follow from mass flow and volume from `AirValve`. Other packages use the
+    properties below, and never test the class.
 
     A controller may have an actuator as its model of the valves: it uses `init_model`, `predict`, `attainable` and
     `command_toward`. By default these are a first-order response with the time constant `lag`.
@@ -186,7 +186,7 @@ class Actuator(Component):
 
     @abc.abstractmethod
     def init(self, pressure: Scalar) -> Any:
-        """Return the state that holds a pressure [Pa], without the pressure itself."""
+        """Return the internal state at a constant pressure [Pa], without the pressure itself."""
 
     def rates(
         self,
@@ -325,5 +325,5 @@ class Actuator(Component):
 
 
 def held_states(states: AirState | tuple[()], count: int) -> tuple[Any, ...]:
-    """Return the state of each of a number of actuators; empty ones for actuators without."""
+    """Return the state of each of a number of actuators; empty ones for actuators without states."""
     return states.valves if isinstance(states, AirState) else ((),) * count

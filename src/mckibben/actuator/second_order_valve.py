@@ -21,7 +21,7 @@ _SERIES = 1e-2  # of the square of the phase
 class SecondOrderValve(Valve):
     """Second-order lag, p'' + 2 D w p' + w^2 p = w^2 u, with the exact response to a constant command u.
 
-    No command is above the gauge pressure of the supply [Pa] where it is given; with D below 1 the pressure
+    Commands are limited to the gauge pressure of the supply [Pa], if it is given; with D below 1 the pressure
     overshoots. Source: K. Ogata, Modern Control Engineering, sec. 5-3.
 
     Parameters

@@ -16,9 +16,9 @@ from mckibben.units import PositivePressure, PressureRate, ValveTime
 class Valve(Actuator):
     """Response of the pressure to a command that is constant over a control period, in closed form.
 
-    The plant evaluates it at the stages of its integration, so the step does not limit the time constant. It goes on
-    from the state at the end of each control period: two intervals in a row must give what their sum gives. A
-    response that depends on more than the pressure gives that as its state, by `init` and `after`.
+    The plant evaluates it at the stages of its integration, so the step does not limit the time constant. It
+    continues from the state at the end of each control period, so two consecutive intervals must give the result of
+    their sum. A response that depends on more than the pressure has an internal state, given by `init` and `after`.
     """
 
     def init(self, pressure: Scalar) -> Any:
@@ -64,8 +64,8 @@ class IdealValve(Valve):
 class FirstOrderValve(Valve):
     """First-order lag, p(t) = u + (p(0) - u) exp(-t / T) under a constant command u.
 
-    T [s] is 20 to 100 ms for fast proportional valves on a small muscle. No command, and no start, is above the gauge
-    pressure of the supply [Pa], and the pressure changes by no more than the rate [Pa/s], where they are given.
+    T [s] is 20 to 100 ms for fast proportional valves on a small muscle. Commands and initial pressures are limited to
+    the gauge pressure of the supply [Pa], and changes of the pressure to the rate [Pa/s], if these are given.
 
     >>> from mckibben.units import bar
     >>> valve = FirstOrderValve(0.1, rate=10 * bar)

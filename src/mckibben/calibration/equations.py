@@ -52,7 +52,7 @@ class JointRecording:
     commanded
         Whether `pressures` are commands instead of measurements.
     commands
-        Commands [Pa] beside measured pressures, for `calibrate_valves`; shape (samples, 2).
+        Commands [Pa] in addition to measured pressures, for `calibrate_valves`; shape (samples, 2).
     """
 
     time: Floats

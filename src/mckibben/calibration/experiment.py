@@ -33,6 +33,7 @@ _FAST, _FAST_SHARE, _FASTEST = 1.0, 0.15, 1.0  # Hz; part of the amplitude; rad/
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
+_TOGETHER = 1000  # periods that a simulated joint computes at once
 _PRESSURES = ("pressure1", "pressure2")
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
@@ -139,7 +140,7 @@ def field_of(controller: Controller, name: str) -> Any:
 
 
 def holds(controller: Controller, name: str) -> bool:
-    """Whether a controller, or one that it wraps, has a field of its own, not inherited from the plant."""
+    """Whether a controller, or one that it wraps, has a field that is not inherited from the plant."""
     own = name not in inherited_fields(controller) and vars(controller).get(name) is not None
     return own or any(holds(one, name) for one in _inner(controller).values())
 
@@ -206,7 +207,7 @@ def run_parts(
             ready(name)
         session = prepare(part, rig, paced=rig is not None and rig.physical)
         kept = Path(folder) / name
-        ran: JointRunResult = session.run(kept, progress=progress)
+        ran: JointRunResult = session.run(kept, progress=progress, together=_TOGETHER)
         if ran.outcome.error is not None or ran.result is None:
             raise StoppedError(f"stopped: {ran.outcome.text}; {ran.outcome.venting}")
         ran.result.to_netcdf(kept / "result.nc")
@@ -227,8 +228,8 @@ def read_joint_recording(
 ) -> JointRecording:
     """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
 
-    Columns ``command1_bar,command2_bar`` give commands beside or instead of pressures, ``tension1_N,tension2_N`` the
-    readings of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
+    Columns ``command1_bar,command2_bar`` give commands in addition to or instead of pressures,
+    ``tension1_N,tension2_N`` the readings of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
     """
     file = Path(path)
     if file.suffix == ".nc":

@@ -43,7 +43,7 @@ _PRIORS = {"supply": "supply", "polytropic_index": "polytropic_index", "critical
 _SCALES = {"dead_volume": 10 * cm**3, "leak": 3e-11, "delay": 20 * ms, "opening_delay": 2 * ms}
 _DEAD_ZONE = {"1": 0.05, "Pa": 0.1 * bar}  # scale by unit
 _NUISANCES = ("pressure_zero", "zero", "arm_scale", "volume")
-_ZEROS = {"pressure_zero": "Pa", "zero": "rad"}  # units of those that are no factors
+_ZEROS = {"pressure_zero": "Pa", "zero": "rad"}  # units of those that are not factors
 _SHOWN = 2.0  # standard deviations from zero of what the first model lacks
 _APART, _DIFFERENT = 3.0, 1.1  # standard deviations and ratio beyond which two valves differ
 _BEGIN = 0.3  # scales, of what the first model lacks: its derivative is zero at zero
@@ -84,7 +84,7 @@ class ValveCalibration:
     Attributes
     ----------
     valves, delays
-        Valve of each muscle with the estimates (of one muscle beside a return spring), and the delays of their commands
+        Valve of each muscle with the estimates (of one muscle with a return spring), and the delays of their commands
         [s].
     quantities
         Estimates by name, such as ``valve1.conductance`` and ``valve2.delay``, and those that are uncertain about the
@@ -131,7 +131,7 @@ class ValveCalibration:
 
     @property
     def muscles(self) -> tuple[int, ...]:
-        """Index of the muscle of each valve: 0 and 1, or one of them beside a return spring."""
+        """Index of the muscle of each valve: 0 and 1, or one of them with a return spring."""
         return tuple(self._problems)
 
     @property
@@ -160,7 +160,7 @@ class _Problem(NamedTuple):
     joint: AntagonisticJoint
     valve: Actuator
     parameters: tuple[_Parameter, ...]  # fields of the valve, and last the delay
-    nuisances: tuple[float, ...]  # standard deviations of `_NUISANCES`; the first alone of valves that know no volume
+    nuisances: tuple[float, ...]  # standard deviations of `_NUISANCES`; only the first for valves without a volume
 
     @property
     def size(self) -> int:
@@ -310,7 +310,7 @@ def _with(valve: Any, values: dict[str, Any]) -> Any:
 def _record_of(recording: JointRecording, number: int = 0) -> _Record:
     if recording.commands is None:
         raise IdentificationError(
-            "a recording has no commands beside its pressures",
+            "a recording has no commands in addition to its pressures",
             remedy="give columns command1_bar,command2_bar, and pressure1_bar,pressure2_bar",
         )
     check_recording(recording)
@@ -343,7 +343,7 @@ def _mean_pressures(records: Sequence[_Record]) -> tuple[Any, Any]:
 
 
 def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
-    """Valve with the estimates; what the first model lacks and the recordings do not show, stays away."""
+    """Valve with the estimates; what the first model lacks and the recordings do not show is left out."""
     own, ranges = {}, {name: quantity for name, _, quantity in _numbers(problem.valve)}
     for one, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
         if one.deviation or abs(at) > _SHOWN * wide:

@@ -57,7 +57,7 @@ def calibrate(
     ] = False,
     angles: Annotated[str, Option(metavar="RANGE", help="Angles to sweep, or to stay within.")] = "-10..10 deg",
     duration: Annotated[
-        str, Option(metavar="TIME", help="Duration of all parts, 20 to 600 s (default: 60 s, of valves 120 s).")
+        str, Option(metavar="TIME", help="Duration of all parts, 20 to 600 s (default: 60 s, or 120 s with --valves).")
     ] = "",
     rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
     recording: Annotated[

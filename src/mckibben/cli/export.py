@@ -26,9 +26,11 @@ def export(
     to: Annotated[str, Option(metavar="FORMAT", help=_FORMATS)],
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
     name: Annotated[str, Option(metavar="NAME", help="Name of the program or model.")] = "",
-    single: Annotated[bool, Option("--single", help="32-bit numbers, of c: for processors without 64.")] = False,
+    single: Annotated[
+        bool, Option("--single", help="32-bit numbers, with c: for processors without 64-bit units.")
+    ] = False,
     fmi: Annotated[
-        float | None, Option(metavar="VERSION", help="FMI version of FMUs, 2 or 3. Default: 2.", show_default=False)
+        float | None, Option(metavar="VERSION", help="FMI version of an FMU, 2 or 3. Default: 2.", show_default=False)
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -22,6 +22,7 @@ from mckibben.cli.options import (
     echo,
     keeping,
     notify,
+    on_command_line,
     parse_columns,
     parse_optional_quantity,
     parse_quantity,
@@ -280,7 +281,7 @@ def identify(
             drawn |= {"loops": report.loops(points, friction)} if friction else {}
             for name, figure in drawn.items():
                 report.save(figure, out, name)
-    echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
+    echo(to_json(numbers) if json else on_command_line("\n".join(filter(None, texts))))
     if out:
         notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}; {kept}", json)
 
@@ -401,8 +402,8 @@ def _show(ranking: Ranking) -> None:
             (entry.residual_correlation.pattern if entry.residual_correlation else "") or "-",
         )
 
-    blocks = (f"{name} N" if name == EXTRAPOLATION else f"held-out {name}s N" for name in ranking.blocks)
-    headers = ("law", "parameters", "RMSE N", *blocks, "AICc", "residual pattern over")
+    blocks = (f"{name} [N]" if name == EXTRAPOLATION else f"held-out {name}s [N]" for name in ranking.blocks)
+    headers = ("law", "parameters", "RMSE [N]", *blocks, "AICc difference", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
     for name, reason in ranking.missing.items():

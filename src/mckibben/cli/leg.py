@@ -72,7 +72,7 @@ def land(
     if animate:
         _animate(*list(study.compared_runs().values())[-1], animate, json)
     if out:
-        notify(f"kept landing.html, results.json, landing.nc and leg.yaml in {out}", json)
+        notify(f"wrote landing.html, results.json, landing.nc and leg.yaml to {out}", json)
 
 
 @leg.command()
@@ -102,7 +102,7 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
     if animate:
         _animate(read.plant(), study.timed.run, animate, json)
     if out:
-        notify(f"kept jump.html, results.json, constant.nc, timed.nc and leg.yaml in {out}", json)
+        notify(f"wrote jump.html, results.json, constant.nc, timed.nc and leg.yaml to {out}", json)
 
 
 def _read(file: Path) -> LegScenario:

@@ -79,7 +79,7 @@ def read_data(
 
 
 def report_reading(attributes: Mapping[str, Any]) -> None:
-    """Report what the columns of a file were read as, and unread ones, on standard error."""
+    """Report how the columns of a file were read, and which were not, on standard error."""
     if read := attributes.get("columns_read"):
         echo(read, err=True)
     if ignored := attributes.get("ignored_columns"):

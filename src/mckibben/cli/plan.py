@@ -137,7 +137,7 @@ def plan(
     else:
         _show(found, read.table.attrs["specimen"] or "unnamed specimen")
     if out:
-        notify(f"kept plan.csv, results.json and plan.png and .svg in {out}", json)
+        notify(f"wrote plan.csv, results.json, plan.png and plan.svg to {out}", json)
 
 
 def _show(found: ExperimentPlan, specimen: str) -> None:
@@ -243,7 +243,7 @@ def _present(
     else:
         show()
     if out:
-        notify(f"kept results.json and {name}.png and .svg in {out}", json)
+        notify(f"wrote results.json, {name}.png and {name}.svg to {out}", json)
 
 
 def margins(
@@ -280,7 +280,13 @@ def margins(
 
     def show() -> None:
         rows = [
-            (name, f"{values.min() / unit:.3g}", f"{np.median(values) / unit:.3g}", symbol, f"{time:.3g} s")
+            (
+                name.partition("_")[0],
+                f"{values.min() / unit:.3g}",
+                f"{np.median(values) / unit:.3g}",
+                symbol,
+                f"{time:.3g} s",
+            )
             for name, (values, unit, symbol) in shown.items()
             for time in [found.time[values.argmin()]]
         ]
@@ -329,7 +335,7 @@ def envelope(
     out: Out = None,
     force: Force = False,
 ) -> None:
-    """Show the static envelope, whether the reference is trackable, and the nearest that is; or size the joint."""
+    """Show the attainable set, whether the reference is trackable and the nearest feasible ones; or size the joint."""
     name = "envelope" if design is None else "design"
     nearest = [f"nearest-{kind}" for kind in ("angle", "amplitude", "stiffness")] if design is None else [name]
     results_folder(out, ("results.json", f"{name}.png", f"{name}.svg", *(f"{one}.yaml" for one in nearest)), force)
@@ -382,7 +388,7 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
         if not found.trackability.trackable and not found.nearest:
             echo("no smaller or slower motion about this centre is feasible either")
     if out:
-        notify(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
+        notify(f"wrote {', '.join(names)}, envelope.png and envelope.svg to {out}", json)
 
 
 def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None) -> None:
@@ -412,4 +418,4 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
     if out:
         if "design.yaml" not in names:
             echo("no scenario written: a length belongs to a specimen or a geometry in the catalog", err=True)
-        notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)
+        notify(f"wrote {', '.join(names)}, design.png and design.svg to {out}", json)

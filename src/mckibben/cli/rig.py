@@ -120,7 +120,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
 
         result.to_netcdf(out / "result.nc")
         report.save(report.tracking({name: result}), out, "tracking")
-        kept += ["result.nc", "tracking.png and .svg"]
+        kept += ["result.nc", "tracking.png and tracking.svg"]
     if json:
         echo(to_json(numbers))
     else:
@@ -141,7 +141,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
             )
         if ran.outcome.completed:
             echo(ran.outcome.venting)
-    notify(f"kept {', '.join(kept)} in {out}", json)
+    notify(f"wrote {', '.join(kept)} to {out}", json)
 
 
 class _Line:

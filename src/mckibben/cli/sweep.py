@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from mckibben.study.tune import TuningResult
 
 
-_ENGINES = ("auto", "native", "xla")
+_ENGINES = ("auto", "native", "xla", "cuda")
+_ENGINE = "auto: the C compiler's programs where possible, else XLA's; cuda: kernels on an NVIDIA GPU (extra gpu)."
 
 
 def sweep(
@@ -54,9 +55,7 @@ def sweep(
     precision: Annotated[
         int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 5 digits, fewer with an encoder.")
     ] = None,
-    engine: Annotated[
-        str, Option(metavar="|".join(_ENGINES), help="auto: the C compiler's programs where possible, else XLA's.")
-    ] = "auto",
+    engine: Annotated[str, Option(metavar="|".join(_ENGINES), help=_ENGINE)] = "auto",
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder; each finished block is stored.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the sweep in DIR with its options.")] = False,
     part: Annotated[
@@ -217,6 +216,7 @@ def tune(
     iterations: Annotated[int, Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
     population: Annotated[int, Option(metavar="N", help="Points per generation.")] = 32,
     seed: Annotated[int, Option(metavar="N", help="Seed of the search.")] = 0,
+    engine: Annotated[str, Option(metavar="|".join(_ENGINES), help=f"{_ENGINE} Not for gradients.")] = "auto",
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder: history, tuned scenarios, figure.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the search in DIR.")] = False,
     json: Json = False,
@@ -258,6 +258,7 @@ def tune(
             resume=resume,
             known=followed,
             conditions=drawn,
+            engine=engine,
             progress=bar,
         )
     within = (
@@ -347,7 +348,7 @@ def _in_conditions(
 
 def _condition_rows(runs: list[dict[str, Any]], count: int) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     share = runs[0]["in_conditions"]["percentile"]
-    few = ", the worst of so few" if (1 - share / 100) * count < 1 and share < 100 else ""
+    few = ", here the worst" if (1 - share / 100) * count < 1 and share < 100 else ""
     headers = ("scenario", "nominal", "median", f"{share:g} %{few}", "worst", "diverged", "gain margin")
     rows = []
     for run in runs:

@@ -179,10 +179,11 @@ FOLDED: dict[str, Callable[..., Any]] = {
 class Graph:
     """Statements in scopes; `scope` is the current one."""
 
-    def __init__(self, *, lanes: bool = False, single: bool = False) -> None:
+    def __init__(self, *, lanes: bool = False, single: bool = False, threads: bool = False) -> None:
         self.root = Scope()
         self.scope = self.root
         self.lanes = lanes  # whether the program is batched
+        self.threads = threads  # whether each run of a batch is a thread, instead of an element of a vector
         self.single = single  # whether values that differ between runs have 32 bits
         self._kept: list[Value] = []  # expressions are distinguished by the identities of values
 

@@ -161,12 +161,12 @@ class Lowering(ArrayRules):
         name = _RENAMED.get(name, name)
         if name == "erf_inv" and aval.dtype == np.float32:
             return self._closed(_jaxpr_of(erf_inv, aval.shape, aval.dtype), arguments)
-        if name == "log1p" and aval.dtype == np.float32:
+        if name == "log1p" and aval.dtype == np.float32 and not self._graph.threads:
             if self._graph.single:
                 return self._closed(_jaxpr_of(log1p_single, aval.shape, aval.dtype), arguments)
             (found,) = self._closed(_jaxpr_of(log1p, aval.shape, np.dtype(float)), arguments)
             return [self._elementwise(lambda x: self._graph.operation("single", kind, x), found)]
-        if name in _FOR_LANES and not all(map(_is_uniform, arguments)):
+        if name in _FOR_LANES and self._in_vectors(arguments):
             return self._closed(_jaxpr_of(_FOR_LANES[name], aval.shape, aval.dtype), arguments)
         if name in _UNARY | _BINARY:
             return [self._elementwise(lambda *xs: self._operation(name, aval.dtype, *xs), *arguments)]
@@ -216,10 +216,13 @@ class Lowering(ArrayRules):
         ]
 
     def _rule(self, name: str, inner: Any, arguments: list[Array]) -> tuple[str, ...]:
-        """Operations in place of one of our polynomials, except in batched programs."""
-        if name != "custom_jvp_call" or not all(map(_is_uniform, arguments)):
+        """Operations in place of one of our polynomials; of batches only the exponential, in kernels."""
+        if name != "custom_jvp_call":
             return ()
-        return _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
+        rule = _RULES.get(str(inner.jaxpr.debug_info.func_name), ())
+        if all(map(_is_uniform, arguments)) or (self._graph.threads and rule == _RULES["_exp_rule"]):
+            return rule
+        return ()  # sine and cosine of CUDA have a branch for large angles
 
     def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
@@ -234,11 +237,11 @@ class Lowering(ArrayRules):
     # Control flow
 
     def _cond(self, parameters: Any, kind: Kind, shape: Any, which: Array, *arguments: Array) -> list[Array]:
-        """One branch runs if all lanes take the same one; otherwise all are computed: they are pure and few."""
+        """One branch runs if all elements of a vector take it; otherwise all are computed: they are pure and few."""
         index, branches = which.item(), parameters["branches"]
         if index.constant is not None:
             return self._closed(branches[int(index.constant)], arguments)
-        if index.uniform and len(branches) == 2:
+        if len(branches) == 2 and (index.uniform or self._graph.threads):
             condition = self._graph.operation("boolean", Kind.BOOLEAN, index)
             found: list[list[Array]] = []
 
@@ -291,8 +294,9 @@ class Lowering(ArrayRules):
         ]
 
     def _while(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array] | None:
-        """A loop until a condition fails; not for lanes, which end at different iterations."""
-        if self._graph.lanes:
+        """A loop until a condition fails; not for vectors, whose elements end at different iterations."""
+        varies = self._graph.lanes
+        if varies and not self._graph.threads:
             return None
         outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
         given, constants = arguments[:outside], arguments[outside : outside + inside]
@@ -304,9 +308,11 @@ class Lowering(ArrayRules):
         first = condition(carry)
 
         def passes(loop: ForLoop) -> list[list[Value]]:
-            inner = [array_of(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry]
+            inner = [
+                array_of(one.shape, lambda at, one=one: self._graph.carry(loop, one[at], not varies)) for one in carry
+            ]
             results = list(map(self.plain, self._closed(parameters["body_jaxpr"], [*constants, *inner])))
-            self._graph.carry(loop, first)
+            self._graph.carry(loop, first, not varies)
             loop.going = loop.carried[-1]
             following = [value for one in results for value in one.flat]
             for carried, value in zip(loop.carried, [*following, condition(results)], strict=True):
@@ -320,6 +326,10 @@ class Lowering(ArrayRules):
         counts = parameters["const_lengths"]
         before, end = counts.matvec + counts.vecmat, sum(counts)
         return self._closed(parameters["jaxprs"].solve, [*arguments[before : before + counts.solve], *arguments[end:]])
+
+    def _in_vectors(self, arguments: Sequence[Array]) -> bool:
+        """Whether an operation is one of vectors."""
+        return not (self._graph.threads or all(map(_is_uniform, arguments)))
 
     def _stored(self, array: Array) -> Stored:
         """An array with its values in memory."""

@@ -25,11 +25,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from mckibben.codegen import kernels
 from mckibben.codegen.functions import definitions, native_language
 from mckibben.codegen.graph import Graph, Kind, StoredArray
+from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.source_module import inputs_of
-from mckibben.codegen.vectors import HEADERS, SUFFIX, VectorWriter, prelude, width
+from mckibben.codegen.vectors import HEADERS, VectorWriter, prelude, width
 from mckibben.codegen.writer import Writer
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
@@ -56,6 +58,7 @@ _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment 
 _OTHER_FOLDER = (
     "set TMPDIR to a folder that allows execution, or CC to another compiler; engine='xla' needs neither of them"
 )
+_HEAD = "void run(const void *scalars, const double *arrays, double *results, int64_t lanes)"
 _TYPES = {Kind.REAL: "double", Kind.INTEGER: "int64_t", Kind.BOOLEAN: "int64_t"}
 
 
@@ -93,12 +96,12 @@ class NativeFunction:
     """A pure function compiled as C, of a tree shared by all runs and, in a batch, a tree with an entry per run.
 
     Arrays of the second tree have the runs along their last axis, as do the results; leaves other than arrays are
-    static.
+    static. `flags` are further options of the compiler.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        self._known: dict[Any, _Compiled | ExportError] = {}
+    def __init__(self, function: Callable[..., Any], flags: Sequence[str] = ()) -> None:
+        self._function, self._flags = function, tuple(flags)
+        self._known: dict[Any, Compiled | ExportError] = {}
         self._lock = threading.Lock()
 
     def __call__(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Any:
@@ -111,7 +114,7 @@ class NativeFunction:
 
     def bound(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
         """The compiled function with its arguments packed, as a callable that computes the results."""
-        given, varying = _Split.of(shared), _Split.of(lanes, lanes=True)
+        given, varying = Split.of(shared), Split.of(lanes, lanes=True)
         key = given.key, varying.key, single
         with self._lock:
             if (found := self._known.get(key)) is None:
@@ -124,29 +127,61 @@ class NativeFunction:
             raise found
         return found.bound(given.arrays, varying.arrays)
 
-    def _compiled(self, shared: _Split, lanes: _Split, single: bool) -> _Compiled:
+    def _compiled(self, shared: Split, lanes: Split, single: bool) -> Compiled:
         """From the program cache, or compiled."""
+        key = shared.key, lanes.key, single
+        many = bool(lanes.arrays)
+        return self.cached(key, lambda: self.written(shared, lanes, single=single), many=many, single=single)
+
+    def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False, single: bool = False) -> Compiled:
+        """Return the program of a key from the program cache, or write and compile it."""
         folder, path = programs_folder(), None
         if folder is not None:
-            path = program_path(folder, self._function, (shared.key, lanes.key, single), _compiler_state(), "native")
-        if path is not None and (found := _stored(path, width(single))) is not None:
+            path = program_path(folder, self._function, key, *self._state())
+        if path is not None and (found := self._stored(path, single)) is not None:
             return found
+        source, leaves, tree = written()
+        program = self._built(source, many)
+        found = self._loaded(program, leaves, tree, single)
+        if path is not None:
+            write_program(path, pickle.dumps((program, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
+        return found
+
+    def _stored(self, path: Path, single: bool) -> Compiled | None:
+        """The program of a file of the cache; None if it is missing or cannot be loaded."""
+        if (content := read_program(path)) is None:
+            return None
+        try:
+            program, leaves, tree = pickle.loads(content)
+            return self._loaded(program, leaves, jax.tree.structure(tree), single)
+        except Exception:  # another content, or a program that does not load here: it is compiled again and replaced
+            return None
+
+    def written(self, shared: Split, lanes: Split, *, single: bool) -> Written:
+        """Source for arguments."""
 
         def function(given: Sequence[Any], varying: Sequence[Any]) -> Any:
             return self._function(shared.filled(given), lanes.filled(varying))
 
         varying = [x[..., 0] for x in lanes.arrays]
-        source, leaves, tree = write_native(function, shared.arrays, varying, single=single)
-        flags = (*_FOR_LANES, *(_FOR_SHORT if len(source) < _SHORT else ())) if varying else _ALONE
-        library = compile_library(source, flags)
-        found = _Compiled(load_library(library), leaves, tree, width(single))
-        if path is not None:
-            write_program(path, pickle.dumps((library, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
-        return found
+        return write_native(function, shared.arrays, varying, single=single, threads=self._threads)
+
+    _threads = False  # whether each run of a batch is a thread
+
+    def _state(self) -> tuple[Any, ...]:
+        """Identity of the compiler, for the program cache."""
+        return _compiler_state(), self._flags, "native"
+
+    def _built(self, source: str, many: bool) -> bytes:
+        options = (*_FOR_LANES, *(_FOR_SHORT if len(source) < _SHORT else ())) if many else _ALONE
+        return compile_library(source, (*options, *self._flags))
+
+    def _loaded(self, program: bytes, leaves: Any, tree: Any, single: bool) -> Compiled:
+        return Compiled(load_library(program), leaves, tree, width(single))
 
 
 @dataclass(frozen=True)
-class _Split:
+class Split:
     """Leaves of a tree, with the arrays separated."""
 
     structure: Any
@@ -155,7 +190,7 @@ class _Split:
     lanes: bool
 
     @classmethod
-    def of(cls, tree: Any, *, lanes: bool = False) -> _Split:
+    def of(cls, tree: Any, *, lanes: bool = False) -> Split:
         leaves, structure = jax.tree.flatten(tree)
         static = tuple([ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves])
         arrays = [leaf if type(leaf) is np.ndarray else np.asarray(leaf) for leaf in leaves if isinstance(leaf, ARRAYS)]
@@ -175,8 +210,8 @@ class _Split:
 
 
 @dataclass(frozen=True)
-class _Compiled:
-    """A library, with shapes, types and tree of its results."""
+class Compiled:
+    """A program, with shapes, types and tree of its results."""
 
     run: Any
     leaves: list[tuple[tuple[int, ...], str]]
@@ -196,7 +231,7 @@ class _Compiled:
 
         def compute() -> Any:
             results = np.empty(sum(lengths))
-            self.run(packed, words.ctypes.data, results.ctypes.data, size)
+            self._call(packed, words, results, size)
             values, at = [], 0
             for (shape, kind), length in zip(self.leaves, lengths, strict=True):
                 value = results[at : at + length]
@@ -207,30 +242,31 @@ class _Compiled:
 
         return compute
 
-
-def _stored(path: Path, width: int) -> _Compiled | None:
-    """The program of a file of the cache; None if it is missing or cannot be loaded."""
-    if (content := read_program(path)) is None:
-        return None
-    try:
-        library, leaves, tree = pickle.loads(content)
-        return _Compiled(load_library(library), leaves, jax.tree.structure(tree), width)
-    except Exception:  # another content, or a library that does not load here: it is compiled again and replaced
-        return None
+    def _call(self, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+        """Run the program on its arguments in memory."""
+        self.run(scalars, words.ctypes.data, results.ctypes.data, lanes)
 
 
-def compile_alone(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile a function of 64-bit float vectors for calls that take microseconds.
+EXACT = ("-ffp-contract=off",)
+"""Compiler option by which a computation has the same result in every program: no product and sum are fused."""
+
+
+def compile_alone(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
+    """Compile a function of static arguments and 64-bit float vectors for calls that take microseconds.
 
     Raises `ExportError` if the function cannot be emitted or compiled.
     """
-    source, leaves, tree = write_native(lambda given, _: function(*given), [np.zeros(size) for size in sizes], ())
-    compiled = _Compiled(load_library(compile_library(source, _ALONE)), leaves, tree)
+
+    def written() -> Written:
+        vectors = [np.zeros(size) for size in sizes]
+        return write_native(lambda given, _: function(*static, *given), vectors, ())
+
+    compiled = NativeFunction(function, EXACT).cached((*static, *sizes), written)
     return lambda *given: compiled.bound(given)()
 
 
 class Written(NamedTuple):
-    """C source of a function of arrays, with shapes, types and tree of its results."""
+    """Source of a function of arrays, with shapes, types and tree of its results."""
 
     source: str
     leaves: list[tuple[tuple[int, ...], str]]
@@ -238,37 +274,47 @@ class Written(NamedTuple):
 
 
 def write_native(
-    function: Callable[..., Any], given: Sequence[Any], varying: Sequence[Any], *, single: bool = False
+    function: Callable[..., Any],
+    given: Sequence[Any],
+    varying: Sequence[Any],
+    *,
+    single: bool = False,
+    threads: bool = False,
 ) -> Written:
-    """Write a function of arrays shared by all runs and arrays with an entry per run."""
-    graph = Graph(lanes=bool(varying), single=single)
+    """Write a function of arrays shared by all runs and arrays with an entry per run, as C or as a CUDA kernel."""
+    graph = Graph(lanes=bool(varying), single=single, threads=threads)
     graph.scope = graph.root.inner()
     inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
     results, shape = Lowering(graph).function(function, (given, varying), inputs)
     values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
-    writer = (
-        VectorWriter([graph.scope], values, single=single)
-        if varying
-        else Writer([graph.scope], native_language(), values)
-    )
+    if threads:
+        writer, before = KernelWriter([graph.scope], values, single=single), ""
+        head, first, step = kernels.head(sum(not x.ndim for x in given), single=single), kernels.FIRST, kernels.STEP
+    elif varying:
+        writer, before = VectorWriter([graph.scope], values, single=single), prelude(single)
+        head, first, step = _HEAD, "0", "W"
+    else:
+        writer, before = Writer([graph.scope], native_language(), values), HEADERS + definitions()
+        head, first, step = _HEAD, "0", "1"
     leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
     lines = [
-        "void run(const void *scalars, const double *arrays, double *results, int64_t lanes)",
+        head,
         "{",
+        *(["    const double *scalars = given.x;"] if threads else []),
         *_places(given, varying, leaves),
-        f"    for (int64_t b = 0; b < lanes; b += {'W' if varying else '1'}) {{",
+        f"    for (int64_t b = {first}; b < lanes; b += {step}) {{",
         *_body(graph, writer, inputs, results),
         "    }",
         "}",
     ]
-    source = "\n".join([prelude(single) if varying else HEADERS + definitions(), *sorted(writer.helpers), *lines, ""])
+    source = "\n".join([before, *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
     return Written(source, leaves, jax.tree.structure(shape))
 
 
 def _places(given: Sequence[Any], varying: Sequence[Any], leaves: Sequence[tuple[tuple[int, ...], str]]) -> list[str]:
-    """Declarations of the location of each argument and result: 64-bit words, as packed by `_Compiled`."""
+    """Declarations of the location of each argument and result: 64-bit words, as packed by `Compiled`."""
     lines = []
     scalars, shared, lanes = 0, 0, 0
     for n, x in enumerate([*given, *varying]):
@@ -314,8 +360,7 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
         if writer.is_needed(value):
             name = f"p{value.data}"
             writer.name(value, name)
-            source = f"{value.data}[0]" if value.uniform else f"load{SUFFIX[value.kind]}(&{value.data}[b])"
-            lines.append(f"{indent}{writer.constant(value)} {name} = {source};")
+            lines.append(f"{indent}{writer.constant(value)} {name} = {writer.loaded(value)};")
     lines += writer.scope(graph.scope, indent)
     for place, one in enumerate(results):
         if not isinstance(one, Stored):

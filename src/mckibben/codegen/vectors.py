@@ -15,8 +15,7 @@ _BITS = 512  # of a vector: one register, or several smaller ones
 _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
 _BROADCAST = {Kind.REAL: "real", Kind.INTEGER: "integer", Kind.BOOLEAN: "mask"}
 _ATOM, _PREFIX = 8, 7
-SUFFIX = {Kind.REAL: "", Kind.INTEGER: "_integer", Kind.BOOLEAN: "_mask"}
-"""Suffix of the functions that load and store vectors, by kind."""
+_SUFFIX = {Kind.REAL: "", Kind.INTEGER: "_integer", Kind.BOOLEAN: "_mask"}  # of functions that load and store vectors
 
 HEADERS = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
 _SCHEDULING = """#ifndef __clang__
@@ -110,16 +109,19 @@ class VectorWriter(Writer):
             return f"{_BROADCAST[value.kind]}({text})"
         return text if strength >= _ATOM else f"({text})"
 
+    def loaded(self, value: Value) -> str:
+        return super().loaded(value) if value.uniform else f"load{_SUFFIX[value.kind]}(&{value.data}[b])"
+
     def store(self, array: StoredArray, place: str, value: Value) -> str:
         name = self._arrays[id(array)]
         if name.startswith("out"):
-            return f"store{SUFFIX[value.kind]}(&{name}[({place}) * lanes + b], {self._vector(value)})"
+            return f"store{_SUFFIX[value.kind]}(&{name}[({place}) * lanes + b], {self._vector(value)})"
         return f"{name}[{place}] = {self._vector(value)}"
 
     def element(self, array: StoredArray, place: str) -> str:
         name = self._arrays[id(array)]
         if not array.uniform and array.name:
-            return f"load{SUFFIX[array.kind]}(&{name}[({place}) * lanes + b])"
+            return f"load{_SUFFIX[array.kind]}(&{name}[({place}) * lanes + b])"
         return f"{name}[{place}]"
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:

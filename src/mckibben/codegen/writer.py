@@ -88,8 +88,12 @@ class Writer:
         """Declared type of a value."""
         return self._language(value).constants[value.kind]
 
+    def _is_wide(self, value: Value) -> bool:
+        """Whether a value is in the other precision."""
+        return id(value) in self._wide
+
     def _language(self, value: Value) -> Language:
-        return self._wide_language if id(value) in self._wide else self.language
+        return self._wide_language if self._is_wide(value) else self.language
 
     def is_needed(self, value: Value) -> bool:
         """Whether results depend on a value."""
@@ -184,6 +188,10 @@ class Writer:
         """Text of a value as assigned to a variable."""
         return self.text(value)
 
+    def loaded(self, value: Value) -> str:
+        """Text of an argument in memory."""
+        return f"{value.data}[0]"
+
     def store(self, array: StoredArray, place: str, value: Value) -> str:
         """Text of the assignment to an element of an array."""
         return f"{self._arrays[id(array)]}[{place}] = {self.text(value)}"
@@ -238,7 +246,7 @@ class Writer:
         if name in ("neg", "not"):
             return f"{'-' if name == 'neg' else '!'}{_bound(texts[0], _ATOM)}", _PREFIX
         if name in ("real", "integer", "boolean"):
-            return self.language.conversion(_bound(texts[0], _ATOM), arguments[0].kind, kind), _COMPARISON
+            return self._language(value).conversion(_bound(texts[0], _ATOM), arguments[0].kind, kind), _COMPARISON
         language = self._language(value)
         function = language.functions[name]
         if function in language.helpers:
@@ -250,8 +258,8 @@ class Writer:
         if argument.operation == "constant":
             return self._literal(argument, self._language(value))
         text = self._text(argument)
-        wide = id(argument) in self._wide and argument.kind is Kind.REAL
-        if wide and id(value) not in self._wide and any(id(one) not in self._wide for one in value.arguments):
+        wide = self._is_wide(argument) and argument.kind is Kind.REAL
+        if wide and not self._is_wide(value) and not all(map(self._is_wide, value.arguments)):
             return self.language.conversion(_bound(text, _ATOM), Kind.REAL, Kind.REAL), _PREFIX
         return text
 

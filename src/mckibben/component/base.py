@@ -53,8 +53,8 @@ _NO_UNITS = Units()
 class Described:
     """Base of classes that define their form in files.
 
-    An object that was read knows its origin and the fields that it inherited: in slots, so that they are no part of it
-    as a tree, and gone as soon as it is changed.
+    An object read from a file records its origin and the fields that it inherited. They are slots, so that they are
+    not part of the tree, and are lost as soon as the object is changed.
     """
 
     __slots__ = ("_inherited", "_origin")
@@ -76,7 +76,7 @@ class Described:
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
-        """Return a section with a form of its own in the usual form; by default as it is."""
+        """Return a section that has a special form in the usual form; by default unchanged."""
         return value
 
     @classmethod
@@ -86,7 +86,7 @@ class Described:
 
 
 class Component(Described, eqx.Module):
-    """Module whose fields are of their types and numbers in range; the check of a subclass begins with this one."""
+    """Module with fields of the declared types and numbers in range; the check of a subclass begins with this one."""
 
     def __check_init__(self) -> None:
         check_fields(self)
@@ -111,9 +111,9 @@ def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
 
 @dataclasses.dataclass(frozen=True)
 class Inherited:
-    """Marks a field that a file may leave out: it is then found in the scope, the fields around the component.
+    """Marks a field that a file may leave out: it is then taken from the scope, the fields around the component.
 
-    `find` raises `KeyError` where the scope lacks what it needs; then the default counts, or the field is missing.
+    `find` raises `KeyError` if the scope lacks the field; then the default applies, or the field is missing.
     """
 
     find: Callable[[Mapping[str, Any]], Any]
@@ -153,11 +153,11 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
                 if NoneType not in get_args(field_hints(kind)[name]) and field.default is not None:
                     yield RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
             elif isinstance(mark, BoundedInt) and isinstance(value, Real) and not _whole(value):
-                yield RangeError(f"{owner}: {name} is {value}, no whole number", field=name, value=value)
+                yield RangeError(f"{owner}: {name} is {value}, not a whole number", field=name, value=value)
             elif mark:
                 numbers = known_numbers(owner, name, value)
                 mark = units.get(mark.unit, mark)
-                if isinstance(field.default, Real):  # it may be infinite, for what is not limited
+                if isinstance(field.default, Real):  # infinite: no limit
                     numbers = numbers[numbers != field.default]
                 if mark.unit not in SYMBOLS and not (right := mark.holds(numbers)).all():
                     yield _outside(owner, name, float(numbers[~right][0]), mark)
@@ -179,12 +179,12 @@ def _whole(value: Real) -> bool:
 
 @functools.cache
 def field_hints(kind: type) -> dict[str, Any]:
-    """Return the types of the fields with their marks, but for those that name what is not found."""
+    """Return the types of the fields with their marks, except for those with unknown names."""
     found = {}
     for base in reversed(kind.__mro__):
         for name, hint in get_annotations(base).items():
             found.pop(name, None)
-            with suppress(Exception):  # what an annotation raises is its own
+            with suppress(Exception):  # an annotation may raise anything
                 one = SimpleNamespace(__annotations__={name: hint})
                 found |= get_type_hints(one, vars(sys.modules[base.__module__]), include_extras=True)
     return {field.name: found[field.name] for field in dataclasses.fields(kind) if field.name in found}

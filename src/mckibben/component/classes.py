@@ -17,7 +17,7 @@ from mckibben.errors import RangeError, quoted
 
 @dataclass(frozen=True)
 class Catalog:
-    """Named components of a base, and the reader of its files where these are no sections; see `register`."""
+    """Named components of a base, and the reader of its files where these are not sections; see `register`."""
 
     noun: str
     names: Callable[[], Sequence[str]]
@@ -42,7 +42,7 @@ def register(base: type, catalog: Catalog) -> None:
 
 
 def concrete_subclasses(base: type) -> Iterator[type]:
-    """Yield the subclasses of a class that are not abstract, of modules that are imported."""
+    """Yield the subclasses of a class that are not abstract, in imported modules."""
     for one in base.__subclasses__():
         yield from concrete_subclasses(one)
         if not inspect.isabstract(one):
@@ -50,7 +50,7 @@ def concrete_subclasses(base: type) -> Iterator[type]:
 
 
 def classes_of(base: type) -> dict[str, type]:
-    """Return the classes of a base that a file can name, by their name in files, or in full where two have one name."""
+    """Return the classes of a base that a file can name, by their name in files, or in full where two share a name."""
     kinds = {(one.__module__, one.__qualname__): one for one in [*concrete_subclasses(base), base]}
     found = [one for one in kinds.values() if not (one.__name__.startswith("_") or is_abstract(one))]
     count = Counter(map(class_name, found))
@@ -63,20 +63,20 @@ def is_abstract(kind: type) -> bool:
 
 
 def class_name(kind: type) -> str:
-    """Return the name of a class in files: its short name, or else its own, after that of its installed package."""
+    """Return the name of a class in files: its short or class name, preceded by that of its installed package."""
     package = installed_package(kind.__module__)
     own = kind.__dict__.get("short_name") or kind.__name__
     return f"{package}:{kind.__name__}" if package else own
 
 
 def full_name(kind: type) -> str:
-    """Return the name of a class after that of its installed package, or of its module or file."""
+    """Return the name of a class, preceded by that of its installed package, module or file."""
     package = kind.__module__.partition(".")[0]
     return f"{package if package == 'mckibben' else module_origin(kind.__module__)}:{kind.__name__}"
 
 
 def name_in_files(base: type, kind: type) -> str:
-    """Return the name by which files find a class of a base: in full where another has its name."""
+    """Return the name by which files find a class of a base: in full where another has the same name."""
     own = class_name(kind)
     return own if len(_named(base, own)) < 2 else full_name(kind)
 

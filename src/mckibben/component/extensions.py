@@ -1,4 +1,4 @@
-"""Classes of others: Python files, modules, and installed packages with an entry point in `mckibben.components`."""
+"""User-defined classes: Python files, modules, and installed packages with an entry point in `mckibben.components`."""
 
 from __future__ import annotations
 

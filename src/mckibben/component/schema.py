@@ -2,8 +2,8 @@
 
 A field of a document, or of a component, that holds a component is marked with `Part`. Its section names the class, by
 name or `short_name`, with the key ``class`` (the base's `default_class` otherwise), and gives the fields of the class.
-In place of a section, or as its key ``from``, stands the name of a catalog entry or the path of a file; the other keys
-of the section are then changes to it.
+Instead of a section, or as its key ``from``, a file may give the name of a catalog entry or the path of a file; the
+other keys of the section are then changes to it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Section(ConfigModel):
     from_: Annotated[Any, Field(alias="from")] = None
 
     def build(self, **others: Any) -> Any:
-        """Return the component; what is not given keeps the default of its class."""
+        """Return the component; fields that are not given keep the default of its class."""
         known = declared_fields(self.runtime)
         given = {name: getattr(self, name) for name in self.model_fields_set if name in known}
         return self.runtime(**{name: one for name, one in given.items() if one is not None} | others)
@@ -67,7 +67,7 @@ class Section(ConfigModel):
 
 @functools.cache
 def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[Section]:  # noqa: B008
-    """Return the model of a class in files; in a `partial` one no field is needed."""
+    """Return the model of a class in files; in a `partial` one no field is required."""
     declared, fields = declared_fields(runtime), {}
     known = forms(runtime, units)
     aliased = {name for names in getattr(runtime, "aliases", {}).values() for name in names}
@@ -95,7 +95,7 @@ def declared_fields(runtime: type) -> dict[str, dataclasses.Field]:
 
 @functools.cache
 def forms(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noqa: B008
-    """Return the annotation of each field of a class that can stand in a file."""
+    """Return the annotation of each field of a class that can appear in a file."""
     hints, found = field_hints(runtime), {}
     for name in declared_fields(runtime):
         form = _form(hints.get(name), units)
@@ -120,7 +120,7 @@ def symbolic_fields(kind: type) -> list[str]:
 
 
 def _no_unit(_: str) -> None:
-    """Return no unit, for classes that are no components."""
+    """Return no unit, for classes that are not components."""
 
 
 def part_of(form: Any) -> Part | None:
@@ -130,7 +130,7 @@ def part_of(form: Any) -> Part | None:
 
 
 def inherited_from(runtime: type, name: str) -> Inherited | None:
-    """Return the mark of a field that takes its value from around the component unless it is given."""
+    """Return the mark of a field that takes its value from around the component if it is not given."""
     return next((mark for mark in _marks(field_hints(runtime)[name]) if isinstance(mark, Inherited)), None)
 
 
@@ -142,7 +142,7 @@ def _marks(hint: Any) -> tuple[Any, ...]:
 
 
 def _form(hint: Any, units: Units) -> Any:
-    """Annotation of a field in files; None for a field that cannot stand there."""
+    """Annotation of a field in files; None for a field that cannot appear there."""
     if get_origin(hint) in (Union, UnionType):
         found = [form for one in get_args(hint) if (form := _form(one, units)) is not None]
         return found[0] if found else None
@@ -284,7 +284,7 @@ class Part:
         kind = find_class(self.base, named) if isinstance(named, str) else None
         if kind is None:
             remedy = suggest(str(named), list(known)) if known else "there is none yet"
-            own = "for a class of your own load its module first: `mckibben --extension FILE.py ...`, or a module"
+            own = "for a user-defined class, load its module first: `mckibben --extension FILE.py ...`, or a module"
             broken = (f"{one.message} ({one.remedy})" for one in load_installed())
             message = f"there is no class {quoted(named)} of {self.base.__name__}"
             fail_validation(message, "; ".join([remedy, own, *broken]), value=named)
@@ -313,7 +313,7 @@ class Part:
         keys = ", ".join(forms(kind, self.units)) if kind else "`class` and the fields of the class"
         if value == "":
             return "has no value", "write one, or leave the key out"
-        return f"{given} stands where keys and values belong", f"give a mapping of {keys}"
+        return f"{given} is given where keys and values are expected", f"give a mapping of {keys}"
 
 
 def _member(kind: type, name: str, value: Any) -> Any:
@@ -366,12 +366,12 @@ def replaced(component: C, fields: Mapping[str, Any]) -> C:
 
 
 def _copy(found: Any) -> Any:
-    """A component that is another object: a controller's model is never that of the plant."""
+    """A copy of a component: a controller's model is never the same object as that of the plant."""
     return _made(found, {}) if isinstance(found, Component) else found
 
 
 def _made(component: Any, fields: Mapping[str, Any]) -> Any:
-    """Component with other fields; of a class with a constructor of its own, from the arguments of that."""
+    """Component with other fields; a class with its own constructor is made from the arguments of that."""
     kind = type(component)
     return kind(**{name: getattr(component, name) for name in declared_fields(kind)} | dict(fields))
 

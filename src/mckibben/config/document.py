@@ -50,7 +50,7 @@ class Document:
         return self.lines.get(place)
 
     def below(self, key: str) -> Document:
-        """The document of what stands below a key, with the lines of the whole."""
+        """The document below a key, with the lines of the whole document."""
         size = 1
 
         def inner(marks: Mapping[Place, Any]) -> dict[Place, Any]:
@@ -122,7 +122,7 @@ class _Reader:
             documents += 1
             if documents > 1:
                 document.fail(
-                    "a second document starts here", line=event.start_mark.line + 1, remedy="keep one document a file"
+                    "a second document starts here", line=event.start_mark.line + 1, remedy="keep one document per file"
                 )
                 return
             first = next(self.events)
@@ -195,7 +195,7 @@ def _explain(error: Any, text: str, document: Document) -> None:
     """A YAML error with its line and a remedy."""
     marks = [getattr(error, name, None) for name in ("problem_mark", "context_mark")]
     problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "it cannot be parsed"
-    if "end of stream" in problem:  # the beginning of what is not closed says more than the end of the text
+    if "end of stream" in problem:  # the start of an unclosed item is more informative than the end of the text
         marks.reverse()
     mark = marks[0] or marks[1]
     position = getattr(error, "position", None)
@@ -209,7 +209,7 @@ def _explain(error: Any, text: str, document: Document) -> None:
     if "\t" in written[: len(written) - len(written.lstrip())] or written[mark.column : mark.column + 1] == "\t":
         document.fail("a tab in the indentation", line=line, remedy="indent with spaces")
         return
-    remedy = "write `key: value`, one to a line, indented with spaces, and quote text that contains ': ' or ' #'"
+    remedy = "write `key: value`, one per line, indented with spaces, and quote text that contains ': ' or ' #'"
     document.fail(f"not YAML: {problem}", line=line, remedy=remedy)
 
 
@@ -218,7 +218,7 @@ def _short(text: str) -> str:
 
 
 def read_json(text: str, source: str) -> Any:
-    """Parse JSON text; ScenarioError if it is none, is too long or too deep, or gives a key twice."""
+    """Parse JSON text; ScenarioError if it is not JSON, is too long or too deep, or gives a key twice."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
@@ -323,7 +323,7 @@ class _Writer:
         lines, pad = [], "  " * indent
         for item in items:
             inner = self.block(item, (*place, ""), indent + 1) if isinstance(item, dict) else []
-            if inner:  # the first entry stands beside the dash
+            if inner:  # the first entry follows the dash
                 lines += [f"{pad}- {inner[0].lstrip()}", *inner[1:]]
             else:
                 lines.append(f"{pad}- {_flow(item)}")
@@ -331,7 +331,7 @@ class _Writer:
 
 
 def _has_rows(value: Any) -> bool:
-    """Whether there is a list in it that is written one item a line."""
+    """Whether it contains a list that is written with one item per line."""
     if isinstance(value, dict):
         return any(_has_rows(item) for item in value.values())
     return isinstance(value, list) and any(isinstance(item, dict | list) for item in value)

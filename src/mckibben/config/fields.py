@@ -20,7 +20,7 @@ _NOT_FINITE = {".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -
 
 @dataclass(frozen=True)
 class Number:
-    """Marks a plain number, whose unit stands elsewhere; `infinite` and `nan` allow it to be these."""
+    """Marks a plain number, whose unit is given elsewhere; `infinite` and `nan` allow these values."""
 
     infinite: bool = False
     nan: bool = False

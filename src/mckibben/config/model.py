@@ -25,7 +25,7 @@ class ConfigModel(BaseModel):
 
     @classmethod
     def former(cls, key: str) -> str:
-        """Return what is written in place of a former key; an empty text for no such key."""
+        """Return the replacement of a former key; an empty text if there is none."""
         return cls.renamed.get(key, "")
 
 
@@ -206,12 +206,12 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
     return _Diagnosis(document, model).problems(error)
 
 
-# what stands there if it is no text, what belongs there, and the remedy, by pydantic's kind of error
+# what is there if not text, what is expected, and the remedy, by pydantic's kind of error
 _EXPECTED = {
-    "model_type": ("a list", "keys and values belong", ""),
-    "dict_type": ("a list", "names and sections belong", "give a mapping, each section under a name of its own"),
-    "tuple_type": ("a mapping", "a list belongs", "write [first, second, ...]"),
-    "string_type": ("a list or mapping", "text belongs", "write one line of text"),
+    "model_type": ("a list", "keys and values are expected", ""),
+    "dict_type": ("a list", "names and sections are expected", "give a mapping with one name per section"),
+    "tuple_type": ("a mapping", "a list is expected", "write [first, second, ...]"),
+    "string_type": ("a list or mapping", "text is expected", "write one line of text"),
 }
 
 
@@ -227,7 +227,7 @@ class _Diagnosis:
         misspelt = {(*place[:-1], key) for place in unknown if (key := self.other_key(place)[0])}
         problems = []
         causes = [found.get("ctx", {}).get("error") for found in details]
-        all_follow = all(getattr(cause, "follows", False) for cause in causes)  # from nothing that is told here
+        all_follow = all(getattr(cause, "follows", False) for cause in causes)  # from errors that are not reported here
         for found, cause in zip(details, causes, strict=True):
             place = tuple(found["loc"])
             if any(place[: len(rejected)] == rejected for rejected in document.rejected):
@@ -235,7 +235,7 @@ class _Diagnosis:
             if found["type"] == "missing" and place in misspelt:
                 continue
             if found["type"] == "too_short" and any(one["loc"][:-1] == place for one in details):
-                continue  # what it lacks are its wrong items
+                continue  # the missing items are the wrong ones
             if getattr(cause, "follows", False) and not all_follow:
                 continue
             parent = getattr(cause, "parent", False)
@@ -247,14 +247,14 @@ class _Diagnosis:
     def problem(self, found: ErrorDetails, place: Place) -> Problem:
         kind, value, context = found["type"], found["input"], found.get("ctx", {})
         message, remedy, error = found["msg"], "", context.get("error")
-        if isinstance(error, FileError):  # of a file that is named there
+        if isinstance(error, FileError):  # from a file that the text names
             first, *others = error.problems
             more = f" (and {len(others)} more)" if others else ""
             text = f"{Path(error.source).name}: {first}{more}"
             return Problem(text, self.document.line(place), dotted(place), f"correct {Path(error.source).name}", value)
         if isinstance(error, McKibbenError):
             place = place[:-1] if isinstance(error, _ValidationError) and error.parent else place
-            while place not in self.document.lines and place:  # a name alone stands for `from`, a number for `constant`
+            while place not in self.document.lines and place:  # a name is short for `from`, a number for `constant`
                 place = place[:-1]
             if error.field and (*place, error.field) in self.document.lines:
                 place = (*place, error.field)
@@ -269,7 +269,7 @@ class _Diagnosis:
             message, remedy = "has no value", "write one, or leave the key out"
         elif kind in _EXPECTED:
             found_there, expected, remedy = _EXPECTED[kind]
-            message = f"{quoted(value) if isinstance(value, str) else found_there} stands where {expected}"
+            message = f"{quoted(value) if isinstance(value, str) else found_there} is given where {expected}"
             keys = ", ".join(_keys_of(self.model_at(place)))
             remedy = remedy or (f"give a mapping of {keys}" if keys else "give a mapping with the key `class`")
         elif kind == "too_long":

@@ -42,10 +42,10 @@ _ROWS = 4  # samples, in addition to the lowest and the middle of the ranges
 _STEP = 1e-6  # of a finite difference, relative to range or value
 _EQUAL, _SLOPE, _NOISE = 1e-8, 1e-4, 1e-6  # relative tolerances: of values, of derivatives, and of their rounding
 _ROUNDING = 1e-14  # of a result that is the difference of others, relative to the largest
-_APART = 1e-4  # relative change of the parameters for finite differences, so that equal limits are no kinks
+_APART = 1e-4  # relative change of the parameters for finite differences, so that equal limits cause no kinks
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
 _LONGEST = 300  # characters of a finding
-# each program runs once or twice: to optimise it takes longer than to run it
+# each program runs once or twice: optimising it takes longer than running it
 _COMPILER = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
@@ -81,7 +81,7 @@ def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | N
     kinds = list(_own_classes(module))
     if not kinds:
         remedy = "define a class that derives from a base, such as Valve, Geometry or Controller"
-        raise ParameterError(f"{os.fspath(named)} defines no component", value=os.fspath(named), remedy=remedy)
+        raise ParameterError(f"{os.fspath(named)} does not define a component", value=os.fspath(named), remedy=remedy)
     given = dict(fields or {})
     if unknown := [name for name in given if not any(name in declared_fields(kind) for kind in kinds)]:
         names = ", ".join(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
@@ -229,7 +229,7 @@ def _check_units(kind: type) -> None:
 
 
 def _has_bare_float(hint: Any) -> bool:
-    """Whether a type contains a float without unit."""
+    """Whether a type contains a float without a unit."""
     if get_origin(hint) is Annotated and any(isinstance(one, Quantity | BoundedInt) for one in hint.__metadata__):
         return False
     return hint is float or any(_has_bare_float(one) for one in get_args(hint))
@@ -318,9 +318,7 @@ class _Sampled:
         """The same arguments give the same program and the same results."""
         first, second = (self._traced() for _ in range(2))
         if first != second or not np.array_equal(self._computed, self._program(self._points), equal_nan=True):
-            remedy = (
-                "no random numbers, time or counters of its own: draw by a seed from the state, keep all in the state"
-            )
+            remedy = "use no random numbers, clock or counters outside the state: draw by a seed from the state"
             raise _BrokenError("two evaluations with the same arguments differ", remedy)
 
     def _traced(self) -> tuple[Any, ...]:
@@ -356,7 +354,7 @@ class _Sampled:
         points = np.concatenate([self.points, self._middle])
         try:
             jacobians = _compiled(jax.jacrev(self), points)(points)
-        except ValueError:  # a loop that ends on a condition has forward mode alone
+        except ValueError:  # a loop that ends on a condition supports forward mode only
             jacobians = _compiled(jax.jacfwd(self), points)(points)
         found = (np.asarray(jacobians)[..., moving] * self.scales[moving]).swapaxes(
             1, 2
@@ -433,7 +431,7 @@ def _check_identity(component: Any, identity: Identity) -> None:
     for row, one, other in zip(rows, found, expected, strict=True):
         if (at := _difference(one, other, identity.tolerance, expected)) is not None:
             where = ", ".join(f"{name} {value:.4g}" for name, value in zip(identity.ranges, row, strict=True))
-            raise _BrokenError(f"{at[0]:.6g} in place of {at[1]:.6g} at {where}", identity.remedy)
+            raise _BrokenError(f"{at[0]:.6g} instead of {at[1]:.6g} at {where}", identity.remedy)
 
 
 def _flat(tree: Any) -> NDArray[np.float64]:

@@ -61,7 +61,7 @@ class Probes(NamedTuple):
 
 
 def probes_of(component: Any) -> Probes:
-    """Return the probes of the nearest base of a component; empty for a class without functions of its own."""
+    """Return the probes of the nearest base of a component; empty for a class without functions."""
     return next((_PROBES[base](component) for base in type(component).__mro__ if base in _PROBES), Probes(()))
 
 
@@ -329,10 +329,10 @@ def _actuator(actuator: Actuator) -> Probes:
         "rate": (-1e4, 1e4),
     }
     state = (
-        "two intervals must give what their sum gives: the response keeps no state that it needs; return all that it "
+        "two intervals must give the result of their sum: the response lacks a state that it needs; return all that it "
         "depends on from `init` and `after`, as SecondOrderValve does"
     )
-    start = "`init` is the state that holds a pressure, and `command_for(pressure, 0)` the command that keeps it"
+    start = "`init` is the state at a constant pressure, and `command_for(pressure, 0)` the command that keeps it"
     return Probes(
         (Probe(_rates, ranges), Probe(_response, times)),
         (Identity("composition", _composed, times, state), Identity("rest", _rest, times, start)),

@@ -36,9 +36,9 @@ class AdaptationState(NamedTuple):
     """Estimated parameters, their covariance and the states of the filters."""
 
     strengths: Pair  # of the muscles, relative to the model's law [-]
-    mass: Scalar  # mass of the load (`Load.adapted_mass`) less that of the model [kg]
+    mass: Scalar  # mass of the load (`Load.adapted_mass`) minus that of the model [kg]
     friction: Scalar  # relative to the model's [-]
-    deviations: tuple[Scalar, ...]  # parameters less their prior mean, in prior standard deviations
+    deviations: tuple[Scalar, ...]  # parameters minus their prior mean, in prior standard deviations
     covariance: Covariance  # of the deviations, by rows
     filtered: tuple[tuple[Scalar, ...], ...]  # each signal behind one, two and three lags
     last: tuple[Scalar, ...]  # signals behind three lags one period ago, and the angle two periods ago

@@ -37,7 +37,7 @@ def prioritise_torque(
 ) -> Allocation:
     """Pressures for a torque [N*m] and the nearest attainable stiffness [N*m/rad], within limits [Pa].
 
-    Beside a spring, the torque determines the pressure of the only muscle, and the stiffness.
+    With a return spring, the torque determines the pressure of the only muscle, and the stiffness.
     """
     (torque0, t1, t2), (stiffness0, k1, k2) = affine.torque, affine.stiffness
     if any(springs):
@@ -94,7 +94,7 @@ def limit_commands(
 
 
 def achieved(model: AntagonisticJoint, commands: Pair, cocontraction: ArrayLike) -> Pair:
-    """Differential pressure and co-contraction [Pa] of commands; beside a spring the co-contraction is as wanted."""
+    """Differential pressure and co-contraction [Pa] of commands; with a spring the co-contraction is as requested."""
     command1, command2 = commands
     if model.springs[0]:
         return command2 - jnp.asarray(cocontraction), jnp.asarray(cocontraction)

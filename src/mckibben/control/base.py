@@ -48,7 +48,7 @@ LoadModel = Annotated[Load, Inherited(lambda scope: scope["load"])]
 
 
 def _valve_model(scope: Mapping[str, Any]) -> Any:
-    """Valve of the plant; `KeyError` if its response is unknown, and a file must give a model of it."""
+    """Valve of the plant; `KeyError` if its response is unknown; a file must then give a model of it."""
     _model_lag(scope)
     return scope["valve"]
 
@@ -58,7 +58,7 @@ ValveModel = Annotated[Actuator, Inherited(_valve_model)]
 
 
 def _model_lag(scope: Mapping[str, Any]) -> Any:
-    """Lag of the plant's valves; `KeyError` if they know none, and a file must give it."""
+    """Lag of the plant's valves; `KeyError` if it is unknown; a file must then give it."""
     lag = scope["valve"].model_lag(scope["joint"])
     if lag is None:
         raise KeyError("valve")
@@ -70,7 +70,7 @@ ValveLagModel = Annotated[ValveLag, Inherited(_model_lag)]
 
 
 class DiscreteTimeSystem(Component):
-    """Discrete-time system with explicit state, of measurements; what calls it owns time.
+    """Discrete-time system with explicit state, driven by measurements; the caller determines the time.
 
     `init` is called once, and `step` once per control period.
     """

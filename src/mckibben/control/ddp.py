@@ -1,7 +1,7 @@
 """Control-limited differential dynamic programming for a joint's tracking error over a receding horizon.
 
 State x: errors of angle, velocity, acceleration and stiffness. Input u: the pressures at the end of a stage. All are
-without units. The limits of the input depend on the state.
+dimensionless. The limits of the input depend on the state.
 
 Matrices are tuples of rows of scalars, which XLA compiles to straight-line code; a structural zero is the integer 0,
 whose products are left out.
@@ -115,7 +115,7 @@ class Quadratic(NamedTuple):
 
 
 class HorizonProblem(NamedTuple):
-    """Optimal control problem over the horizon, without units: time in 1/omega_c, errors over their scales."""
+    """Optimal control problem over the horizon, dimensionless: time in 1/omega_c, errors over their scales."""
 
     # With x at the beginning and y at the end of stage k, the cost is the sum of
     #   h/2 (y0^2 + d (d - 2) (y1^2 + y2^2) + y3^2) + 1/(2h) ((y2 - x2)^2 + rho (y3 - x3)^2)
@@ -126,7 +126,7 @@ class HorizonProblem(NamedTuple):
     damping: ArrayLike  # d, 2 to 3
     bandwidth_ratio_sq: ArrayLike  # rho = (omega_c / omega_K)^2
     acceleration: tuple[Quadratic, Quadratic, Quadratic]  # coefficients (offset, p1, p2)
-    stiffness: tuple[Quadratic, Quadratic, Quadratic]  # the same, of the stiffness less the setpoint
+    stiffness: tuple[Quadratic, Quadratic, Quadratic]  # the same, for the stiffness minus the setpoint
     drag: ArrayLike  # deceleration per velocity
     reference: State  # now; angles count from the measured one
     reference_frequency_sq: ArrayLike  # of its acceleration; 0 for constant jerk
@@ -149,7 +149,7 @@ class HorizonProblem(NamedTuple):
         )
 
     def outputs(self, angle: Scalar, velocity: Scalar, pressures: Pair) -> Pair:
-        """Acceleration of the joint, and its stiffness less the setpoint."""
+        """Acceleration of the joint, and its stiffness minus the setpoint."""
         (a0, a1, a2), (s0, s1, s2) = (
             [coefficient(angle) for coefficient in each] for each in (self.acceleration, self.stiffness)
         )

@@ -35,7 +35,7 @@ class DecouplingControl(ModelBasedControl):
 
     A `Feedback` adds an acceleration to that of the reference. The torque for it (`Load.required_torque`) and the
     stiffness setpoint give pressures by the inverse of the map from (p1, p2) to (torque, stiffness), affine at a given
-    angle (`AntagonisticJoint.affine_map`; for other laws the secant, one Newton step a period):
+    angle (`AntagonisticJoint.affine_map`; for other laws the secant, one Newton step per period):
 
     .. math::
 
@@ -49,12 +49,13 @@ class DecouplingControl(ModelBasedControl):
     .. math:: p_{command} = p + \frac{1 - e^{-h/T}}{1 - e^{-h/\tau_v}} (p_c - p)
 
     and for valves with air the opening follows from the mass flow for the rate of the pressure, at the volume of the
-    muscle and its rate. p is the estimate of a `PressureObserver`, so that what a valve did not do is commanded again.
+    muscle and its rate. p is the estimate of a `PressureObserver`, so that a shortfall of a valve is commanded again.
 
     The torque has priority: where torque and stiffness are not attainable together, the stiffness is the nearest on the
     line of constant torque. Limits: the pressures (now, and those that the valves reach within T), the specimens' rated
     force and a minimum tension. A step of the stiffness moves both pressures along a straight line of constant torque,
-    however slow the valves. The feedback knows the rate of the torque that they leave to it, and brakes in time.
+    however slow the valves. The feedback takes into account the rate of the torque that they leave to it, and brakes in
+    time.
 
     Parameters
     ----------
@@ -75,12 +76,12 @@ class DecouplingControl(ModelBasedControl):
         Whether to compensate the friction of the model's muscles along the reference. The observer accounts for it; do
         not wrap this controller in `FrictionCompensation`.
     adaptation
-        On-line correction of the strength of the model's muscles; none unless given.
+        On-line correction of the strength of the model's muscles. Default: none.
     valve_adaptation
-        On-line estimate of the time constant of a `FirstOrderValve`; by default none.
+        On-line estimate of the time constant of a `FirstOrderValve`. Default: none.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
-        (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.
+        (`AntagonisticJoint.secant_stiffness`). Default: the isobaric stiffness.
 
     References
     ----------
@@ -160,7 +161,7 @@ class DecouplingControl(ModelBasedControl):
         return affine, (lower1, lower2), (upper1, upper2), rate
 
     def _jerk(self, torque_rate: Scalar, estimates: Estimates) -> Scalar:
-        """Rate of the acceleration [rad/s^3] that the valves leave to the feedback, beside that of the reference."""
+        """Rate of the acceleration [rad/s^3] that the valves leave to the feedback, above that of the reference."""
         reference, load = estimates.reference, self.load
         stiffness = estimates.stiffness + load.gravity_stiffness(reference.angle)
         needed = jnp.abs(load.total_inertia * reference.jerk + stiffness * reference.velocity)

@@ -50,7 +50,7 @@ class DelayCompensation(ModelBasedControl):
 
     .. math:: \theta_r(t + d) \approx \theta_r + d\,\dot\theta_r + \tfrac12 d^2\,\ddot\theta_r
 
-    It is therefore tuned as without a delay, which need not be a multiple of the control period.
+    It is therefore tuned as if there were no delay; the delay need not be a multiple of the control period.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ class PolePlacement(Feedback):
     so that :math:`T = 1/(d\omega_c), k_d = \omega_c, k_p = \omega_c^2/d`. A damping d of 3 places all poles at one; 2
     are those of Butterworth. With an integral there is one more pole at :math:`-\omega_c`, and
     :math:`T = 1/((d+1)\omega_c), k_d = 2d\omega_c/(d+1), k_p = \omega_c^2, k_i = \omega_c^3/(d+1)`. The integral
-    removes the static error of a wrong model; beside a disturbance observer it is redundant. With a lag g times that of
+    removes the static error of a wrong model; with a disturbance observer it is redundant. With a lag g times that of
     the model the loop is stable up to g = d^2 (2d - 1 with the integral).
 
     References

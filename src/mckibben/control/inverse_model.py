@@ -1,4 +1,4 @@
-"""Feedforward by an inverse model of the joint, learned on line by a small network, beside two loops."""
+"""Feedforward by an inverse model of the joint, learned on line by a small network, in addition to two loops."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class InverseInput(NamedTuple):
 
 
 class InitialOffset(NamedTuple):
-    """Initial stiffness [N*m/rad], and pressures [Pa] less those of the model there."""
+    """Initial stiffness [N*m/rad], and pressures [Pa] minus those of the model there."""
 
     stiffness: Scalar
     differential: Scalar
@@ -83,7 +83,7 @@ class InverseModelState(NamedTuple):
 
 
 class InverseModelControl(Controller):
-    r"""Feedforward pressures from a learned inverse of the joint, beside a position and a stiffness loop.
+    r"""Feedforward pressures from a learned inverse of the joint, in addition to a position and a stiffness loop.
 
     The inverse is that of a model, if there is a `load`, plus a network with one hidden layer (without a load the
     network alone),
@@ -92,8 +92,8 @@ class InverseModelControl(Controller):
               x = (\theta, \dot\theta, \ddot\theta, K), \quad \bar x = (x / x_s, 1)
 
     M maps the torque of the motion (`Load.required_torque`) and the stiffness to pressures, with priority to the
-    torque; p_0 makes it exact at the start. The feedforward has x of the reference after the lag of the valves. The
-    training has x of the *measured* motion and the measured pressures as the target (direct inverse learning), behind
+    torque; p_0 makes it exact at the start. The feedforward uses x of the reference after the lag of the valves. The
+    training uses x of the *measured* motion and the measured pressures as the target (direct inverse learning), behind
     the same two filters, whose differences are velocity and acceleration. Each period both layers take one normalised
     gradient step on the squared error e, with the Jacobian J of the network:
 
@@ -104,7 +104,7 @@ class InverseModelControl(Controller):
     one at random. Feedback-error learning (Kawato), with the output of the loops as the error, raised the worst error
     or diverged at each rate that lowered the median one.
 
-    The position loop works relative to the reference without its jumps, so that its derivative does not oppose the
+    The position loop works relative to the reference with its jumps removed, so that its derivative does not oppose the
     feedforward. The learned inverse includes friction: do not wrap this controller in `FrictionCompensation`.
 
     Parameters
@@ -214,7 +214,7 @@ class InverseModelControl(Controller):
         }
 
     def _added_stiffness(self, measurement: Measurement) -> Scalar | float:
-        """Stiffness of the loops less the isobaric one, which the inverse has [N*m/rad]."""
+        """Stiffness of the loops minus the isobaric one, which the inverse uses [N*m/rad]."""
         model, amplitude = self.loops.model, self.loops.stiffness_amplitude
         if amplitude is None:
             return 0.0

@@ -69,7 +69,7 @@ class Estimates(NamedTuple):
     valves: ValveAdaptationState | tuple[()]
     torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
     stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
-    added_stiffness: Scalar  # less the isobaric one [N*m/rad]
+    added_stiffness: Scalar  # minus the isobaric one [N*m/rad]
     friction: Scalar  # compensated torque [N*m]
     commands: Pair  # since the sample [Pa]
     actuators: tuple[Any, Any]  # states of the model of the valves
@@ -208,7 +208,7 @@ class ModelBasedControl(Controller):
         return Valves(valve, pressures, states, air, command_limits(self.model, valve))
 
     def _stiffness(self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair, isobaric: Scalar) -> Pair:
-        """Controlled stiffness by a model, and what it exceeds the isobaric one by [N*m/rad]."""
+        """Controlled stiffness by a model, and its difference from the isobaric one [N*m/rad]."""
         if self.stiffness_amplitude is None:
             return isobaric, jnp.zeros_like(isobaric)
         stiffness = model.stiffness_for(angle, pressures, self.stiffness_amplitude)

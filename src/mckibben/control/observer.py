@@ -96,7 +96,7 @@ class VelocityObserver(Observer):
 
 
 class ExtendedStateObserver(Observer):
-    r"""Angle, velocity, and all that the model has wrong as one slowly changing disturbance.
+    r"""Observer of angle, velocity, and the total model error as one slowly changing disturbance.
 
     Poles at :math:`(s + \omega_o)(s^2 + (d - 1)\,\omega_o s + \omega_o^2)`, in discrete time at
     :math:`\beta = e^{-\omega_o h}` and :math:`r e^{\pm j\varphi}`:
@@ -104,9 +104,9 @@ class ExtendedStateObserver(Observer):
     .. math:: l_1 = 1 - \beta r^2, \quad l_2 = \big((1 - \beta)(1 - r^2) + \tfrac12 (1 + \beta) m\big) / h, \quad
               l_3 = (1 - \beta)\, m / h^2, \quad m = 1 - 2 r \cos\varphi + r^2
 
-    What changes more slowly than the bandwidth omega_o [rad/s] is seen. Noise and steps of the encoder are what bounds
-    it. A damping d of 3 places all poles at one; 2, those of Butterworth, is the steady Kalman filter for white noise
-    of the angle and a disturbance of independent increments: less noise at the same error.
+    Disturbances slower than the bandwidth omega_o [rad/s] are observed; noise and steps of the encoder limit the
+    bandwidth. A damping d of 3 gives a triple pole; 2 gives Butterworth poles, those of the steady-state Kalman filter
+    for white noise of the angle and a disturbance of independent increments: less noise at the same error.
 
     References
     ----------

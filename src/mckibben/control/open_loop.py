@@ -28,7 +28,7 @@ class OpenLoopState(NamedTuple):
 
 
 class OpenLoopControl(Controller):
-    """Commanded pressures over time, whatever the joint does: for steps, and for the identification of valves.
+    """Commanded pressures over time, independent of the motion: for steps, and for the identification of valves.
 
     Parameters
     ----------

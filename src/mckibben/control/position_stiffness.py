@@ -68,14 +68,14 @@ class PositionStiffnessControl(Controller):
     position, stiffness
         Loops from angle [rad] to differential pressure, and from stiffness [N*m/rad] to co-contraction [Pa].
     model
-        Controller's model of the joint; another object than the plant's.
+        Controller's model of the joint; not the same object as the plant's.
     minimum_tension
-        Lower limit of each muscle's tension [N]; the upper one is the specimen's rated force. Both by the model at the
-        measured angle; the differential pressure has priority over the co-contraction. None, as in the paper: each
-        command is clipped by itself, and a muscle may go slack.
+        Lower limit of each muscle's tension [N]; the upper one is the specimen's rated force. Both are computed by the
+        model at the measured angle; the differential pressure has priority over the co-contraction. None, as in the
+        paper: each command is clipped separately, and a muscle may go slack.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction included
-        (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.
+        (`AntagonisticJoint.secant_stiffness`). Default: the isobaric stiffness.
     """
 
     short_name = "position_stiffness"
@@ -104,7 +104,7 @@ class PositionStiffnessControl(Controller):
         return self.step_with(None, state, setpoint, measurement, period)
 
     def init_with(self, feedforward: Feedforward | None, measurement: Measurement) -> PositionStiffnessState:
-        """Return the initial state beside a feedforward."""
+        """Return the initial state with a feedforward."""
         angle, (pressure1, pressure2) = measurement
         estimate = self.model.stiffness_for(angle, measurement.pressures, self.stiffness_amplitude)
         differential, cocontraction = (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
@@ -127,7 +127,7 @@ class PositionStiffnessControl(Controller):
         measurement: Measurement,
         period: ArrayLike,
     ) -> tuple[PositionStiffnessState, Pair]:
-        """Return the next state and the commands beside a feedforward."""
+        """Return the next state and the commands with a feedforward."""
         angle, pressures = measurement
         estimate = self.model.stiffness_for(angle, pressures, self.stiffness_amplitude)
         angle_gain, stiffness_gain = self._sensitivities(measurement, estimate)

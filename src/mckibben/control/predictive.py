@@ -48,7 +48,7 @@ class PredictiveState(NamedTuple):
 class PredictiveControl(ModelBasedControl):
     r"""Model predictive control: the trajectory of least cost within the attainable set.
 
-    Each period the cost over the next `horizon` is minimised and the first command given:
+    In each period the cost over the next `horizon` is minimised and the first command applied:
 
     .. math::
 
@@ -56,11 +56,11 @@ class PredictiveControl(ModelBasedControl):
         + \frac{\ddot e^2}{\omega_c^4}\Big) + \frac{\dddot e^2}{\omega_c^6}\Big)
         + \frac{1}{K_s^2} \Big((K - K_r)^2 + \frac{\dot K^2}{\omega_K^2}\Big) \, dt, \quad e = \theta - \theta_r
 
-    The prediction model has torque and stiffness affine in the pressures (for other laws the secant, anew each period)
-    and to second order in the angle, and valves of first order. The acceleration of the reference is predicted as a
-    sine of the frequency of its last moments, as a controller gets no preview; stiffness and disturbance are constant.
-    The pressures are limited to the law's domain, the rated force and a minimum tension at the predicted angle, and
-    their change to the speed of the valves.
+    The prediction model has torque and stiffness affine in the pressures (for other laws the secant, recomputed in each
+    period) and to second order in the angle, and valves of first order. The acceleration of the reference is predicted
+    as a sine of the frequency of its recent samples, as a controller gets no preview; stiffness and disturbance are
+    constant. The pressures are limited to the law's domain, the rated force and a minimum tension at the predicted
+    angle, and their change to the speed of the valves.
 
     Without active limits this is, up to the duration of a stage and for any horizon, the decoupled linear loop
 
@@ -91,7 +91,7 @@ class PredictiveControl(ModelBasedControl):
     stages
         Stages of the horizon; a stage is never shorter than the control period.
     iterations
-        Newton steps a period.
+        Newton steps per period.
 
     References
     ----------

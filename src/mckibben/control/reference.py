@@ -87,7 +87,8 @@ class Ramp(Signal):
 
 
 class RandomSteps(Signal):
-    """Random levels, uniformly distributed from `low` to `high`, each held for a dwell [s]; another sequence by seed.
+    """Random levels, uniformly distributed from `low` to `high`, each held for a dwell [s]; the seed selects the
+    sequence.
 
     With `longest_dwell` the dwells lie between both: changes are at the multiples of their mean, moved by a uniformly
     distributed time (jittered sampling). The numbers are words of a counter-based generator (Threefry-2x32, Salmon et
@@ -188,9 +189,9 @@ class Samples(Signal):
     def __check_init__(self) -> None:
         times, values = (shape[-1] if shape else 0 for shape in (np.shape(self.times), np.shape(self.values)))
         if times != values or times == 0:
-            raise RangeError(f"{times} times do not go with {values} values; give one value a time")
+            raise RangeError(f"{times} times do not match {values} values; give one value per time")
         if not bool(jnp.all(self.times[1:] > self.times[:-1])):
-            raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
+            raise RangeError("the times of a sampled signal must increase", remedy="sort them and remove repeats")
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.interp(floating(time), jnp.asarray(self.times), jnp.asarray(self.values))
@@ -245,7 +246,7 @@ class Sum(Signal):
 
 
 def terms(signal: Any) -> Iterator[Any]:
-    """Signals of a sum, of sums in it too; the signal itself if it is no sum."""
+    """Signals of a sum, of sums in it too; the signal itself if it is not a sum."""
     if isinstance(signal, Sum):
         for part in signal.parts:
             yield from terms(part)
@@ -270,13 +271,13 @@ def time_range_mismatch(signal: Any, duration: float) -> str:
 
 
 def as_signal(value: Signal | ArrayLike) -> Signal:
-    """Signal of a number (or one a run), or the signal itself."""
+    """Signal of a number (or one per run), or the signal itself."""
     return Constant(value) if isinstance(value, Real | np.ndarray | Array) else value  # type: ignore[arg-type]
 
 
 Scalar = Float[Array, ""]
 
-_JUMP = 1000.0  # rad/s^2: no reference accelerates beyond it, but jumps; 10 deg at 4 Hz take 110
+_JUMP = 1000.0  # rad/s^2: a faster change is a jump; a sine of 10 deg at 4 Hz needs 110
 _JERK_PERIODS = 3.0  # time constant of the jerk's filter, in periods, against rounding
 
 

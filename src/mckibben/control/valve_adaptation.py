@@ -55,18 +55,18 @@ class ValveAdaptation(Component):
         \tau \dot{\hat p} = u - \hat p,
 
     the vertex of the parabola through the best model and its neighbours. An unknown delay d of the commands, of up to
-    some 10 ms, is estimated beside it, or it would be taken for lag. The weights w are 1 up to three standard
-    deviations, and fall above them so that a larger error counts as three: what is no lag, such as a supply below the
-    commands, biases the estimate little. Without changes of the commands it stays, and returns to the model when all
-    evidence is forgotten.
+    some 10 ms, is estimated as well, or it would be mistaken for lag. The weights w are 1 up to three standard
+    deviations, and fall above them so that a larger error counts as three: other causes of error, such as a supply
+    below the commands, bias the estimate little. Without changes of the commands it stays, and returns to the model
+    when all evidence is forgotten.
 
-    Both valves are taken for equal.
+    Both valves are assumed identical.
 
     Parameters
     ----------
     time_constant_spread
-        sigma: prior standard deviation of the logarithm of the time constant [-], at most 0.6. Of 0.5, the estimate
-        stays within a factor of 4.5 from the model's.
+        sigma: prior standard deviation of the logarithm of the time constant [-], at most 0.6. With 0.5, the estimate
+        stays within a factor of 4.5 of the model's.
     pressure_error
         sigma_p: standard deviation of a measured pressure from that of a first-order lag [Pa].
     memory

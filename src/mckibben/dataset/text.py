@@ -261,7 +261,7 @@ _COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 
 
 def _is_comment(row: _Row, sheet: RawTable) -> bool:
-    """True for a comment, and a warning if it looks like a row; an error of Excel is no comment."""
+    """True for a comment, and a warning if it looks like a row; an error of Excel is not a comment."""
     if not _COMMENT.match(row.cells[0].lstrip()):
         return False
     rest = [row.cells[0].lstrip(" #"), *row.cells[1:]]

@@ -114,7 +114,7 @@ class ExperimentPlan:
         no_even = np.isnan(self.error_even)
         if self.unit:
             value = "" if self.value is None else f" {self.value / factor(self.unit):.4g} {self.unit},"
-            even = "" if no_even else f", after equally many evenly spaced ones {self._error(self.error_even)}"
+            even = "" if no_even else f", after as many evenly spaced ones {self._error(self.error_even)}"
             now, after = self._error(self.error_now), self._error(self.error_after)
             return f"{self.quantity}:{value} standard error now {now}; after these {count} {after}{even}"
         if not np.isfinite(self.error_now):
@@ -127,7 +127,7 @@ class ExperimentPlan:
 
     def rows(self) -> list[tuple[str, ...]]:
         """The points as text, headers first."""
-        head = ("", "pressure", "contraction", "direction", "pass", "force", "standard error then", "gain")
+        head = ("", "pressure", "contraction", "direction", "pass", "force", "standard error after it", "gain")
         return [
             head,
             *(
@@ -208,9 +208,9 @@ class ExperimentPlan:
         if np.isnan(self.error_even):
             return "determined"
         if not np.isfinite(self.error_even):
-            return "determined, but not after equally many evenly spaced ones"
+            return "determined, but not after as many evenly spaced ones"
         ratio = self.error_after / self.error_even
-        return f"determined, with {ratio:.2f} of the standard errors of equally many evenly spaced ones"
+        return f"determined, with {ratio:.2f} of the standard errors of as many evenly spaced ones"
 
     def _relative_error(self, error: float) -> str:
         if self.unit or not np.isfinite(error):

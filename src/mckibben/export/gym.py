@@ -1,7 +1,7 @@
 """Gymnasium environments, single and vectorised: a joint that follows references of angle and stiffness.
 
 Importing this module registers ``mckibben/Joint-v0``; ``gymnasium.make("mckibben.export.gym:mckibben/Joint-v0",
-scenario="scenario.yaml")`` imports it by itself.
+scenario="scenario.yaml")`` imports it automatically.
 """
 
 from __future__ import annotations

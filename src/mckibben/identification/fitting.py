@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import cast
 
@@ -31,6 +32,7 @@ from mckibben.muscle import Domain, ExponentialLaw, ForceLaw
 from mckibben.units import percent, show
 
 _STRONG_CORRELATION = 0.999
+_NEW_LEVEL = 5e3  # Pa: a larger change of the pressure is a new level
 _FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
 _ISOLATED = 12.0  # median differences between successive residuals: a point farther from both neighbours is an outlier
 _FEW_OUTLIERS = 0.02  # share of the points: more cannot be isolated errors
@@ -202,15 +204,20 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bool
     return warnings
 
 
+def _gaps(points: IsobaricDataset, residuals: Floats) -> Iterator[tuple[str, list[str], list[float]]]:
+    """Mean residual [N] by direction and by phase, where both ways are recorded."""
+    for column, found in (("direction", points.directions), ("phase", points.phases)):
+        words = [str(word) for word in found]
+        if len(words) > 1:
+            own = points.table[column].to_numpy()
+            yield column, words, [float(np.mean(residuals[own == word])) for word in words]
+
+
 def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> list[str]:
     """Warnings of residuals that differ by direction or phase, and so are not independent."""
     warnings = []
     rms = float(np.sqrt(np.mean(residuals**2)))
-    for column, words in (("direction", points.directions), ("phase", points.phases)):
-        if len(words) < 2:
-            continue
-        own = points.table[column].to_numpy()
-        means = [float(np.mean(residuals[own == word])) for word in words]
+    for column, words, means in _gaps(points, residuals):
         gap = max(means) - min(means)
         if gap < _FRICTION * rms:
             continue
@@ -219,19 +226,31 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
             if grouping is Grouping.STROKE
             else "the standard errors are not valid"
         )
+        remedy = (
+            "; identify the friction with identify_hysteresis (command line: --hysteresis)"
+            if column == "direction"
+            else ""
+        )
         warnings.append(
             f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "
-            f"independent from point to point, so {consequence}"
+            f"independent from point to point, so {consequence}{remedy}"
         )
     return warnings
 
 
 def _outlier_warnings(points: IsobaricDataset, residuals: Floats) -> list[str]:
-    """Warnings of single points whose residual is far from the residuals of the points measured before and after."""
+    """Warnings of single points whose residual is far from the residuals of the points measured before and after.
+
+    Where the length reverses or the pressure changes, friction reverses too: only more than the loop width counts.
+    """
     steps = np.diff(residuals)
     scatter = float(np.median(np.abs(steps))) if len(steps) >= _FEWEST_STEPS else math.inf
     before, after = steps[:-1], -steps[1:]
     apart = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    moves, changes = np.diff(points.contraction), np.abs(np.diff(points.levels)) > _NEW_LEVEL
+    reverses = (moves[:-1] * moves[1:] <= 0) | changes[:-1] | changes[1:]
+    loop = max((np.ptp(means) for _, _, means in _gaps(points, residuals)), default=0.0)
+    apart[reverses & (apart <= loop)] = 0.0
     found = np.flatnonzero(apart > _ISOLATED * scatter)
     if not 0 < len(found) <= _FEW_OUTLIERS * len(residuals):
         return []

@@ -310,8 +310,8 @@ def identify_hysteresis(
         return answer
     misfit = (
         f"{type(model.template).__name__} leaves residuals of {answer.rmse:.3g} N, {systematic:.3g} N of them shared "
-        f"by neighbouring points, against {half_gap:.3g} N of half the loop width: the misfit may pass for friction "
-        "or drift; use a law that fits better"
+        f"by neighbouring points, against {half_gap:.3g} N of half the loop width: the misfit may be mistaken for "
+        "friction or drift; use a law that fits better"
     )
     return dataclasses.replace(answer, warnings=(*answer.warnings, misfit))
 

@@ -170,7 +170,7 @@ class Ranking:
         return f"<Ranking of {len(fitted)} laws ({refused} refused) by {self.criterion}{best}>"
 
     def _repr_html_(self) -> str:
-        header = ("law", "parameters", "RMSE N", *(f"{name} CV N" for name in self.blocks), "AICc", "flags")
+        header = ("law", "parameters", "RMSE [N]", *(f"{name} CV [N]" for name in self.blocks), "AICc", "flags")
         rows = [
             (
                 entry.law,

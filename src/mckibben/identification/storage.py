@@ -1,4 +1,4 @@
-"""Fit files: YAML with a unit beside every number, in SI so that each number is read back exactly.
+"""Fit files: YAML with a unit next to every number, in SI so that each number is read back exactly.
 
 `read_law` reads a file written by hand as well: the law, its parameters and its domain suffice, and a parameter may be
 a text such as ``a2: 109 N/bar``.
@@ -28,7 +28,7 @@ from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import BoundedInt, factor, quantity, show
 
-_HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
+_HEAD = "# A force law identified by mckibben. Each number is followed by its unit; comments give published units.\n"
 
 
 def write_fit(fit: Fit, path: Path) -> None:
@@ -127,7 +127,7 @@ def _find_law(name: Any, line: int | None) -> tuple[type[ForceLaw] | None, list[
     if found is not None and found.parameters():
         return found, []
     remedy = (
-        f"{suggest(str(name), sorted(law_types()))}; for a law of your own load its module first: "
+        f"{suggest(str(name), sorted(law_types()))}; for a user-defined law, load its module first: "
         "`mckibben --extension FILE.py ...`, or a module"
     )
     return None, [Problem(f"there is no law {quoted(name)}", line, "law", remedy, value=name), *load_installed()]
@@ -154,7 +154,7 @@ _PressureUnit = Annotated[str, AfterValidator(lambda unit: _of_kind(unit, "Pa"))
 
 
 class _Section(ConfigModel):
-    """Numbers in the unit that stands beside them; other keys are ignored."""
+    """Numbers in the unit that is given with them; other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore")
     expected: ClassVar[str] = "N"

@@ -97,7 +97,7 @@ class Validation:
         return html_table(self._title, _HEADER, map(_row, self.errors))
 
 
-_HEADER = ("law", "pressure", "direction", "points", "RMSE N", "max N", "bias N", "outside domain")
+_HEADER = ("law", "pressure", "direction", "points", "RMSE [N]", "max [N]", "bias [N]", "outside domain")
 
 
 def _row(e: ErrorStatistics) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ Scalar = Float[Array, ""]
 class LegController(DiscreteTimeSystem):
     """Interface from time and measurements to pressure commands of all muscles.
 
-    A controller of a leg has references of its own: in place of a setpoint `step` is given the time [s].
+    A controller of a leg has its own references: instead of a setpoint, `step` receives the time [s].
     """
 
     @abc.abstractmethod
@@ -144,9 +144,9 @@ class PhasedReference(LegReference):
     """Setpoints by phase of a hop, with detection of touchdown, of the deepest point, and of take-off.
 
     Phases are flight; touchdown, from the first force on the foot for a set time; stance, until the angle of the
-    `extensor` joint has turned around; push-off, until the foot is free of force. Setpoints follow those of the phase
-    with a first-order lag. A push-off that is the same in each hop leads to hops of equal height, where the energy that
-    it adds is that which a hop loses: M. H. Raibert, Legged Robots That Balance, MIT Press 1986, ch. 2.
+    `extensor` joint reverses; push-off, until the force on the foot is zero. Setpoints follow those of the phase
+    with a first-order lag. A push-off that is the same in each hop leads to hops of equal height, at which it
+    adds the energy that a hop loses: M. H. Raibert, Legged Robots That Balance, MIT Press 1986, ch. 2.
 
     Parameters
     ----------

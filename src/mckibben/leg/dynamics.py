@@ -145,7 +145,7 @@ def acceleration(
 ) -> Velocity:
     """Return the accelerations under torques [N*m] of the joints and a force [N] (forward, up) at the foot.
 
-    Locked joints and motions that the trunk has not are accelerated by 0.
+    Locked joints, and motions that the trunk lacks, have an acceleration of 0.
     """
     found = frames(leg, posture, velocity)
     bodies = centres(leg)
@@ -188,20 +188,20 @@ def acceleration(
 
 
 def foot_mobility(leg: Leg, posture: Posture) -> Float[Array, "2 2"]:
-    """Return the acceleration of the foot by a force on it [1/kg], forwards and up: its inverse apparent mass."""
+    """Return the acceleration of the foot per force on it [1/kg], forwards and up: its inverse apparent mass."""
     zero = jnp.zeros(())
     still = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
 
     def moved(force: Array) -> Array:
         rates = acceleration(leg, posture, still, (0.0,) * len(leg.joints), (force[0], force[1]), 0.0)
-        point = contact(leg, frames(leg, posture, rates))  # at rest, accelerations are to forces as velocities
+        point = contact(leg, frames(leg, posture, rates))  # at rest, accelerations depend on forces as velocities do
         return jnp.stack([point.vx, point.vz])
 
     return jax.jacfwd(moved)(jnp.zeros(2))
 
 
 def joint_mobility(leg: Leg, posture: Posture) -> Float[Array, "joints joints"]:
-    """Return the accelerations of the joints by torques on them [1/(kg*m^2)]; 0 of locked joints."""
+    """Return the accelerations of the joints per torque on them [1/(kg*m^2)]; 0 for locked joints."""
     zero = jnp.zeros(())
     still = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
 

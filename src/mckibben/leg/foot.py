@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 class FootStiffness(NamedTuple):
-    """Stiffness of the foot against a trunk that is held.
+    """Stiffness of the foot with the trunk held.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def attainable_foot_stiffness(
     Raises
     ------
     UnreachableError
-        If a joint cannot have its torque; with its name and the attainable range.
+        If the torque of a joint is not attainable; with its name and the attainable range.
     """
     ranges = []
     for joint, angle, torque in zip(leg.joints, angles, torques, strict=True):

@@ -1,4 +1,4 @@
-"""Jumps from a squat: pressures and their timing that jump highest, against the best constant pressures."""
+"""Jumps from a squat: pressures and their timing for the highest jump, compared with the best constant pressures."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Jump:
     work
         Work of the muscles [J] until take-off, nominal.
     air_energy
-        Exergy [J], at room temperature, of the air in the muscles at the start and of what flows in until take-off.
+        Exergy [J], at room temperature, of the air in the muscles at the start and of the inflow until take-off.
     """
 
     schedule: PressureSchedule
@@ -94,7 +94,7 @@ class JumpStudy:
     standing
         Greatest height [m] of the centre of mass with the foot on the ground, over the ranges of the joints; nominal.
     leg_length
-        Height of the hip [m] then.
+        Height of the hip [m] in that posture.
     """
 
     scenario: LegScenario

@@ -1,4 +1,4 @@
-"""Drop landings over stiffness, drop height and valve, with what scatter of muscles and masses does to them."""
+"""Drop landings over stiffness, drop height and valve, with the effect of scatter of muscles and masses."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class LandingStudy:
     pressures
         Commands [Pa] for each stiffness, shape (stiffness, muscles).
     attainable
-        Attainable stiffness [N*m/rad] of the joint at the touch.
+        Attainable stiffness [N*m/rad] of the joint at touchdown.
     """
 
     scenario: LegScenario
@@ -79,7 +79,7 @@ class LandingStudy:
 
     @property
     def angles(self) -> tuple[float, ...]:
-        """Angles [rad] of the joints at the touch."""
+        """Angles [rad] of the joints at touchdown."""
         return self.scenario.leg.posture_angles(self._landing.touchdown)
 
     def body_weights(self, name: str = "peak_force") -> Floats:
@@ -93,7 +93,7 @@ class LandingStudy:
     def best(self) -> NDArray[np.int64]:
         """Index of the best stiffness: the softest commanded one with a force on the trunk within 2 % of the least.
 
-        Shape (valve, drop, draw). There is no margin to it: what is softer may bottom out.
+        Shape (valve, drop, draw). It has no margin: a softer one may bottom out.
         """
         forces = np.moveaxis(self.table["peak_trunk_force"].to_numpy(), 2, -1)
         return np.argmax(forces <= forces.min(axis=-1, keepdims=True) * (1 + BEST_WITHIN), axis=-1)
@@ -224,8 +224,8 @@ def study_landing(
 ) -> LandingStudy:
     """Simulate the landings of a scenario.
 
-    The leg touches the ground at the speed of the drop, in the posture `touchdown`; the commands are constant, those of
-    the nominal leg for a stiffness and no torque, as in free fall.
+    The leg touches the ground at the speed of the drop, in the posture `touchdown`; the commands are constant: those of
+    the nominal leg for a stiffness without torque, as in free fall.
 
     Parameters
     ----------
@@ -237,9 +237,9 @@ def study_landing(
     Raises
     ------
     ScenarioError
-        If there is no section `landing`, or a joint cannot have the stiffness; with the attainable range.
+        If there is no section `landing`, or the stiffness of a joint is not attainable; with the attainable range.
     FileError
-        If the journal exists, or, to be continued, is of another leg or version; if another
+        If the journal exists, or, with `resume`, belongs to another leg or version; if another
         process is computing the study; or if the disk is full.
     """
     landing = scenario.landing

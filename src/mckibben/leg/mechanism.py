@@ -28,7 +28,7 @@ StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
 Scalar = Float[Array, ""]
 
 Freedom = Literal["fixed", "vertical", "planar", "free"]
-"""Motion of the trunk: none, up and down (a slider), in the plane without pitch (a boom), or all of it."""
+"""Motion of the trunk: none, up and down (a slider), in the plane without pitch (a boom), or unconstrained."""
 
 Action = Literal["lengthens", "shortens"]
 """Change of a muscle's path as the angle of a joint increases."""
@@ -40,7 +40,7 @@ class Trunk(Component):
     Parameters
     ----------
     mass, inertia
-        Mass [kg], and inertia about the centre of mass [kg*m^2], which matters for a free trunk alone.
+        Mass [kg], and inertia about the centre of mass [kg*m^2], which matters only for a free trunk.
     centre
         Height of the centre of mass above the hip [m].
     freedom
@@ -100,11 +100,11 @@ class LegJoint(Component):
     stop_stiffness, stop_damping
         Stops: k [N*m/rad] and c [s/rad] in the torque k d (1 + c d') at a depth d [rad], never pulling.
     locked
-        Angle [rad] at which the joint is locked; movable unless given.
+        Angle [rad] at which the joint is locked. Default: movable.
     name
         Name in results and errors.
     friction
-        Friction of the joint itself; none unless given.
+        Friction of the joint itself. Default: none.
     disturbance
         External torque on the joint over time.
     """
@@ -219,7 +219,7 @@ class Leg(Component):
     foot_radius
         Radius [m] of the foot, a sphere about the end of the last link.
     side_swing
-        Joint between trunk and hip about the forward axis; for models in space alone (MuJoCo), else locked at 0.
+        Joint between trunk and hip about the forward axis; only for models in space (MuJoCo), otherwise locked at 0.
 
     Examples
     --------
@@ -263,7 +263,7 @@ class Leg(Component):
             raise RangeError(
                 f"joints {', '.join(names)}, and muscles {', '.join(self.muscle_names)}: a name is given twice",
                 field="name",
-                remedy="give each joint and each biarticular muscle a name of its own",
+                remedy="give each joint and each biarticular muscle a unique name",
             )
         for one in self.biarticular:
             for field in ("joint1", "joint2"):
@@ -351,13 +351,13 @@ class Leg(Component):
     ) -> tuple[float, ...]:
         """Return gauge pressures [Pa] of all muscles for torques [N*m] and stiffness [N*m/rad] of the joints.
 
-        Stiffness is that of a joint's own pair, None for the middle of what is attainable. Those of biarticular
+        Stiffness is that of a joint's own pair, None for the middle of the attainable range. Those of biarticular
         muscles are given; the pairs take over their torque.
 
         Raises
         ------
         UnreachableError
-            If a joint cannot have them; with its name and the attainable range.
+            If they are not attainable in a joint; with its name and the attainable range.
         """
         given = tuple(biarticular) or (0.0,) * len(self.biarticular)
         needed = [jnp.asarray(torque) for torque in torques]
@@ -393,7 +393,7 @@ def _check_paths(joint: LegJoint) -> None:
     paths = joint.muscles.geometry.path_lengths(angles)
     pair = joint.muscles
     if not isinstance(pair.tendon, RigidTendon):
-        return  # a spring takes up what is beyond the muscle
+        return  # a spring takes up lengths beyond the range of the muscle
     for number, (muscle, path) in enumerate(zip((pair.muscle1, pair.muscle2), paths, strict=True), 1):
         _check_contractions(f"{joint.name}, muscle {number}", muscle, path, [f"{a / deg:.4g} deg" for a in angles])
 

@@ -22,8 +22,8 @@ class LegMetrics(NamedTuple):
     Attributes
     ----------
     peak_force, peak_force_late
-        Largest upward force of the ground [N], and that later than 10 ms after the first touch: without the impact of
-        the foot's own mass.
+        Largest upward force of the ground [N], and the largest more than 10 ms after the first touch, without the
+        impact of the foot's own mass.
     peak_trunk_force
         Largest upward force [N] on the trunk: its mass times the acceleration of the hip, gravity included.
     deflection
@@ -32,7 +32,7 @@ class LegMetrics(NamedTuple):
         Largest torque of the stops of each joint [N*m]; above 0 it has bottomed out.
     apex
         Largest height of the centre of mass [m] that the run reaches or is on its way to when the foot is in the air,
-        after the first touch, in whichever flight; NaN if the foot stays on the ground.
+        after the first touch, in any flight; NaN if the foot stays on the ground.
     take_off_speed
         Upward speed of the centre of mass [m/s] that belongs to `apex`.
     muscle_work
@@ -87,7 +87,7 @@ LEG_UNITS = UNITS | {
 
 
 class MetricSums(NamedTuple):
-    """Metrics on their way."""
+    """Accumulated metrics."""
 
     metrics: LegMetrics
     touched: Scalar  # time since the first touch [s], below 0 before
@@ -106,16 +106,16 @@ class MetricSums(NamedTuple):
         return cls(metrics, zero - 1, first.z, first.speed, zero, zero, first.air_mass)
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:
-        """With a further sample, a period [s] later."""
+        """Metrics with a further sample, a period [s] later."""
         gravity, mass = plant.gravity, plant.leg.trunk.mass
         last, force = self.metrics, sample.ground_up
         before = self.touched < 0
         touched = jnp.where(before, jnp.where(force > 0, 0.0, -1.0), self.touched + period)
-        height = jnp.where(touched < 0, sample.z, self.height)  # at the touch that of the sample before
+        height = jnp.where(touched < 0, sample.z, self.height)  # at touchdown, that of the previous sample
         rising = jnp.maximum(sample.mass_speed, 0.0)
         ballistic = sample.mass_height + rising * rising / (2 * gravity)
         flying = (touched > 0) & (force <= 0)
-        higher = flying & (ballistic > last.apex + 1e-6)  # in flight it is constant but for rounding
+        higher = flying & (ballistic > last.apex + 1e-6)  # in flight it is constant except for rounding
         stops = zip(last.stop_torque, sample.stop_torque, strict=True)
         inflow = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
         work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(inflow)

@@ -43,7 +43,8 @@ def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, dam
     """Return k d (1 + c d') at a depth d, 0 outside and never pulling.
 
     K. H. Hunt and F. R. E. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of
-    Applied Mechanics 42 (1975), with the exponent 1: continuous at the first touch, as a damper beside a spring is not.
+    Applied Mechanics 42 (1975), with the exponent 1: continuous at the first touch, unlike a damper in parallel with a
+    spring.
     """
     pressed = jnp.maximum(jnp.asarray(depth), 0.0)
     return jnp.asarray(stiffness) * pressed * jnp.maximum(1 + jnp.asarray(damping) * rate, 0.0)
@@ -75,7 +76,7 @@ class Ground(Component):
 
 
 class LegState(NamedTuple):
-    """State of a `LegPlant`; what it lacks has no leaves, as in a `PlantState`."""
+    """State of a `LegPlant`; parts that it lacks have no leaves, as in a `PlantState`."""
 
     posture: Posture
     velocity: Velocity
@@ -145,7 +146,7 @@ class LegForces(NamedTuple):
 
 
 class LegPlant(Plant):
-    """The simulated leg, of bodies, muscles, valves, ground and sensors; controllers have no access to it.
+    """The simulated leg: bodies, muscles, valves, ground and sensors; controllers have no access to it.
 
     Parameters
     ----------
@@ -154,7 +155,7 @@ class LegPlant(Plant):
     gravity
         g [m/s^2].
     sensors
-        Sensors of angles and pressures; the force on the foot is measured as it is.
+        Sensors of angles and pressures; the force on the foot is measured exactly.
     command_delay
         Time from a command to the valves [s].
     """
@@ -278,7 +279,7 @@ class LegPlant(Plant):
             _check_inside(joint.name, "angles", angle, joint.lower, joint.upper, "rad", remedy)
         supply = getattr(self.valve, "supply", None)
         for name, muscle, pressure in zip(leg.muscle_names, leg.muscles, start.pressures, strict=True):
-            rated, remedy = muscle.specimen.domain.pressure_max, "give a pressure that muscle and supply permit"
+            rated, remedy = muscle.specimen.domain.pressure_max, "give a pressure permitted by muscle and supply"
             for what, highest in ((name, rated), (f"{name} (supply)", rated if supply is None else supply)):
                 _check_inside(what, "pressures", pressure, 0.0, highest, "Pa", remedy)
         check_positive("LegPlant", "m", zero=True, clearance=start.clearance)
@@ -316,7 +317,7 @@ class LegPlant(Plant):
         return tuple(() if joint.friction is None else joint.friction.initial(angle) for joint, angle in pairs)
 
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
-        """Return the commands [Pa] within rated pressures and supply; `RangeError` unless one for each muscle."""
+        """Return the commands [Pa] within rated pressures and supply; `RangeError` unless each muscle has one."""
         _check_count("commands", len(commands), self.leg.muscle_names)
         return super().clip_commands(commands)
 
@@ -423,7 +424,7 @@ def _check_count(field: str, given: int, names: Sequence[str]) -> None:
 
 
 def _check_inside(what: str, field: str, value: Any, lower: Any, upper: Any, unit: str, remedy: str) -> None:
-    """Raise where a given number at the start is outside its range; others pass."""
+    """Raise if a concrete number at the start is outside its range; traced ones pass."""
     if not all(isinstance(one, Real) for one in (value, lower, upper)):
         return
     if not lower - _ROUNDING[unit] <= value <= upper + _ROUNDING[unit]:

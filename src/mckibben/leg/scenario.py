@@ -47,7 +47,7 @@ class DrawSettings(ConfigModel):
     """Relative standard deviations of the strength of each muscle and of the mass of each body.
 
     All are independent; the inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors
-    of the fit as well, those with the same file alike. Fewer than 20 draws have no percentiles 5 and 95.
+    of the fit as well, those with the same file identically. Fewer than 20 draws have no 5th and 95th percentiles.
     """
 
     strength: Spread = 0.05
@@ -62,16 +62,16 @@ class LandingSettings(ConfigModel):
     Attributes
     ----------
     joint
-        Name of the joint whose stiffness varies; the others have the middle of what they can attain.
+        Name of the joint whose stiffness varies; the others have the middle of their attainable range.
     touchdown
-        Angles at the touch [rad].
+        Angles at touchdown [rad].
     stiffness
-        Commanded isobaric stiffness [N*m/rad]; unless given, `levels` of them over the attainable range.
+        Commanded isobaric stiffness [N*m/rad]. Default: `levels` values over the attainable range.
     drop
         Drop heights [m].
     time_constants
-        Time constants [s] of the valve at small changes of its command, beside constant pressures and closed valves;
-        for the volume of the first muscle.
+        Time constants [s] of the valve for small changes of its command, at the volume of the first muscle, in addition
+        to constant pressures and closed valves.
     """
 
     joint: Title
@@ -118,7 +118,7 @@ class JumpSettings(ConfigModel):
 
 
 class LegScenario(RunSettings):
-    """Leg, valves, ground, and the studies of it; `read` and `dumps` know the units.
+    """Leg, valves, ground, and studies; `read` and `dumps` know the units.
 
     Examples
     --------

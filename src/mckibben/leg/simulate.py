@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class LegProblem(NamedTuple):
-    """Everything that a run of a leg is made of; leaves are numbers, or arrays over runs."""
+    """All parts of a run of a leg; leaves are numbers, or arrays over runs."""
 
     plant: LegPlant
     controller: LegController
@@ -75,7 +75,7 @@ def simulate_leg(
     duration, control_period
         [s]; the first is a multiple of the second.
     substeps
-        Integration steps a control period.
+        Integration steps per control period.
     engine
         "native", "xla" or "auto", as for `mckibben.simulate`.
 
@@ -127,14 +127,14 @@ def simulate_legs(
         Arrays by the dotted name of a leaf, such as ``{"leg.trunk.mass": [0.9, 1.1]}``: parts of the plant,
         ``controller`` or ``start``.
     duration, control_period, substeps, engine
-        As for `simulate_leg`; forces are sampled once a control period.
+        As for `simulate_leg`; forces are sampled once per control period.
     chunk, workers, progress
         As for `mckibben.simulate_many`.
 
     Raises
     ------
     ParameterError
-        If there is no such leaf, or no number varies.
+        If a leaf does not exist, or no number varies.
     SimulationError
         If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """

@@ -1,4 +1,4 @@
-"""Legs that differ as muscles and bodies scatter: draws of the laws, of their strength, and of masses."""
+"""Draws of legs with scatter of muscles and bodies: laws, their strength, and masses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mckibben.muscle import ForceLaw, Muscle, SpringLaw
 
 
 def drawn_plant(scenario: LegScenario) -> LegPlant:
-    """Return the plant of a scenario with arrays over draws in place of what is uncertain; the first is nominal."""
+    """Return the plant of a scenario with arrays over draws in place of uncertain numbers; the first is nominal."""
     spec, plant = scenario.uncertainty, scenario.plant()
     rng = np.random.default_rng(spec.seed)
     count = spec.draws + 1
@@ -76,5 +76,5 @@ def _fit_draws(fit: Fit, rng: np.random.Generator, count: int) -> dict[str, NDAr
 
 
 def take(tree: Any, index: NDArray[np.int64]) -> Any:
-    """Return a tree whose arrays over draws are those of runs, each with the index of its draw."""
+    """Return a tree with arrays over runs in place of draws; each run has the index of its draw."""
     return jax.tree.map(lambda x: x[index] if eqx.is_array(x) and np.ndim(x) else x, tree)

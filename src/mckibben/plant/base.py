@@ -1,4 +1,4 @@
-"""What all plants have in common: actuators, sensors, delayed commands, and the integration over a control period."""
+"""Common base of all plants: actuators, sensors, delayed commands, and the integration over a control period."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class IOState(NamedTuple):
 
 
 class State(Protocol):
-    """State of a plant: a named tuple of positions, velocities, and these; what a plant lacks has no leaves."""
+    """State of a plant: a named tuple of positions, velocities, and these; parts that a plant lacks have no leaves."""
 
     @property
     def pressures(self) -> tuple[Scalar, ...]: ...
@@ -184,7 +184,7 @@ class Plant(Component):
                 value=substeps,
                 lower=math.ceil(needed),
                 remedy=f"give at least {math.ceil(needed)} substeps, a shorter control period, or "
-                f"{_SLOWER.get(what, 'what is softer or slower there')}",
+                f"{_SLOWER.get(what, 'a softer or slower component')}",
             )
 
     def begin(self, start: Any) -> Any:
@@ -202,7 +202,7 @@ class Plant(Component):
         return isinstance(self.sensors, PerfectSensors) and quiet
 
     def with_period(self, period: float) -> Self:
-        """Return the plant with states that hold the commands on their way, one each control period [s].
+        """Return the plant with states that hold the commands on their way, one per control period [s].
 
         Raises `RangeError` for a delay of more than 100 periods.
         """
@@ -236,7 +236,7 @@ class Plant(Component):
         return state._replace(pressures=tuple(self._valve.for_muscle(i).after_command(*one) for i, one in each))
 
     def arriving(self, state: State, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[Any, ...]:
-        """Return the commands [Pa] that reach the valves in a control period [s], of which new ones are sent.
+        """Return the commands [Pa] that reach the valves in a control period [s], at whose start new ones are sent.
 
         With a delay between two multiples of the period they are their mean over it.
         """
@@ -258,7 +258,7 @@ class Plant(Component):
     def advance(self, state: S, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int) -> S:
         """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
 
-        A closed form gives the pressures where there is one; motion and creep are integrated, and air.
+        The pressures follow from a closed form if there is one; motion, creep and air are integrated.
         """
         step, valve = duration / substeps, self._valve
         one_step = self._step_with_air if valve.holds_air else self._step
@@ -294,7 +294,7 @@ class Plant(Component):
         return self.project(rk4(rate, Motion.of(state), step).applied_to(state, state.pressures))
 
     def commands_for(self, state: State, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
-        """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite where none does."""
+        """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite if there are none."""
         given = enumerate(zip(state.pressures, rates, strict=True))
         valve = self._valve
         if not valve.holds_air:

@@ -27,8 +27,9 @@ class JointFriction(Component):
         a_i \leftarrow \theta - \tau_{f,i}/k_i
 
     While the joint slides in one direction the torque is tau_C against the motion, at any speed. Below tau_C the joint
-    sticks: it yields as a spring, and a constant torque moves it no further, which friction as a smooth function of the
-    velocity does not give. No sign of a velocity appears, so nothing chatters. The elements are those of `MaxwellSlip`.
+    sticks: it yields as a spring, and a constant torque moves it no further, unlike with friction that is a smooth
+    function of the velocity. No sign of a velocity appears, so nothing chatters. The elements are those of
+    `MaxwellSlip`.
 
     Parameters
     ----------
@@ -38,7 +39,7 @@ class JointFriction(Component):
         theta_0 [rad]: after a reversal about 63 % of the change from tau_C to -tau_C is reached after theta_0, 86 %
         after 2 theta_0.
     elements
-        Springs, 1 to 16. With one the torque of a joint that sticks is linear in the angle.
+        Springs, 1 to 16. With one spring, the torque of a joint that sticks is linear in the angle.
 
     References
     ----------

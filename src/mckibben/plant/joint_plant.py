@@ -33,9 +33,9 @@ _STEP = 1e-4  # rad, of the differences that give the moment arms
 class PlantState(NamedTuple):
     """State of a `JointPlant`.
 
-    `muscles` has no leaves without friction and creep, `io` none for ideal sensors, `air` none for actuators without
-    state beside the pressure, `friction` none but for a `JointFriction`, `sent` none without a delay: commands [Pa] on
-    their way, the last first.
+    `muscles` has no leaves without friction and creep, `io` none with ideal sensors, `air` none for actuators without
+    an internal state, `friction` none without a `JointFriction`. `sent` are the commands [Pa] on their way, the latest
+    first; without a delay it has no leaves.
     """
 
     angle: Scalar
@@ -49,9 +49,9 @@ class PlantState(NamedTuple):
 
 
 class JointPlant(Plant):
-    """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it.
+    """The simulated system: joint, load, valves, sensors and disturbance; controllers have no access to it.
 
-    `friction` is that of the joint itself, None for none; that of a muscle belongs to the muscle. `command_delay` is
+    `friction` is that of the joint itself (default: none); that of a muscle belongs to the muscle. `command_delay` is
     the time from a command to the valves [s]; `delay_periods`, its length in control periods, is set by `with_period`.
     """
 
@@ -163,8 +163,8 @@ class JointPlant(Plant):
     def equilibrium(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
         """Return the equilibrium at an angle [rad] with both muscles taut, relaxed and unstressed by friction.
 
-        Pressures are within the supply of the valves. The stiffness [N*m/rad] is midway between the slackest and the
-        tightest state unless given.
+        Pressures are within the supply of the valves. The default stiffness [N*m/rad] is midway between
+        those of the slackest and the tightest state.
 
         Raises
         ------

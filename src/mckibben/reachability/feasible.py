@@ -110,13 +110,14 @@ def nearest_references(
     There are up to three, without duplicates:
 
     - `Preserved.ANGLE`: shape and speed of the angle, at the largest amplitude for which some stiffness is attainable
-    throughout; the stiffness is clipped to the attainable band (and to the static one, if possible throughout) less the
-    margin at either end, with the least smoothing that the valves require.
+    throughout; the stiffness is clipped to the attainable band (and to the static one, if possible throughout) minus
+    the
+      margin at either end, with the least smoothing that the valves require.
     - `Preserved.AMPLITUDE`, if the angle is statically feasible: the whole amplitude at the highest feasible speed,
     with the stiffness clipped likewise.
     - `Preserved.STIFFNESS`: the stiffness, at the largest feasible amplitude.
 
-    All stay within the static range of angles less the margin. If even the centre of the angle is not static, it is
+    All stay within the static range of angles minus the margin. If even the centre of the angle is not static, it is
     shifted by the least amount that makes the whole amplitude static, if possible. A step of the angle is smoothed and
     returned as samples. Factors are found by bisection, assuming that a smaller or slower motion is easier to track;
     each result passes the full check.

@@ -34,7 +34,7 @@ def vented_angle(plant: JointPlant) -> float:
 
 
 def _zero(plant: JointPlant, low: float, high: float) -> float:
-    """Angle at which the torque falls through zero."""
+    """Angle at which the torque crosses zero from above."""
     angles = np.linspace(low, high, _POINTS)
     torque = np.asarray(_torque(plant, angles))
     stable = np.flatnonzero((torque[:-1] >= 0) & (torque[1:] <= 0))
@@ -124,9 +124,10 @@ class ControlProgram:
         zero: Any = jax.ShapeDtypeStruct((), float)
         state = jax.eval_shape(controller.init, Measurement(zero, (zero, zero)))
         numbers, self._states = FlatTree.like(controller), FlatTree.like(state)
+        self.layouts = numbers, self._states
         self.telemetry = tuple(sorted(jax.eval_shape(controller.telemetry, state)))
-        self._controller, self._numbers = controller, numbers.pack(controller)
-        self._step = _compiled_step(numbers, self._states)
+        self._controller, self.numbers = controller, numbers.pack(controller)
+        self._step = flat_program(step_flat, numbers.size, self._states.size, 6, static=self.layouts)
         self.init(0.0, 0.0, 0.0)  # compiles it, too
 
     def init(self, angle: float, pressure1: float, pressure2: float) -> NDArray[np.float64]:
@@ -139,7 +140,7 @@ class ControlProgram:
         Inputs: reference angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], time since the
         last step [s]; shape (6,).
         """
-        after, values = self._step(self._numbers, state, inputs)
+        after, values = self._step(self.numbers, state, inputs)
         return StepResult(after, np.asarray(values))
 
 
@@ -150,8 +151,9 @@ class PlantProgram:
         plant = numeric(plant)
         numbers = FlatTree.like(plant)
         self._states = FlatTree.like(jax.eval_shape(lambda: plant.init_state(0.0, (0.0, 0.0))))
-        self._numbers = numbers.pack(plant)
-        self._advance = _compiled_plant(numbers, self._states, substeps)
+        self.numbers = numbers.pack(plant)
+        self.layouts = numbers, self._states, substeps
+        self._advance = flat_program(advance_flat, numbers.size, self._states.size, 3, static=self.layouts)
 
     def state(self, state: PlantState) -> NDArray[np.float64]:
         """Packed state: angle [rad], velocity [rad/s], both pressures [Pa], internal states of the muscles."""
@@ -159,7 +161,7 @@ class PlantProgram:
 
     def advance(self, state: Any, command1: float, command2: float, time: float) -> NDArray[np.float64]:
         """Packed state after a time [s] under commands [Pa]."""
-        return np.asarray(self._advance(self._numbers, state, np.array([command1, command2, time])))
+        return np.asarray(self._advance(self.numbers, state, np.array([command1, command2, time])))
 
 
 @compiled
@@ -167,45 +169,41 @@ def _begin(controller: Controller, angle: Any, pressures: tuple[Any, Any]) -> An
     return controller.init(Measurement(angle, pressures))
 
 
-@functools.lru_cache(16)
-def _compiled_step(numbers: FlatTree, states: FlatTree) -> Callable[..., Any]:
-    """`step` of all controllers of a layout."""
-
-    def step(packed: Array, memory: Array, inputs: Array) -> tuple[Array, Array]:
-        control: Controller = numbers.unpack(packed)
-        angle, stiffness, measured, pressure1, pressure2, period = inputs
-        setpoint, measurement = Setpoint(angle, stiffness), Measurement(measured, (pressure1, pressure2))
-        after, commands = control.step(states.unpack(memory), setpoint, measurement, period)
-        reported = control.telemetry(after)
-        values = jnp.stack([jnp.asarray(x, float) for x in (*commands, *(reported[n] for n in sorted(reported)))])
-        return states.pack(after, jnp), values
-
-    return compile_flat(step, numbers.size, states.size, 6)
+def step_flat(numbers: FlatTree, states: FlatTree, packed: Array, memory: Array, inputs: Array) -> tuple[Array, Array]:
+    """`ControlProgram.step` of all controllers of a layout."""
+    control: Controller = numbers.unpack(packed)
+    angle, stiffness, measured, pressure1, pressure2, period = inputs
+    setpoint, measurement = Setpoint(angle, stiffness), Measurement(measured, (pressure1, pressure2))
+    after, commands = control.step(states.unpack(memory), setpoint, measurement, period)
+    reported = control.telemetry(after)
+    values = jnp.stack([jnp.asarray(x, float) for x in (*commands, *(reported[n] for n in sorted(reported)))])
+    return states.pack(after, jnp), values
 
 
-@functools.lru_cache(16)
-def _compiled_plant(numbers: FlatTree, states: FlatTree, substeps: int) -> Callable[..., Any]:
-    """`advance` of all plants of a layout."""
-
-    def advance(packed: Array, state: Array, inputs: Array) -> Array:
-        plant: JointPlant = numbers.unpack(packed)
-        return states.pack(plant.advance(states.unpack(state), (inputs[0], inputs[1]), inputs[2], substeps), jnp)
-
-    return compile_flat(advance, numbers.size, states.size, 3)
+def advance_flat(
+    numbers: FlatTree, states: FlatTree, substeps: int, packed: Array, state: Array, inputs: Array
+) -> Array:
+    """`PlantProgram.advance` of all plants of a layout; inputs: both commands and the time."""
+    plant: JointPlant = numbers.unpack(packed)
+    return states.pack(plant.advance(states.unpack(state), (inputs[0], inputs[1]), inputs[2], substeps), jnp)
 
 
 def compute_in_this_thread() -> None:
-    """Let JAX compute in the calling thread, before any computation; another takes longer than a small program."""
+    """Let JAX compute in the calling thread, before any computation; a change of threads would take longer."""
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
-def compile_flat(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile a function of arrays by the C compiler; by XLA for the CPU where that cannot be done."""
+def compile_flat(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
+    """Compile a function of static arguments and arrays by the C compiler or, if that is not possible, by XLA."""
     try:
-        return compile_alone(function, *sizes)
+        return compile_alone(function, *sizes, static=static)
     except ExportError as error:
         warn_of_fallback(error)
-        return _compile_loop(function, *sizes)
+        return _compile_loop(functools.partial(function, *static), *sizes)
+
+
+flat_program = functools.lru_cache(16)(compile_flat)
+"""`compile_flat`, once per function, sizes and static arguments."""
 
 
 def _compile_loop(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:

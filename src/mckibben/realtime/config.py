@@ -34,7 +34,7 @@ class RunConditions(NamedTuple):
     substeps, paced
         Of a simulated joint: integration steps per period, and whether it runs in real time.
     start
-        Of a simulated joint: state at which it starts, with ideal sensors; vented, with its own sensors, if None.
+        Of a simulated joint: state at which it starts, with ideal sensors; if None, vented, with its own sensors.
     """
 
     period: float

@@ -15,9 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import McKibbenError, RigError, StoppedError
+from mckibben.codegen.native import warn_of_fallback
+from mckibben.errors import ExportError, McKibbenError, RigError, StoppedError
+from mckibben.realtime.compiled_loop import compute_periods
 from mckibben.realtime.compiled_step import ControlProgram
 from mckibben.realtime.record import Phase, RowBuffer
+from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.realtime.wiring import Connected, JointReading
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
@@ -34,6 +37,7 @@ VENTED = 0.2 * bar
 
 _VENTING = 0.5  # s for which the venting is observed
 _MOST = 1000  # samples read at once
+_FEW = 50  # periods for which a chunk does not pay
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,7 @@ class RunOutcome:
     def venting(self) -> str:
         """Result of the venting, as a sentence."""
         if self.vented_after is None:
-            return "the valves were told to vent, but the pressures were not measured to fall: check before you touch"
+            return "the valves were commanded to vent, but no fall in pressure was measured: check before touching it"
         return f"both muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
 
 
@@ -169,23 +173,25 @@ def control(
     *,
     stop_flag: StopFlag | None = None,
     progress: Callable[[RunProgress], None] | None = None,
+    together: int = 1,
 ) -> RunOutcome:
     """Open a backend, run a controller on it, vent it and close it; all of it is recorded.
 
     `recorder` needs the columns of `record.columns` and is left open; `stop_flag` stops the run when it is set;
-    `progress` is called each period and must return at once. Errors that are not of mckibben are raised again, after
-    the vent.
+    `progress` is called each period and must return at once. Errors that are not from mckibben are raised again, after
+    the vent. A simulated joint that is not paced may compute many periods `together`, with the same results; `progress`
+    is then called, and `stop_flag` checked, once for all of them.
 
     Raises
     ------
     RigError
-        If the backend does not fit, before anything moves.
+        If the backend does not match, before anything moves.
     """
     connected = Connected(backend)
     _check(backend, plan, connected)
     rows = RowBuffer(recorder, program.telemetry)
     monitor = JointMonitor(backend, limits, connected.wiring.sensors, plan.period)
-    loop = ControlLoop(backend, program, plan, monitor, rows, connected, stop_flag or StopFlag(), progress)
+    loop = ControlLoop(backend, program, plan, monitor, rows, connected, stop_flag or StopFlag(), progress, together)
     error: McKibbenError | None = None
     with backend.opened():
         try:
@@ -216,11 +222,11 @@ _KINDS = {"SignalledError": "signal", "SilentError": "silent", "StoppedError": "
 
 
 def _check(backend: Backend, plan: RunPlan, connected: Connected) -> None:
-    """Raise if the backend does not fit the plan."""
+    """Raise if the backend does not match the plan."""
     if not math.isclose(backend.rate * plan.period, 1.0, rel_tol=1e-9):
         raise RigError(
-            f"the rig takes {backend.rate:g} samples a second, and the control period is {plan.period * 1e3:g} ms",
-            remedy="set both alike",
+            f"the rig takes {backend.rate:g} samples per second, and the control period is {plan.period * 1e3:g} ms",
+            remedy="set both to the same value",
         )
     if backend.patience < 3 * plan.period:
         raise RigError(
@@ -257,6 +263,7 @@ class ControlLoop:
         connected: Connected,
         stop_flag: StopFlag,
         progress: Callable[[RunProgress], None] | None,
+        together: int = 1,
     ) -> None:
         self._backend, self._program, self._plan, self._monitor = backend, program, plan, monitor
         self._rows, self._connected, self._stop_flag, self._progress = rows, connected, stop_flag, progress
@@ -268,6 +275,7 @@ class ControlLoop:
         self._stepped: int | None = None  # sample of its last step
         self._inputs = np.zeros(6)
         self._commands: tuple[float, float] | None = None
+        self._together = together if isinstance(backend, SimulatedJoint) and backend.can_run_ahead else 1
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
@@ -275,11 +283,60 @@ class ControlLoop:
         silence = self._monitor.limits.silence
         while self._next < total:
             self._stop_flag.check()
+            if self._together > 1 and self._run_ahead(self._together):
+                continue
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
             self._step(block.first, block.time.tolist(), block.volts.tolist(), backend.clock())
         end = self._next * plan.period
         while backend.clock() < end and not self._stop_flag.signal:  # the last command lasts for its period
             self.record_venting(backend.read(self._waiting(), timeout=silence))
+
+    def _run_ahead(self, most: int) -> bool:
+        """Compute, check and record periods at once; False, and nothing is changed, where that is not possible."""
+        plan, backend, first = self._plan, self._backend, self._next
+        raising = first < plan.raising
+        count = min(most, (plan.raising if raising else plan.periods) - first)
+        if self._commands is None or count < _FEW or not (raising or self._stepped == first - 1):
+            return False
+        assert isinstance(backend, SimulatedJoint)
+        numbers = np.arange(first, first + count)
+        references = plan.references[np.maximum(numbers - plan.raising - plan.settling, 0)]
+        ramp = np.zeros((count, 2))
+        if raising and self._ramp_start is not None:
+            part = ((numbers + 1) / plan.raising)[:, np.newaxis]
+            ramp = self._ramp_start + part * (np.array(plan.pressures) - self._ramp_start)
+        memory = None if raising else self._state
+        inputs = self._program, backend, self._monitor, plan.command_limits, memory, self._commands, ramp, references
+        try:
+            found = compute_periods(*inputs, self._connected.wiring.sensors, size=most)
+        except ExportError as error:
+            warn_of_fallback(error)
+            self._together = 1
+            return False
+        time = numbers * np.float64(plan.period)
+        if not (np.isfinite(found.wanted).all() and self._monitor.accept(time, found.volts, found.errors)):
+            return False
+        backend.moved_ahead(count, found.plant, found.valves)
+        self._next, self._commands = first + count, (float(found.commands[-1, 0]), float(found.commands[-1, 1]))
+        if not raising:
+            self._state, self._stepped = found.controller, first + count - 1
+        references = np.full((count, 2), np.nan) if raising else references
+        own = {
+            "sample": numbers,
+            "phase": np.array([plan.phase(number) for number in range(first, self._next)]),
+            **dict.fromkeys(("time", "read_at", "commanded_at"), time),
+            **dict(zip(("volts_angle", "volts_pressure1", "volts_pressure2"), found.volts.T, strict=True)),
+            **dict(zip(JointReading._fields, found.reading.T, strict=True)),
+            **dict(zip(("desired_angle", "desired_stiffness"), references.T, strict=True)),
+            **dict(zip(("command1", "command2"), found.commands.T, strict=True)),
+            "limited": (found.commands != found.wanted).any(axis=1) & (not raising),
+        }
+        self._rows.extend(own, found.telemetry)
+        if self._progress is not None:
+            duration, phase = plan.periods * plan.period, plan.phase(self._next - 1)
+            reading = JointReading(*found.reading[-1].tolist())
+            self._progress(RunProgress(time[-1], duration, phase, reading, float(references[-1, 0]), self._missed))
+        return True
 
     def record_venting(self, block: Block) -> None:
         """Record samples after the last period."""
@@ -297,7 +354,7 @@ class ControlLoop:
         plan, monitor, rows = self._plan, self._monitor, self._rows
         lost = first - self._next
         if lost < 0:
-            raise RigError(f"sample {first} came where {self._next} was due", remedy="check the device")
+            raise RigError(f"sample {first} came when {self._next} was due", remedy="check the device")
         last = len(times) - 1
         row, readings = self._record(first, times, volts, clock)
         self._delay = min(self._delay, clock - times[last])

@@ -22,7 +22,7 @@ from mckibben.simulation.loop import Record
 from mckibben.simulation.result import attributes
 
 _TOGETHER = 50  # rows that go to the recorder at once: 50 ms of 1 kHz
-_LONGEST = 0.1  # s that a row waits for others, where they are not as many
+_LONGEST = 0.1  # s that a row waits for others, if they are fewer
 
 
 class Phase(enum.IntEnum):
@@ -114,6 +114,11 @@ class RowBuffer:
         self._recorder.append(table)
         self._table[:] = np.nan
 
+    def extend(self, own: Mapping[str, NDArray[Any]], telemetry: NDArray[np.float64]) -> None:
+        """Record complete rows; the telemetry has the shape (rows, values)."""
+        self.flush()
+        self._recorder.append({**own, **dict(zip(self._names[_TELEMETRY:], telemetry.T, strict=True))})
+
     def event(self, kind: str, text: str, **data: Any) -> None:
         """Record an event."""
         self._recorder.event(kind, text, **data)
@@ -153,7 +158,7 @@ def measured_result(
 
 
 def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """RowBuffer without gaps: a missing sample or command has the value before it."""
+    """RowBuffer without gaps: a missing sample or command has the previous value."""
     sample = columns["sample"]
     if not sample.size:
         return dict(columns)

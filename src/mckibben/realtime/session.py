@@ -45,7 +45,7 @@ class JointRunResult(NamedTuple):
     result
         Measured trajectory, with the columns of a simulation; None if the run did not begin.
     timing
-        Timing of the loop; without meaning for an unpaced run.
+        Timing of the loop; meaningless for an unpaced run.
     priority
         Of the process: "real-time" or "ordinary".
     """
@@ -71,16 +71,22 @@ class JointSession:
     header: Mapping[str, Any]
 
     def run(
-        self, folder: str | os.PathLike[str], *, progress: Callable[[RunProgress], None] | None = None
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        progress: Callable[[RunProgress], None] | None = None,
+        together: int = 1,
     ) -> JointRunResult:
         """Run the scenario and record it in a folder that holds no record; `progress` is called each period.
+
+        A simulated joint that is not paced may compute many periods `together`, with the same results.
 
         Raises
         ------
         FileError
             If the folder cannot be written to, or holds a record.
         RigError
-            If the rig is not connected, or does not fit, before anything moves.
+            If the rig is not connected, or does not match, before anything moves.
         StoppedError
             If the folder was removed during the run, which was stopped and vented.
         """
@@ -102,6 +108,7 @@ class JointSession:
                         recorder,
                         stop_flag=stop_flag,
                         progress=progress,
+                        together=together,
                     )
             except RigError as error:
                 if outcome is None:
@@ -127,7 +134,7 @@ def prepare(
     paced: bool = True,
     ideal: bool = False,
 ) -> JointSession:
-    """Check and compile a scenario for a rig, the simulated joint unless given.
+    """Check and compile a scenario for a rig (default: the simulated joint).
 
     Parameters
     ----------
@@ -142,11 +149,11 @@ def prepare(
     Raises
     ------
     ScenarioError
-        If parts of the scenario make no sense together, or a calibration cannot be read.
+        If parts of the scenario contradict each other, or a calibration cannot be read.
     """
     rig = rig or JointRig.parse("rig: simulated")
     if ideal and rig.physical:
-        raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
+        raise ScenarioError(rig.name, [Problem("is not a simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
         plant = scenario.plant()
         hanging = vented_angle(plant)
@@ -211,7 +218,7 @@ def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[
 
 @contextmanager
 def _building(source: str, field: str) -> Iterator[None]:
-    """Say of an error which part of a scenario it is about."""
+    """Add the affected part of the scenario to an error."""
     try:
         yield
     except FileError:

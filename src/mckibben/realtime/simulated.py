@@ -6,8 +6,10 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.component.base import check_fields
 from mckibben.component.checks import check_positive
@@ -28,7 +30,7 @@ from mckibben.rig.simulated.faults import (
 )
 from mckibben.units import AngleStep, PressureNoise, deg, kPa, ms
 
-_SPIN = 80e-6  # s of spinning, by which a sleep may end late
+_SPIN = 80e-6  # s of spinning, as a sleep may end late
 _DRAWN = 1024  # samples of noise drawn at once
 _INPUTS = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
 _OUTPUTS = tuple(AnalogChannel(name, 0.0, 10.0, "simulated") for name in ("valve1", "valve2"))
@@ -61,19 +63,28 @@ PERFECT = Sensing(0.0, 0.0, 0.0)
 """Ideal sensors, as in a simulation."""
 
 
+class Ahead(NamedTuple):
+    """Period [s], packed state of the plant, commands of the valves from then on and noise of the next samples [Pa]."""
+
+    period: float
+    state: NDArray[np.float64]
+    commands: tuple[float, float]
+    noise: NDArray[np.float64]
+
+
 class SimulatedJoint(Backend):
     """The plant of a scenario as a backend: angle and two pressures in, two valves out, in volts.
 
     Samples are taken at multiples of the sampling period [s], the first when it is opened. Signals reach the valves
-    when they are set, in between, or after the plant's delay of commands; the watchdog vents without one. Unpaced, its
-    time advances only in `read`; paced, it is real time, and `read` sleeps, then spins.
+    when they are set, between two samples, or after the plant's delay of commands. Without a heartbeat the watchdog
+    vents. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps, then spins.
 
     Parameters
     ----------
     substeps
         Runge-Kutta steps per sample.
     start
-        Initial state, at constant pressures until then; unless given, vented and at rest.
+        Initial state, at constant pressures until then. Default: vented and at rest.
     patience
         Timeout of the watchdog [s].
     seed
@@ -233,8 +244,48 @@ class SimulatedJoint(Backend):
         self._wait(self._arriving(times[-1]))
         return block
 
+    @property
+    def can_run_ahead(self) -> bool:
+        """Whether nothing but commands at its samples can happen: it is not paced, and has no faults and no delay."""
+        return not (self.paced or self._faults or self._delay or self._watchdog.has_expired)
+
+    def ahead(self, count: int) -> Ahead:
+        """Return its state right after a command, and the noise of the next samples."""
+        while len(self._noise) < count:
+            self._noise = self._drawn() + self._noise  # the last ones are used first
+        noise = np.array(self._noise[-count:])[::-1]
+        return Ahead(self._period, self._state, self._pending[-1][1] if self._pending else self._commands, noise)
+
+    def moved_ahead(self, count: int, state: NDArray[np.float64], commands: tuple[float, float]) -> None:
+        """Take over the state after a number of samples, at the last of which the valves were set and it was awake."""
+        self._next += count
+        self._now = self._at = (self._next - 1) * self._period
+        self._state, self._commands = state, commands
+        self._pending.clear()
+        del self._noise[-count:]
+        self._watchdog.reset(self._now)
+
+    def channels(self) -> tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, ...], ...]]:
+        """Return gain, offset, tare and converter's ends of sensors and valves; of valves also the rated pressures."""
+        sensors = zip(self._volts_of, _INPUTS, strict=True)
+        valves = zip(self._wiring.valves, _OUTPUTS, self._rated, strict=True)
+        return (
+            tuple((*one, channel.low, channel.high) for one, channel in sensors),
+            tuple((c.gain, c.offset, c.tare, channel.low, channel.high, *rated) for c, channel, rated in valves),
+        )
+
+    @property
+    def sensing(self) -> Sensing:
+        """Its sensors."""
+        return self._sensing
+
+    @property
+    def program(self) -> PlantProgram:
+        """Its compiled plant."""
+        return self._program
+
     def pass_time(self, duration: float) -> None:
-        """Advance the time [s] without a host; unpaced."""
+        """Advance the time [s] without a host, if unpaced."""
         self._now += duration
         if self.is_open:
             self._check_watchdog(self._now)
@@ -269,7 +320,7 @@ class SimulatedJoint(Backend):
         self._integrate(until)
 
     def _integrate(self, until: float) -> None:
-        """Integrate under the present commands, in sampling periods and the rest of one."""
+        """Integrate under the present commands, in sampling periods and a remainder."""
         little = 1e-9 * self._period
         while (stretch := until - self._at) > little:
             step = self._period if stretch > self._period - little else stretch
@@ -286,7 +337,7 @@ class SimulatedJoint(Backend):
             angle = round(angle / sensing.angle_step) * sensing.angle_step
         if sensing.pressure_noise:
             if not self._noise:
-                self._noise = (self._random.standard_normal((_DRAWN, 2)) * sensing.pressure_noise).tolist()
+                self._noise = self._drawn()
             noise1, noise2 = self._noise.pop()
             pressure1, pressure2 = pressure1 + noise1, pressure2 + noise2
         volts = []
@@ -301,6 +352,10 @@ class SimulatedJoint(Backend):
                 signal = round(signal / sensing.volts_step) * sensing.volts_step
             volts.append(min(max(signal, channel.low), channel.high))
         return volts
+
+    def _drawn(self) -> list[list[float]]:
+        """Noise of the pressures [Pa]."""
+        return (self._random.standard_normal((_DRAWN, 2)) * self._sensing.pressure_noise).tolist()
 
     def _silent(self, due: float) -> bool:
         return any(isinstance(fault, SamplesStopped) and fault.at <= due for fault in self._faults)

@@ -79,7 +79,7 @@ class Connected:
             raise RigError(
                 f"the rig has no {', '.join(missing)}: its inputs are {', '.join(inputs)}, its outputs "
                 f"{', '.join(outputs)}",
-                remedy="connect them, and name the channels so",
+                remedy="connect them, and give the channels these names",
             )
         if len(outputs) != len(wiring.valves):
             raise RigError(

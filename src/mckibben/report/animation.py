@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,12 +17,14 @@ from PIL import Image
 
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
-from mckibben.plant import JointPlant
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
 from mckibben.report.style import BLUE, DESIRED, SKY, VERMILLION, draw_band, pressure_colours, robust_limits, styled
-from mckibben.simulation import Result
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
+
+if TYPE_CHECKING:
+    from mckibben.plant import JointPlant
+    from mckibben.simulation import Result
 
 FORMATS = {".webp": "WEBP", ".gif": "GIF"}
 """Format by the end of a file's name."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_kind
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
-from mckibben.joint.geometry import Pressures
 from mckibben.joint.mechanism import Mechanism, Points, Strand, muscle_sizes
 from mckibben.plant import JointPlant
 from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
 from mckibben.units import bar, deg, mm
+
+if TYPE_CHECKING:
+    from mckibben.joint.geometry import Pressures
 
 _BONE, _PLATE, _CABLE, _UNKNOWN = "#C9CED6", "#DCE1E8", "#555555", "#8FBBDD"
 SLENDER = 0.07

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,11 +14,13 @@ import numpy as np
 from mckibben.codegen import SourceModule, write_js
 from mckibben.control import Setpoint
 from mckibben.joint.geometry import KneeGeometry
-from mckibben.muscle import Muscle
-from mckibben.plant import JointPlant
-from mckibben.scenario import Scenario
 from mckibben.simulation.loop import control_period, initial_loop
 from mckibben.units import bar, factor, mm
+
+if TYPE_CHECKING:
+    from mckibben.muscle import Muscle
+    from mckibben.plant import JointPlant
+    from mckibben.scenario import Scenario
 
 _ANGLES = (-45.0, 45.0)  # deg
 _GAINS = {

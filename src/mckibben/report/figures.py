@@ -6,12 +6,12 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
+from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
 from mckibben.control import BackpropPID
 from mckibben.muscle import ChouLaw
-from mckibben.paper import Reproduction
 from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG
 from mckibben.paper.settings import FREE, SETTINGS, Setting, StiffnessReference
 from mckibben.paper.tracking import BP, PID, TUNED_BP, ControllerRun
@@ -20,6 +20,9 @@ from mckibben.report.muscle import isobaric_curves, law_comparison, measured_mus
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
 from mckibben.units import deg
+
+if TYPE_CHECKING:
+    from mckibben.paper import Reproduction
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,11 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
-from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
-from mckibben.identification.creep import CreepFit
-from mckibben.identification.hysteresis import HysteresisFit
 from mckibben.identification.loading_path import LoadingPaths
 from mckibben.identification.ranking import EXTRAPOLATION
 from mckibben.identification.relaxation import RelaxationCurves
@@ -47,6 +43,12 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.units import bar, factor, percent
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
+    from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
+    from mckibben.identification.creep import CreepFit
+    from mckibben.identification.hysteresis import HysteresisFit
 
 _SHOWN = 6  # laws whose residuals are drawn
 _LOOKS: dict[str, dict[str, Any]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,9 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
-from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
 from mckibben.control import Constant, Sine
-from mckibben.paper.identification import JointMap
 from mckibben.reachability import Design, Envelope, FeasibleReference, Preserved, StaticEnvelope
 from mckibben.report.style import (
     BLACK,
@@ -36,9 +35,13 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.simulation import Result
-from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, StiffnessTests
+from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessTests
 from mckibben.units import bar, deg, kPa
+
+if TYPE_CHECKING:
+    from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
+    from mckibben.paper.identification import JointMap
+    from mckibben.simulation import Result
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _SAMPLES_APART = 100
@@ -296,14 +299,16 @@ def stiffness(found: StiffnessTests) -> Figure:
     amplitudes = found.amplitudes / deg
     forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
     for name, secant, slope, color in forms:
-        first.plot(amplitudes, secant, color=color, label=f"{name}, closed form")
-        first.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=f"{name}, without friction")
+        first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
+        first.axhline(
+            slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=f"{SHOWN[name]}, without friction"
+        )
         test = found.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz"
             look = {"color": color, "linestyle": "", "marker": marker, "markersize": size, "fillstyle": "none"}
             first.plot(amplitudes, test.stiffness[row], label=label if color == BLUE else None, **look)
-    letter(first, 0, "held pressures, closed valves")
+    letter(first, 0, "constant pressures, closed valves")
     for i, (axes, name) in enumerate(zip(others, varied, strict=True)):
         for _, secant, _, color in forms:
             axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
@@ -312,7 +317,7 @@ def stiffness(found: StiffnessTests) -> Figure:
         for k, (rate, row) in enumerate(zip(test.frequency, values, strict=True)):
             color = shades(k / max(len(test.frequency) - 1, 1))
             axes.plot(amplitudes, row, color=color, linewidth=1.0, label=f"{rate:.2g} Hz")
-        letter(axes, i + 1, name)
+        letter(axes, i + 1, SHOWN[name])
     for axes in (first, *others):
         axes.set(xscale="log", xlabel="amplitude [deg]")
         plain_numbers(axes.xaxis)
@@ -376,7 +381,7 @@ def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -
         order = np.argsort(angle)
         over_angle.plot(angle[order] / deg, (after - before)[order], ".", color=BLUE, markersize=2)
     letter(over_time, 0, "stiffness along the recordings")
-    letter(over_angle, 1, "calibrated less before")
+    letter(over_angle, 1, "calibrated minus before")
     over_time.set(xlabel="time [s]", ylabel="stiffness [N·m/rad]")
     over_angle.set(xlabel="joint angle [deg]", ylabel="difference [N·m/rad]")
     over_angle.axhline(0.0, color=BLACK, linewidth=0.6)
@@ -402,7 +407,7 @@ def valve_calibration(found: ValveCalibration, recordings: Sequence[JointRecordi
             error = (one.pressures[:, column] - simulated[:, place]) / kPa
             over_error.plot(time[::_ERRORS_APART], error[::_ERRORS_APART], color=colour, linewidth=0.5)
         letter(over_time, number, "commands (black), measured (pale) and simulated")
-        letter(over_error, number + 1, "measured less simulated")
+        letter(over_error, number + 1, "measured minus simulated")
         over_time.set(xlabel="time [s]", ylabel="pressure [bar]")
         over_error.set(xlabel="time [s]", ylabel="error [kPa]")
         number += 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import markupsafe
 import numpy as np
@@ -14,9 +14,7 @@ from matplotlib.figure import Figure
 
 from mckibben import catalog
 from mckibben.leg.foot import attainable_foot_stiffness
-from mckibben.leg.jumping import JumpStudy
 from mckibben.leg.landing import EDGES, LandingStudy
-from mckibben.leg.mechanism import Leg
 from mckibben.report.figures import ReportFigure
 from mckibben.report.leg_player import leg_player
 from mckibben.report.page import embedded, style_sheet, template_of, write_page
@@ -36,6 +34,10 @@ from mckibben.report.style import (
 )
 from mckibben.report.tables import Table
 from mckibben.units import bar, mm, ms
+
+if TYPE_CHECKING:
+    from mckibben.leg.jumping import JumpStudy
+    from mckibben.leg.mechanism import Leg
 
 
 @styled

@@ -19,7 +19,6 @@ from PIL import Image
 from mckibben.errors import ExportError
 from mckibben.export.leg_mjcf import coordinates, leg_scene
 from mckibben.export.mujoco import import_mujoco
-from mckibben.leg import LegPlant
 from mckibben.report.animation import animation_format, write_frames
 from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, posture_of, skeleton
 from mckibben.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, styled
@@ -27,6 +26,8 @@ from mckibben.units import bar, deg, ms
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from mckibben.leg import LegPlant
 
 _SIZE = 560, 400
 """Height and width of the picture of the leg, in pixels."""

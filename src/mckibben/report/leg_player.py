@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import markupsafe
 import numpy as np
 
-from mckibben.leg import LegPlant
 from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, skeleton, straight_paths
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from mckibben.leg import LegPlant
 
 _FRAMES = 240
 _SCALE = 1e4

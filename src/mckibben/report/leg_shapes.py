@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from mckibben.export.leg_mjcf import anchors
 from mckibben.export.mjcf import Transmission, path_transmission, transmissions
 from mckibben.joint.mechanism import specimen_size
-from mckibben.leg import LegJoint, LegPlant
 from mckibben.leg.dynamics import Posture, Velocity, frames
-from mckibben.muscle import Muscle
 from mckibben.report.drawing import SLENDER
 from mckibben.report.style import VERMILLION
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from mckibben.leg import LegJoint, LegPlant
+    from mckibben.muscle import Muscle
 
 SLACK, FULL = np.array([0.80, 0.85, 0.90]), np.array(to_rgb(VERMILLION))
 """Colours of a muscle at zero pressure and at the largest pressure of a run."""

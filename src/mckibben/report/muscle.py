@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,9 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
-from mckibben.identification import Fit, Validation
 from mckibben.muscle import ForceLaw, forces
 from mckibben.report.style import (
     DIRECTIONS,
@@ -31,6 +30,10 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.units import bar, percent
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
+    from mckibben.identification import Fit, Validation
 
 _CONTRACTION, _FORCE = "contraction [%]", "force [N]"
 _MOST_CURVES = 20

@@ -7,6 +7,7 @@ import os
 import re
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jinja2
 import markupsafe
@@ -21,8 +22,10 @@ from mckibben.report.explorers import explorers
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
-from mckibben.scenario import Scenario
 from mckibben.storage.files import atomic_write
+
+if TYPE_CHECKING:
+    from mckibben.scenario import Scenario
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 

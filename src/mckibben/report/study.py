@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +15,6 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
-from mckibben.experiment_design import ExperimentPlan, PlannedPoint
 from mckibben.report.style import (
     BAND,
     BLACK,
@@ -35,11 +34,14 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.sweep import SweepResult
 from mckibben.study.sweep.result import main_metrics, spearman
-from mckibben.study.tune import TuningResult
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import bar, factor, percent
+
+if TYPE_CHECKING:
+    from mckibben.experiment_design import ExperimentPlan, PlannedPoint
+    from mckibben.study.sweep import SweepResult
+    from mckibben.study.tune import TuningResult
 
 _FEW = 12  # labelled parameters
 

@@ -12,14 +12,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import Collection
 from matplotlib.colors import ListedColormap
@@ -30,9 +29,11 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import printable
 from mckibben.storage.files import atomic_write
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
 
 SINGLE, DOUBLE = 3.5, 7.2
 """Widths of one and of two columns of a journal [inches]."""
@@ -194,6 +195,8 @@ def save(
         with atomic_write(svg, overwrite=True) as part:
             FigureCanvasSVG(figure).print_svg(part, metadata={"Date": None, "Creator": None})
         if pdf:
+            from matplotlib.backends.backend_pdf import FigureCanvasPdf  # 0.1 s
+
             with atomic_write(folder / f"{name}.pdf", overwrite=True) as part:
                 FigureCanvasPdf(figure).print_pdf(part, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
     return png, svg

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mckibben import catalog
 from mckibben.control import Sine
-from mckibben.paper import Reproduction
 from mckibben.paper.identification import FESTO, MARTENS, RIG, TEST_PRESSURES, plant_of
 from mckibben.paper.settings import (
     AS_PRINTED,
@@ -23,6 +22,9 @@ from mckibben.paper.settings import (
 )
 from mckibben.paper.tracking import CONTROLLERS, PID
 from mckibben.units import bar, deg, factor, mm, ms, percent
+
+if TYPE_CHECKING:
+    from mckibben.paper import Reproduction
 
 NAMES = {
     RIG: "simulated rig (Eq. 3 with friction)",
@@ -223,7 +225,7 @@ def _tracking_row(name: str, run: Mapping[str, Any], columns: Mapping[str, str],
     return (
         name,
         *(cell(key) for key in columns.values()),
-        f"{run['unstable']} of {seeds}" if "unstable" in run else "no seeds",
+        f"{run['unstable']} of {seeds}" if "unstable" in run else "–",
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +13,6 @@ from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.paper.tracking import ControllerRun
 from mckibben.report.style import (
     BLACK,
     BLUE,
@@ -35,9 +34,12 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.simulation import Margins, Result
 from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_band
 from mckibben.units import bar, deg
+
+if TYPE_CHECKING:
+    from mckibben.paper.tracking import ControllerRun
+    from mckibben.simulation import Margins, Result
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
 _BAND = "attainable stiffness"

@@ -1,4 +1,4 @@
-"""Interface of the hardware of a rig, and of what a protocol file names as its rig."""
+"""Interface of the hardware of a rig, and of the rig that a protocol file names."""
 
 from __future__ import annotations
 
@@ -118,18 +118,18 @@ class Backend(abc.ABC):
         finally:
             try:
                 self.vent()
-            finally:  # even where another signal comes in between
+            finally:  # even if another signal arrives in between
                 self.close()
 
     def host_watchdog(self) -> AbstractContextManager[None]:
-        """Context in which the rig is vented if this process dies; unless overridden there is none, and a warning."""
+        """Context in which the rig is vented if this process dies. Default: none, and a warning."""
         if self.physical:
-            message = f"the {self.description['kind']} rig is vented by its own watchdog alone if this process dies"
+            message = f"the {self.description['kind']} rig is vented only by its own watchdog if this process dies"
             warnings.warn(message, McKibbenWarning, stacklevel=2)
         return nullcontext()
 
     def status(self) -> Iterator[ChannelStatus]:
-        """Status of its channels, vented and at rest; each sensor is read for 0.1 s unless overridden."""
+        """Status of its channels, vented and at rest; by default, each sensor is read for 0.1 s."""
         kind = self.description["kind"]
         yield ChannelStatus("rig", "", f"{kind}, {self.rate:g} Hz, watchdog timeout {self.patience:g} s")
         with self.opened():
@@ -155,10 +155,11 @@ class MuscleRig(Keyed, abc.ABC):
 
 
 class MovingBackend(Backend, MuscleRig):
-    """A backend with a motor that stretches the muscle; a dataclass that derives from it can stand in a protocol."""
+    """A backend with a motor that stretches the muscle; a protocol can name a dataclass that derives from it."""
 
     homed: bool = False
-    """Whether opening it brings the motor to where the muscle was mounted; otherwise it stands where it was left."""
+    """Whether opening it moves the motor to the mounted position of the muscle; otherwise it stays where it was
+    left."""
 
     def __post_init__(self) -> None:
         from mckibben.component.base import check_fields
@@ -171,7 +172,7 @@ class MovingBackend(Backend, MuscleRig):
 
     @property
     def drive(self) -> Drive:
-        """The motor, its reducer and its lead screw; the paper's unless overridden."""
+        """The motor, its reducer and its lead screw. Default: the paper's."""
         from mckibben.rig.bench import Drive
 
         return Drive()
@@ -191,7 +192,7 @@ class MovingBackend(Backend, MuscleRig):
 
 
 class Watchdog:
-    """Watchdog of a rig: expires without a reset within a timeout [s], and stays so until it is started again."""
+    """Watchdog of a rig: expires without a reset within a timeout [s], and stays expired until it is restarted."""
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout

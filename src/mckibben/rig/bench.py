@@ -60,7 +60,7 @@ class Drive(Checked):
         return float(self.steps * Fraction(str(self.reduction)) / Fraction(str(self.lead)))
 
     def pulses(self, travel: float) -> int:
-        """Pulses for a travel [m]; `RangeError` if that is no whole number."""
+        """Pulses for a travel [m]; `RangeError` if that is not a whole number."""
         exact = travel * self.pulses_per_metre
         if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
             one = 1 / self.pulses_per_metre / mm
@@ -85,7 +85,7 @@ class Drive(Checked):
         rate = abs(speed) * self.pulses_per_metre
         if not 0 < rate <= self.fastest:
             raise RangeError(
-                f"{speed / mm:g} mm/s are {rate:g} pulses a second; the motor does {self.fastest:g} at most",
+                f"{speed / mm:g} mm/s are {rate:g} pulses per second; the motor does {self.fastest:g} at most",
                 value=rate,
                 lower=0.0,
                 upper=self.fastest,
@@ -101,7 +101,7 @@ class RigLimits(Checked):
 
     pressure: PositivePressure  # highest
     force: Annotated[Tension, Inherited(lambda scope: scope["muscle"].specimen.known_force_limit)]  # highest
-    stretch: Travel  # travel from where the muscle was mounted, either way
+    stretch: Travel  # travel from the mounted position, in either direction
     shorten: Travel
     pressure_rate: PressureRate = 50 * bar / s  # between the means of two cycles; not checked during venting
     pressure_error: PressureScale = 0.3 * bar  # highest deviation from the set pressure after `settling`
@@ -123,7 +123,7 @@ class JointLimits:
         Highest rates [rad/s], [Pa/s] between the means over two consecutive windows [s].
     pressure_error
         Highest deviation of a pressure from its command [Pa], low-pass filtered with the time constant `following` [s].
-        Finds a lost supply, a stuck valve, and a sensor that hangs.
+        Detects a lost supply, a stuck valve, and a frozen sensor.
     silence
         Timeout of a sample after it was due [s].
     late
@@ -193,7 +193,7 @@ class Bench:
         return max(1, round(self.rate / self.between))
 
     def pulses_at(self, contraction: float) -> int:
-        """Position of the motor at a contraction [-], from where the muscle was mounted; the nearest pulse."""
+        """Position of the motor at a contraction [-], from the mounted position, to the nearest pulse."""
         return self.drive.nearest((self.mounted_at - contraction) * float(self.specimen.initial_length))
 
     def contraction_at(self, pulses: float) -> float:

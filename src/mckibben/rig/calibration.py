@@ -94,7 +94,7 @@ class Calibration:
                 Problem(
                     f"{low:g}..{high:g} {self.unit} leaves its span {self.low:g}..{self.high:g} {self.unit}",
                     field=self.name,
-                    remedy="stay within it, or take another sensor",
+                    remedy="stay within it, or use another sensor",
                 )
             )
         if channel is not None:
@@ -143,7 +143,7 @@ class Calibration:
         checksum = form.pop("checksum", None)
         if checksum not in (None, _checksum(form)):
             remedy = "restore the file; if it was changed on purpose, leave the checksum out"
-            problems.append(Problem("does not fit: something was changed or damaged", field="checksum", remedy=remedy))
+            problems.append(Problem("does not match: the file was changed or damaged", field="checksum", remedy=remedy))
         for field, value in form.items():
             if field in cls._texts:
                 right = isinstance(value, str)
@@ -155,7 +155,7 @@ class Calibration:
                 problems.append(Problem("unknown", field=str(field)))
                 continue
             if not right:
-                problems.append(Problem(f"{quoted(value)} has no meaning", field=field))
+                problems.append(Problem(f"{quoted(value)} is not a known key", field=field))
         refuse_problems(f"calibration of {form.get('name', 'a channel')}", problems)
         values: dict[str, Any] = dict(form)
         values |= {field: float(values[field]) for field in numbers if field in values}
@@ -185,7 +185,7 @@ def calibrate(
     if read.shape != there.shape or read.ndim != 1 or not np.isfinite([read, there]).all():
         raise RigError(f"{name}: {read.size} readings for {there.size} known values", remedy="give one for each")
     if len(set(there.tolist())) < 2 or np.ptp(read) <= 0:
-        raise RigError(f"{name}: a line needs two different points", remedy="put another load on, and read again")
+        raise RigError(f"{name}: a line needs two different points", remedy="apply another load, and read again")
     reach = high - low if low * high >= 0 else min(-low, high)
     covered = float(np.ptp(there)) / reach
     if covered < coverage or there.min() < low or there.max() > high:
@@ -237,7 +237,7 @@ def read_calibrations(path: Path, units: Mapping[str, str]) -> dict[str, Calibra
         raise ScenarioError(str(path), [Problem(f"cannot be read: {error}", remedy=remedy)]) from None
     content = read_json(text, str(path))
     if not isinstance(content, dict):
-        raise ScenarioError(str(path), [Problem("is no mapping of calibrations", remedy=remedy)])
+        raise ScenarioError(str(path), [Problem("is not a mapping of calibrations", remedy=remedy)])
     found: dict[str, Calibration] = {}
     problems = [Problem("is missing", field=name, remedy=remedy) for name in units if name not in content]
     for name, form in content.items():

@@ -26,7 +26,7 @@ from mckibben.rig.steps import (
 )
 from mckibben.units import bar, mm, percent
 
-_SETTLING = 1.5  # s of a change of pressure, besides a ramp
+_SETTLING = 1.5  # s of a change of pressure, in addition to a ramp
 _HOLDING = 20.0  # s until a force is reached
 _LONGEST = 365 * 86400.0  # s of a test
 _MOST_ROWS = 10**10  # of its record
@@ -47,7 +47,7 @@ class DryRun(StepInterpreter):
         self._place, self._by_force = "", False
         self._set_pressure = 0.0
         self._slowest = 0.0, ""  # longest step [s], and its place
-        self._visited: dict[tuple[int, float], str] = {}  # position and pressure, and the step that went there
+        self._visited: dict[tuple[int, float], str] = {}  # position and pressure, and the step that reached them
 
     def bytes(self, row_size: int) -> int:
         """Disk space, with a tenth to spare."""
@@ -77,7 +77,7 @@ class DryRun(StepInterpreter):
         if sum(counts) > MOST_STEPS:
             longest = counts.index(max(counts))
             message = f"{sum(counts)} steps with all repeats are more than {MOST_STEPS}"
-            self._report(message, f"[{longest}].repeat.times", "repeat less often, or make several tests of it")
+            self._report(message, f"[{longest}].repeat.times", "repeat less often, or split it into several tests")
             return
         with contextlib.suppress(_TooLongError):
             self._do(steps)
@@ -221,10 +221,10 @@ class DryRun(StepInterpreter):
         for travel, most, key in ((stretch, limits.stretch, "stretch"), (-stretch, limits.shorten, "shorten")):
             if travel > most + 1e-9:
                 message = (
-                    f"{contraction / percent:.4g} % is {travel / mm:.4g} mm from where it was mounted, and the travel "
+                    f"{contraction / percent:.4g} % is {travel / mm:.4g} mm from the mounted position, and the travel "
                     f"is {most / mm:.4g} mm"
                 )
-                self._report(message, place, f"raise limits.{key}, if the rig has it")
+                self._report(message, place, f"raise limits.{key}, if the rig has this travel")
 
     def _check_pressure(self, pressure: float) -> None:
         domain, highest, place = self.bench.of.domain, self.bench.limits.pressure, f"{self._place}.pressure"
@@ -240,7 +240,7 @@ class DryRun(StepInterpreter):
         rate = self.bench.rate
         every = rate * acquire.duration / acquire.samples
         if every < 1 - 1e-9 or abs(every - round(every)) > 1e-6 * every:
-            message = f"{acquire.samples} samples in {acquire.duration:g} s are no whole part of {rate:g} Hz"
+            message = f"{acquire.samples} samples in {acquire.duration:g} s are not a whole part of {rate:g} Hz"
             remedy = f"take {round(rate * acquire.duration)}, or a whole part of it"
             self._report(message, f"{place}.samples", remedy)
 
@@ -249,10 +249,10 @@ class DryRun(StepInterpreter):
         step = f"its longest step {duration:.3g} s"
         if self.duration > _LONGEST:
             days = f"{self.duration / 86400:.3g} days, {step}, and {_LONGEST / 86400:g} days at most are allowed"
-            self._report(f"the test takes {days}", place, "raise the speed or rate, or make several tests of it")
+            self._report(f"the test takes {days}", place, "raise the speed or rate, or split it into several tests")
         elif self.rows > _MOST_ROWS:
             message = f"the record has {self.rows:.3g} rows, {step}, and {_MOST_ROWS:.0e} at most are allowed"
-            self._report(message, place, "sample at a lower rate, or make several tests of it")
+            self._report(message, place, "sample at a lower rate, or split it into several tests")
 
     def _check_law(self) -> None:
         """Check the force by the law at all points visited."""

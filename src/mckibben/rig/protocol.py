@@ -35,7 +35,7 @@ ForceReserve = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
 
 
 class _SetPressureRange(Quantity):
-    """Range without what is one in bar or kPa, typed as one in Pa."""
+    """Range without values in bar or kPa that were given as Pa."""
 
     def holds(self, number: Any) -> Any:
         return super().holds(number) & ((number <= 0) | (number >= LEAST_PRESSURE))
@@ -60,9 +60,9 @@ class Boundaries(NamedTuple):
 def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
     """Stroke at each pressure: "determining the boundary values" of the paper's procedure.
 
-    The whole stroke (all there is for a specimen without a law), limited at both ends:
+    The whole stroke; for a muscle with a law, limited at both ends:
 
-    - Stretched end: no plateau at which the law's force exceeds the rated force less the protocol's reserve (Eq. 3
+    - Stretched end: no plateau at which the law's force exceeds the rated force minus the protocol's reserve (Eq. 3
       gives 895 N at -3 % and 6 bar; the rating is 630 N).
     - Slack end: `slack_steps` plateaus beyond the last taut one, which show the zero of the force sensor.
 
@@ -123,7 +123,7 @@ def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 MOST_POINTS, MOST_STEPS = 100_000, 1_000_000
-"""Most points and steps of a test with all its repeats: more are refused before they are laid out."""
+"""Largest number of points and steps of a test with all its repeats: more are refused before they are expanded."""
 
 StepTravel = Annotated[float, Quantity("m", "mm", 0, 100, open_lower=True)]  # more is one in millimetres
 PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
@@ -235,15 +235,13 @@ class IsobaricProtocol(Protocol):
                     f"{', '.join(f'{p / bar:g}' for p in outside)} bar outside "
                     f"{low / bar:g}..{high / bar:g} bar of {name}",
                     field="pressures",
-                    remedy="leave out what is outside",
+                    remedy="leave out the values outside",
                 )
             )
         first, last = self.stroke(of)
         for field, end in (("contraction_min", first), ("contraction_max", last)):
             if not math.isfinite(end):
-                problems.append(
-                    Problem(f"{name} has no range of its own", field=field, remedy="give the end of the stroke")
-                )
+                problems.append(Problem(f"{name} has no range", field=field, remedy="give the end of the stroke"))
             elif not bool(domain.contains_contraction(end)):
                 problems.append(
                     Problem(
@@ -292,7 +290,7 @@ class IsobaricProtocol(Protocol):
         )
 
     def describe(self, of: Muscle | Specimen) -> str:
-        """Text of plateaus, samples and duration, which is without adjusting the device and setting the pressures."""
+        """Text of plateaus, samples and duration, without the time to adjust the device and set the pressures."""
         rows, limits = self.plateaus(of), boundaries(of, self)
         duration = round(float(rows.time[-1]) + self.acquisition)
         passes = np.bincount(rows.level) // (2 * self.repeats)
@@ -303,7 +301,7 @@ class IsobaricProtocol(Protocol):
             f"{self.samples} samples in {self.acquisition:g} s",
         ]
         lines += [
-            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, {count} plateaus a pass"
+            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, {count} plateaus per pass"
             for pressure, low, high, count in zip(*limits, passes, strict=True)
         ]
         lines.append(
@@ -316,8 +314,8 @@ class IsobaricProtocol(Protocol):
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:
     """Points of a dataset at least a travel [m] away from both ends of their stroke, in both directions.
 
-    A law fitted to both directions lies between their frictions. Just after a reversal the friction still has its sign
-    from before, which biases the fit; the points of the other direction are left out too, for balance.
+    A law fitted to both directions lies between their frictions. Just after a reversal the friction still has its
+    previous sign, which biases the fit; the points of the other direction are left out too, for balance.
 
     Raises
     ------
@@ -340,7 +338,7 @@ def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> Isob
         keep[stroke] = (contraction[stroke] - ends[0] >= margin) & (ends[1] - contraction[stroke] >= margin)
     if not keep.any():
         raise RangeError(
-            f"no point lies {travel / mm:g} mm from both ends of its stroke, which is all the points of one pressure",
+            f"no point lies {travel / mm:g} mm from both ends of its stroke, which excludes all points of one pressure",
             remedy="give a shorter travel, or the nominal pressures (set_pressure) where measured ones scatter",
         )
     return dataset.select(keep)

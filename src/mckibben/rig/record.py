@@ -55,10 +55,10 @@ def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarr
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
-    """Content of a segment's header and its columns; `DatasetError` if the file is no record of this version."""
+    """Content of a segment's header and its columns; `DatasetError` if the file is not a record of this version."""
     content = JournalReader(path, DatasetError).checked_header()
     if content is None or "columns" not in content:
-        raise DatasetError(str(path), [Problem("is no record of a rig", remedy="give the folder of `rig run --out`")])
+        raise DatasetError(str(path), [Problem("is not a rig record", remedy="give the folder of `rig run --out`")])
     if content["version"] != VERSION:
         message = f"is of version {content['version']}, and this mckibben reads version {VERSION}"
         raise DatasetError(str(path), [Problem(message, remedy="update mckibben")])
@@ -117,14 +117,14 @@ def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Colu
     there = segments(Path(folder))
     if not there:
         raise DatasetError(
-            str(folder), [Problem("holds no record of a rig", remedy="give the folder of `rig run --out`")]
+            str(folder), [Problem("contains no record of a rig", remedy="give the folder of `rig run --out`")]
         )
     content, columns = read_header(there[0])
     return content["header"], columns
 
 
 def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
-    """Rows and events of a record in order; warns of rows lost in damaged parts, raises of other gaps."""
+    """Rows and events of a record in order; warns of rows lost in damaged parts, and raises an error for other gaps."""
     expected, damaged = 0, False
     for path in segments(Path(folder)):
         _, columns = read_header(path)
@@ -170,7 +170,7 @@ def _rows(folder: str | os.PathLike[str]) -> Iterator[Rows]:
 
 
 POINT, PLACE = "point", "place"
-"""The kinds of event: a point of the data was taken; one that only found a boundary was."""
+"""The kinds of event: a point of the data was taken; a point that only found a boundary was taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +180,7 @@ class Point:
     number: int  # of all plateaus of the test, from 0
     first: int  # row of its first sample
     rows: int  # from its first to its last sample
-    every: int  # of these every such row is a sample: the card may be faster than the protocol asks
+    every: int  # every such row is a sample: the card may be faster than the protocol requires
     samples: int
     time: float  # of the first sample, by the clock of the record [s]
     pulses: int  # of the motor, from where the muscle was mounted
@@ -194,7 +194,7 @@ class Point:
     keep: bool  # whether it is a point of the dataset
 
     def to_json(self) -> dict[str, Any]:
-        """As the data of an event."""
+        """The data of an event."""
         return asdict(self)
 
     @classmethod
@@ -219,10 +219,10 @@ def recorded_points(folder: str | os.PathLike[str]) -> list[Point]:
 
 
 def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> IsobaricDataset:
-    """The dataset of a record: one row a point, with its float32 samples where all points have as many."""
+    """The dataset of a record: one row per point, with its float32 samples if all points have equally many."""
     kept = [point for point in recorded_points(folder) if point.keep]
     if not kept:
-        raise DatasetError(str(folder), [Problem("holds no point yet", remedy="resume it")])
+        raise DatasetError(str(folder), [Problem("contains no point yet", remedy="resume it")])
     counts = {point.samples for point in kept}
     shape = (len(kept), max(counts))
     force, pressure = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
@@ -233,7 +233,7 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     if not complete.all():
         lost = [point.number for point, whole in zip(kept, complete, strict=True) if not whole]
         if not complete.any():
-            raise DatasetError(str(folder), [Problem("holds samples of no point", remedy="record again")])
+            raise DatasetError(str(folder), [Problem("contains samples of no point", remedy="record again")])
         warnings.warn(
             f"{folder}: samples of the points {', '.join(map(str, lost))} are missing; they are left out",
             McKibbenWarning,

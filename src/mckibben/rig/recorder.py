@@ -1,4 +1,4 @@
-"""The recorder: every sample is on disk within a second of being taken, and stays there whatever happens to us."""
+"""The recorder: every sample is on disk within a second of being taken, and survives a crash of this process."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from mckibben.storage.journal import Journal, JournalRecord, json_record
 PERIOD = 0.25
 """Interval [s] at which appended rows are written and synced to the disk."""
 
-_MOST_PENDING = 1 << 20  # bytes: an append waits while more than that is to be written
-_RESERVE = 1 << 22  # bytes kept free for what is pending, and for the reason, when the disk is full
+_MOST_PENDING = 1 << 20  # bytes: an append waits while more than that is pending
+_RESERVE = 1 << 22  # bytes kept free for pending rows, and for the reason, when the disk is full
 _RESERVE_NAME = "reserve"
 _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
@@ -34,7 +34,7 @@ _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 class Recorder:
     """Appends samples and events to a record; a thread writes and syncs them, into a reserve if the disk is full.
 
-    As a context it is closed at the end; after an error before the first sample or event, nothing is left of it.
+    As a context it is closed at the end; after an error before the first sample or event, its file is removed.
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any], columns: Sequence[Column], first: int) -> None:
@@ -73,18 +73,20 @@ class Recorder:
         folder = make_folder(folder)
         if segments(folder):
             remedy = "resume it, or choose another folder"
-            raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
+            raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
         return cls(folder / _name(1), header, _checked(columns), 0)
 
     @classmethod
     def resume(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
-        """Continue a record in a file of its own; `FileError` if there is none, or one of other columns."""
+        """Continue a record in a new file; `FileError` if there is none, or one with other columns."""
         folder = Path(folder)
         there = segments(folder)
         if not there:
-            raise FileError(str(folder), [Problem("holds no record to go on with", remedy="begin one")])
+            raise FileError(str(folder), [Problem("contains no record to continue", remedy="begin one")])
         if read_header(there[-1])[1] != list(_checked(columns)):
-            raise FileError(str(folder), [Problem("holds a record of other columns", remedy="choose another folder")])
+            raise FileError(
+                str(folder), [Problem("contains a record with other columns", remedy="choose another folder")]
+            )
         number = int(there[-1].stem.rpartition("-")[2]) + 1
         return cls(folder / _name(number), header, columns, rows_in(folder))
 
@@ -94,13 +96,13 @@ class Recorder:
         return self._rows
 
     def append(self, table: Mapping[str, ArrayLike]) -> None:
-        """Take rows: of each column an array, all of one length, or single numbers for one row. They are copied."""
+        """Append rows: for each column an array, all of one length, or single numbers for one row. They are copied."""
         arrays = [np.array(table[column.name], column.stored, ndmin=1) for column in self.columns]
         count = len(arrays[0])
         if len(table) != len(arrays) or any(array.shape != (count,) for array in arrays):
             given = ", ".join(f"{name} {np.shape(values)}" for name, values in table.items())
             names = ", ".join(column.name for column in self.columns)
-            raise RangeError(f"no rows of {names} can be made of {given}")
+            raise RangeError(f"no rows of {names} can be made from {given}")
         if not count:
             return
         with self._change:
@@ -127,7 +129,7 @@ class Recorder:
             self._is_empty = False
 
     def flush(self) -> None:
-        """Return when everything is on the disk that was appended before."""
+        """Return when everything that was appended before is on the disk."""
         with self._change:
             self._asked += 1
             asked = self._asked
@@ -137,7 +139,7 @@ class Recorder:
             self._raise_failure()
 
     def close(self) -> None:
-        """Write what is left, and let go of the file. May be called again."""
+        """Write pending rows, and release the file. May be called again."""
         with self._change:
             self._closing = True
             self._change.notify_all()
@@ -154,7 +156,7 @@ class Recorder:
         try:
             self.close()
         except RigError:
-            if error is None:  # what went wrong first says more
+            if error is None:  # the first failure is more informative
                 raise
         if error is not None and self._is_empty:
             self.path.unlink(missing_ok=True)
@@ -184,8 +186,8 @@ class Recorder:
             try:
                 if pending and not lost:
                     self._write(self._packed(pending))
-            except Exception as error:  # whatever it is: a thread that ends here would lose the rest in silence
-                lost = True  # what comes later would stand after a gap
+            except Exception as error:  # any exception: a thread that ends here would silently lose the rest
+                lost = True  # later rows would follow a gap
                 with self._change:
                     self._failure = error
             with self._change:
@@ -195,7 +197,7 @@ class Recorder:
                     return
 
     def _packed(self, pending: list[list[np.ndarray] | JournalRecord]) -> list[JournalRecord]:
-        """Rows in a row as one chunk."""
+        """Consecutive rows as one chunk."""
         packed: list[JournalRecord] = []
         together: list[list[np.ndarray]] = []
         for one in [*pending, None]:
@@ -212,7 +214,7 @@ class Recorder:
         return packed
 
     def _write(self, records: list[JournalRecord]) -> None:
-        """Append to the journal, on a full disk in the room of the reserve."""
+        """Append to the journal; on a full disk, in the space of the reserve."""
         try:
             self._journal.append(*records)
         except OSError as error:
@@ -245,5 +247,5 @@ def _name(number: int) -> str:
 def _checked(columns: Sequence[Column]) -> Sequence[Column]:
     names = [column.name for column in columns]
     if not names or len(set(names)) < len(names):
-        raise RangeError(f"columns {names} cannot be told apart", remedy="give each its own name")
+        raise RangeError(f"columns {names} cannot be told apart", remedy="give each a unique name")
     return columns

@@ -1,4 +1,4 @@
-"""Runner of a test: steps on a rig, resumable, vented whatever happens."""
+"""Runner of a test: steps on a rig, resumable, vented in any case."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class StepInterpreter(abc.ABC):
                     self._vent()
 
     def _do_again(self, repeat: Repeat, number: int, place: str) -> bool:
-        """Do the steps of a repeat for the so manyth time; return whether that was all."""
+        """Do the steps of a repeat with a given count; return whether it was the last."""
         self._do(repeat.steps, place)
         return False
 
@@ -113,7 +113,7 @@ class StepInterpreter(abc.ABC):
 
 @dataclass
 class _Target:
-    """State that the steps have asked for, reached from the same side before the first missing point on resuming."""
+    """State that the steps have requested; on resuming, reached from the same side before the first missing point."""
 
     pressed: int = 0  # position at which the pressure was set
     turn: int = 0  # start of the present motion
@@ -149,7 +149,7 @@ class Runner(StepInterpreter):
                         rig.move_to(0, self._speed)
                     self._do(steps)
                     self._vent()
-                    for _ in range(2):  # a chunk that is damaged later must not let a finished test move again
+                    for _ in range(2):  # a chunk that is damaged later must not cause a finished test to move again
                         rig.recorder.event(DONE, "all steps are done", points=self._number, pulses=rig.pulses)
             except BaseException as error:
                 raise rig.record_stop(error) from error
@@ -252,7 +252,7 @@ class Runner(StepInterpreter):
         self.position = self._target.turn = self._target.before = self._rig.pulses
 
     def _go_live(self) -> None:
-        """On resuming, reach the state of the steps done before, from the same side."""
+        """On resuming, reach the state of the completed steps, from the same side."""
         if self._live:
             return
         self._live = True

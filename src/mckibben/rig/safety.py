@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.rig.backend import AnalogChannel, Backend, Block, MovingBackend
@@ -18,7 +19,7 @@ from mckibben.rig.calibration import Calibration
 from mckibben.storage.files import handle_signals
 from mckibben.units import bar, deg, mm, ms
 
-_BUSY = "find out what kept the device or the host busy"
+_BUSY = "find out what delayed the device or the host"
 _PLUG = "check its plug and its supply"
 _SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
@@ -168,7 +169,7 @@ class SafetyMonitor:
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
-        """Stop before an exception leaves the block, whatever it is."""
+        """Stop before any exception leaves the block."""
         try:
             yield
         except BaseException:
@@ -184,7 +185,7 @@ class SafetyMonitor:
         try:
             begun = backend.clock() if self.stopped_at is None else self.stopped_at
             newest = self._time if self._time is not None else begun
-            left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even where its clock stands still
+            left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even if its clock stands still
             while left > 0:
                 waiting = int((backend.clock() - newest) * rate)
                 block = backend.read(min(max(waiting, samples), _MOST), timeout=timeout)
@@ -224,7 +225,7 @@ class SafetyMonitor:
         before, self._time = self._time, last
         if before is not None and not first > before:
             raise StoppedError(
-                f"the time of the samples goes back, from {before:.6g} s to {first:.6g} s",
+                f"the time of the samples jumps back, from {before:.6g} s to {first:.6g} s",
                 remedy="check the device and its driver",
             )
         if before is not None and not first - before <= self._maximum_age:
@@ -266,6 +267,7 @@ class SafetyMonitor:
 
 
 _MOST = 1000  # samples read at once
+_ROUNDING = 1e-6  # of rates, by sums over many samples
 
 
 def _add(sums: list[float], row: Sequence[float], sign: float) -> None:
@@ -353,7 +355,7 @@ class RigMonitor(SafetyMonitor):
 
     def check_block(self, block: Block, clock: float) -> BlockMeans:
         """Means of a block, if no limit is exceeded; `clock` is that of the backend after reading [s]."""
-        columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as quick along the last axis
+        columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as fast along the last axis
         self.sums = columns.sum(axis=1)
         pulses = block.pulses[[0, -1]]
         first, last = float(block.time[0]), float(block.time[-1])
@@ -417,3 +419,47 @@ class JointMonitor(SafetyMonitor):
                     unit="Pa",
                     remedy="check the supply, the valve, the muscle and the sensor",
                 )
+
+    def accept(self, time: NDArray[np.float64], volts: NDArray[np.float64], errors: NDArray[np.float64]) -> bool:
+        """Check samples at once: times [s], volts of all inputs, and filtered errors of the pressures [Pa] at them.
+
+        False if one may be beyond a limit, and then nothing is changed: `check_sample` has the error.
+        """
+        values = []
+        for one in self.signals:
+            column = volts[:, one.column]
+            value = column * one.gain + one.zero
+            inside = (column >= one.low) & (column <= one.high) & (value >= one.lower) & (value <= one.upper)
+            if not inside.all():
+                return False
+            values.append(value)
+        gaps = np.diff(time, prepend=time[0] if self._time is None else self._time)
+        if not (np.all(gaps[1:] > 0) and np.all(gaps <= self._maximum_age)):
+            return False
+        if not np.all(np.abs(errors) <= self.limits.pressure_error):
+            return False
+        width, before = self._width, len(self._recent)
+        rows = np.stack([time, *(values[k] for k, _ in self._rated)], axis=1)
+        rows = np.concatenate([np.array(self._recent).reshape(before, rows.shape[1]), rows])
+        sums = np.concatenate([np.zeros((1, rows.shape[1])), rows.cumsum(axis=0)])
+        newer = sums[2 * width :] - sums[width:-width]
+        change = (newer - (sums[width:-width] - sums[: -2 * width]))[max(before + 1 - 2 * width, 0) :]
+        elapsed = np.maximum(change[:, 0], 1e-9)
+        for k, (_, one) in enumerate(self._rated, start=1):
+            if not np.all(np.abs(change[:, k]) / elapsed <= one.rate * (1 - _ROUNDING)):
+                return False
+        self._recent.extend(rows[-2 * width :].tolist())
+        self._newer = rows[-width:].sum(axis=0).tolist()
+        self._older = rows[-2 * width : -width].sum(axis=0).tolist()
+        self._time, self._errors = float(time[-1]), errors[-1].tolist()
+        return True
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Filtered errors of the pressures from their commands [Pa]."""
+        return self._errors[0], self._errors[1]
+
+    @property
+    def share(self) -> float:
+        """Part of a new error in the filtered one."""
+        return self._share

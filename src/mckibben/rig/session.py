@@ -26,7 +26,7 @@ _SPEED = 0.2 * mm  # m/s: its highest speed
 
 
 class Progress(NamedTuple):
-    """Progress of a test: time of the rig [s], latest measurement, set point, number of points taken."""
+    """Progress of a test: time of the rig [s], latest measurement, setpoint, number of points taken."""
 
     time: float
     latest: BlockMeans
@@ -78,7 +78,7 @@ class RigSession:
         self._points = 0
 
     def begin(self) -> None:
-        """Vent and wait: no pressure is set and nothing is moved before the muscle is measured to be empty."""
+        """Vent and wait: no pressure is set and nothing moves before the muscle is measured to be empty."""
         self.recorder.event("opened", "", **self.backend.description)
         self.vent_and_wait()
 
@@ -225,7 +225,7 @@ class RigSession:
                 monitor.heartbeat()
         except BaseException:
             if block is not None:
-                with contextlib.suppress(RigError):  # the reason of the stop says more
+                with contextlib.suppress(RigError):  # the reason for the stop is more informative
                     self._record(block, 1, plateau)
             raise
         self.pulses = int(block.pulses[-1]) + self._origin
@@ -270,7 +270,7 @@ class RigSession:
             timeout=bench.cycle,
         )
         if found.pressure is None:
-            vented = "the valve was told to vent, but no sensor shows that it did"
+            vented = "the valve was commanded to vent, but no sensor confirms it"
         elif found.duration is not None:
             vented = "the muscle is vented"
         else:
@@ -286,7 +286,7 @@ class RigSession:
         return StoppedError(text)
 
     def _note(self, do: Callable[[], object], said: list[str]) -> None:
-        """Do something for the record; a failure must not keep from venting, and is reported once."""
+        """Write to the record; a failure must not prevent venting, and is reported once."""
         try:
             do()
         except Exception as error:

@@ -20,7 +20,7 @@ _HEAD = """\
 
 
 def read_specimen(path: str | os.PathLike[str]) -> Specimen:
-    """Return the specimen of a file, of its own or that of a muscle; `ScenarioError` with all problems."""
+    """Return the specimen of a specimen file or a muscle file; `ScenarioError` with all problems."""
     return read_component(Specimen, Path(path), key="specimen")
 
 

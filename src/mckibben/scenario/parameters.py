@@ -28,7 +28,7 @@ _TIMING = "it is one number for all runs of a study"
 _COMPILED = "it sets the size of what is compiled"
 _IN_FILE = "change it in the file"
 _UNSET = {"strength": 1.0, "command_delay": 0.0}
-"""What stands for None."""
+"""Values that None stands for."""
 
 
 @dataclass

@@ -50,7 +50,7 @@ ReferencePart = Annotated[Reference, Part(Reference)]
 class RunSettings(DocumentModel):
     """Base of documents with a plant and the timing of its runs.
 
-    The key `packages` has the installed packages of classes that are not ours, with the versions that wrote the text.
+    The key `packages` has the installed packages of user-defined classes, with the versions that wrote the text.
     """
 
     @model_validator(mode="before")
@@ -106,23 +106,23 @@ class Start(ConfigModel):
 
 
 def model_scope(plant: Any) -> dict[str, Any]:
-    """Parts of a scenario or suite that a controller's model has where its file does not give others."""
+    """Parts of a scenario or suite that are the defaults of a controller's model."""
     return {name: getattr(plant, name) for name in ("joint", "load", "valve", "command_delay")}
 
 
 class Scenario(RunSettings):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
-    Its parts are the objects that are simulated: read from a file, or made in Python. What a controller of a file does
-    not state of its model, it takes from the plant (`control`). Scenarios compare by value.
+    Its parts are the objects that are simulated: read from a file, or made in Python. Parts of a controller's
+    model that its file does not give are taken from the plant (`control`). Scenarios compare by value.
 
     Attributes
     ----------
     joint, load, valve, sensors, disturbance, friction
         The plant; ideal valves and sensors, no disturbance torques and no friction of the joint itself by default.
     command_delay
-        Time from a command to the valves [s], None for none; in between two multiples of the control period a valve
-        gets the mean command over it.
+        Time from a command to the valves [s], None for none; between two multiples of the control period, a valve
+        receives the mean of the delayed command over each period.
     controller, signals
         Controller, and reference; ``reference`` in the text and as an argument.
     start
@@ -163,7 +163,7 @@ class Scenario(RunSettings):
         if ours and getattr(info.data.get("valve"), "direct", None):
             fail_validation(
                 "commands pressures, but the valve has `direct` commands, which are openings",
-                "leave `direct` out, or name a controller class of your own",
+                "leave `direct` out, or use a user-defined controller",
             )
         return value
 
@@ -182,7 +182,7 @@ class Scenario(RunSettings):
         return JointPlant(self.joint, self.load, self.valve, **{name: getattr(self, name) for name in names})
 
     def control(self) -> Controller:
-        """Return the controller; what its file does not state of its model is taken from this scenario's plant."""
+        """Return the controller; parts of its model that its file does not give are those of this scenario's plant."""
         return inherit(self.controller, model_scope(self))
 
     def with_fixed_model(self) -> Scenario:

@@ -162,8 +162,8 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known 
     """A batch of scenarios, with arrays of shape (n,) for the varied parameters.
 
     The objects built from it (`plant`, `control`, `reference`) have these arrays among their leaves. Such a scenario
-    can be neither written nor compared. A controller's model that is taken from the plant stays the nominal one, but
-    for the `known` plant parameters, "all" for all of them.
+    can be neither written nor compared. A controller's model that is taken from the plant stays nominal, except
+    for the `known` plant parameters ("all": all of them).
 
     Raises
     ------
@@ -267,7 +267,7 @@ def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[Scenari
     lengths = {parameter.name: len(column) for parameter, column in columns.items()}
     if len(set(lengths.values())) > 1:
         given = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise ParameterError(f"columns differ in length: {given}", remedy="give one value a row in each")
+        raise ParameterError(f"columns differ in length: {given}", remedy="give one value per row in each")
     return columns
 
 
@@ -279,12 +279,14 @@ def _column(parameter: ScenarioParameter, values: ArrayLike) -> NDArray:
         given = np.empty(0)
     if given.ndim != 1 or given.size == 0 or given.dtype.kind not in "fiu":
         raise ParameterError(
-            f"the values of {parameter.name} are no column of numbers", value=values, remedy="give one number a row"
+            f"the values of {parameter.name} are not a column of numbers",
+            value=values,
+            remedy="give one number per row",
         )
     bad = np.flatnonzero(~np.asarray(parameter.holds(given)))
     if bad.size:
         value = given[bad[0]].item()
-        shown = f"{value:g}, no whole number of" if parameter.is_integer else f"{parameter.show(value)}, outside"
+        shown = f"{value:g}, not a whole number of" if parameter.is_integer else f"{parameter.show(value)}, outside"
         raise ParameterError(
             f"{_row(bad[0], len(given))}{parameter.name} is {shown} {parameter.range}",
             value=value,
@@ -315,7 +317,7 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     Raises
     ------
     ScenarioError
-        If the text is no scenario.
+        If the text is not a scenario.
     ParameterError
         As for `with_values`.
 

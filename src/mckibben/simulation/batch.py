@@ -117,11 +117,11 @@ def simulate_many(
     engine: str = "auto",
     progress: Progress | None = None,
 ) -> Batch:
-    """Run a controller on a plant many times; the numbers are those of `simulate` one by one.
+    """Run a controller on a plant many times; the results equal those of `simulate` for each run.
 
     Runs differ in any numeric leaves: arrays of shape (runs,) in place of numbers in `plant`, `controller`,
     `reference` or `initial`, or a table of values in `over`. All share one compiled program, are computed in chunks on
-    all cores, and are reduced to metrics on the way, so that memory does not grow with their number or duration.
+    all cores, and are reduced to metrics during the run, so that memory does not grow with their number or duration.
 
     Parameters
     ----------
@@ -131,17 +131,17 @@ def simulate_many(
         Arrays by the dotted name of a leaf, such as ``{"load.mass2": [0.4, 0.5]}``: parts of the plant as in a
         scenario, ``controller``, ``reference`` or ``initial``.
     metrics
-        Metrics to compute. ``coupling`` costs a second run from the step of the stiffness on.
+        Metrics to compute. ``coupling`` needs a second run from the stiffness step on.
     keep, every
         Names of `Trajectory` to keep over time, and the time between two values [s], by default the control period.
     chunk
-        Runs computed together: 1024 unless given, 256 by XLA, fewer where that would leave cores idle. Answers of
+        Runs computed together. Default: 1024, 256 by XLA, fewer where that would leave cores idle. Results with
         different chunk sizes agree to 1e-12; they do not depend on the number of runs or workers.
     workers
-        Threads; one per core unless given.
+        Threads. Default: one per core.
     engine
-        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", the first where it can be used.
-        The attribute ``engine`` of the table says which one it was. Their numbers differ by rounding.
+        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", native if possible.
+        The attribute ``engine`` of the table names the one used. Their results differ by rounding.
     progress
         Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
@@ -153,7 +153,7 @@ def simulate_many(
     Raises
     ------
     ParameterError
-        If there is no such leaf, or the arrays are of different lengths, or there is none.
+        If a leaf does not exist, or the arrays differ in length or are missing.
     SimulationError
         If an argument is of the wrong type, the times do not fit together, or a name is not known.
 
@@ -197,6 +197,8 @@ def simulate_many(
         workers=workers,
         engine=engine,
         precision=asked.precision,
+        numbers=len(asked.keep) * times.size // stride
+        + times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference)),
         progress=progress,
     )
     table = _table(columns, over or {}, times[::stride], asked)
@@ -208,7 +210,7 @@ def _warn_of_substeps(
 ) -> None:
     """Warn of too few substeps where friction or flow, which are bounded, keeps runs from diverging.
 
-    Looked at are the first run, and those with the lowest and the highest value of each varied number of the plant.
+    Checks the first run, and those with the lowest and the highest value of each varied number of the plant.
     The text names no run, as in a part of a sweep it has another number, and is the same for most parts.
     """
     plant = eqx.combine(lanes, shared).plant
@@ -239,7 +241,7 @@ class _Asked(NamedTuple):
 
 
 class _Beginnings(NamedTuple):
-    """What is known of runs before they begin; setpoints and changes are shared where the reference is."""
+    """Quantities of runs that are known before they begin; setpoints and changes are shared where the reference is."""
 
     setpoints: Setpoint  # with runs along the last axis: a row is what one control period needs
     changes: Change

@@ -48,8 +48,8 @@ _LANES = 8  # runs computed together: one vector of 64-bit numbers
 class Mode(enum.Enum):
     """Mode of automatic differentiation; both give the same derivatives, to rounding."""
 
-    FORWARD = "one tangent per parameter, beside the run"
-    REVERSE = "one backward pass per metric, with each control period computed again"
+    FORWARD = "one tangent per parameter, alongside the run"
+    REVERSE = "one backward pass per metric, with each control period recomputed"
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,7 +96,7 @@ def differentiate(
     metrics
         Names of `Metrics`.
     mode
-        Forward up to ten numbers, reverse beyond, unless given.
+        Default: forward up to ten numbers, reverse beyond.
 
     Raises
     ------
@@ -146,7 +146,7 @@ class _Asked(NamedTuple):
 
 
 def _in_order(asked: _Asked, values: dict[str, Any], gradients: dict[str, dict[str, Any]]) -> Derivatives:
-    """In the order asked for; compiled programs sort their dictionaries."""
+    """In the requested order; compiled programs sort their dictionaries."""
 
     def slope(metric: str, name: str) -> Any:
         """Derivative; NaN where the metric is."""
@@ -285,5 +285,5 @@ def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked:
 
 
 def _split(change: Change, times: ArrayLike, asked: _Asked) -> Array | None:
-    """Period from which the run without the last change of the stiffness is computed too, where that is asked for."""
+    """Period from which the run without the last change of the stiffness is computed too, if it is needed."""
     return jnp.where(change.ends, change.at, jnp.size(times)) if "coupling" in asked.metrics else None

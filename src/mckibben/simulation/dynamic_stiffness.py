@@ -128,7 +128,7 @@ def dynamic_stiffness(
     amplitude, frequency
         Of the motion [rad], [Hz]. A cycle is rounded to a multiple of 100 control periods.
     controller, setpoint
-        Controller at work, and its constant setpoint; without it the commands remain the pressures at the start,
+        Active controller, and its constant setpoint; without it the commands remain the pressures at the start,
         or openings of 0.
     control_period, substeps, cycles
         Control period [s], integration steps in it, and number of cycles.
@@ -140,7 +140,7 @@ def dynamic_stiffness(
 
     Examples
     --------
-    Pressures held, and valves closed:
+    Constant pressures, and closed valves:
 
     >>> from mckibben import IdealValve, catalog
     >>> from mckibben.units import deg
@@ -160,7 +160,7 @@ def dynamic_stiffness(
     if np.any(each < 1):
         highest = 1 / (_SAMPLES * control_period)
         raise RangeError(
-            f"a frequency of {frequencies.max():g} Hz has less than {_SAMPLES} control periods in a cycle",
+            f"a frequency of {frequencies.max():g} Hz has fewer than {_SAMPLES} control periods in a cycle",
             field="frequency",
             value=float(frequencies.max()),
             upper=highest,

@@ -1,4 +1,4 @@
-"""Runs by XLA, or by the C compiler of the machine: one, or many in chunks."""
+"""Runs by XLA, by the C compiler of the machine, or many on a CUDA device: one, or many in chunks."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
+from mckibben.codegen.cuda import CudaFunction, device
 from mckibben.codegen.native import NativeFunction, compiler, warn_of_fallback
 from mckibben.control.base import DiscreteTimeSystem
-from mckibben.errors import ExportError, ParameterError, SimulationError, quoted
+from mckibben.errors import DeviceError, ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
 from mckibben.numerics.compiled import compiled_batch
@@ -24,27 +25,34 @@ CHUNK = 256
 NATIVE = 1024
 """Runs per chunk of the native engine, which computes one vector of them after the other."""
 ON_ACCELERATOR = 16384
-"""Runs per chunk on an accelerator."""
+"""Runs per chunk of XLA on an accelerator."""
+ON_CUDA = 65536
+"""Runs per chunk of CUDA, one thread each: they fill the largest devices."""
+MOST_NUMBERS = 2**28
+"""Numbers of a chunk of CUDA in memory."""
 VECTOR = 16
 """Smallest chunk: one vector of 32-bit numbers."""
 
-ENGINES = ("auto", "native", "xla")
-"""Engines: programs emitted as C and compiled by the machine's compiler, XLA's, or the first where it can be used."""
+ENGINES = ("auto", "native", "xla", "cuda")
+"""Engines: programs emitted as C and compiled by the machine's compiler, XLA's, or the first if it can be used; or
+batches emitted as CUDA kernels, which are never chosen automatically."""
 
 
 def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False) -> str:
-    """The engine to be tried: "native" or "xla"; raises `ParameterError` for a wrong one, or one that is not there."""
+    """The engine to be tried: any but "auto"; raises `ParameterError` for an unknown or unavailable one."""
     if engine not in ENGINES:
         raise ParameterError(
-            f"{quoted(engine)} is no engine", field="engine", value=engine, remedy=f"give {', '.join(ENGINES)}"
+            f"{quoted(engine)} is not an engine", field="engine", value=engine, remedy=f"give {', '.join(ENGINES)}"
         )
-    if engine == "xla":
+    if engine == "cuda":
+        _check_cuda(many)
+    if engine in ("xla", "cuda"):
         return engine
     missing = ""
     if compiler() is None:
         missing = "there is no C compiler"
     elif np.dtype(precision) != np.float64 and not many:
-        missing = "it has 32 bits for batches only"
+        missing = "it supports 32 bits only in batches"
     elif jax.default_backend() != "cpu":
         missing = "runs are computed on an accelerator"
     if missing and engine == "native":
@@ -54,11 +62,30 @@ def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False
     return "xla" if missing else "native"
 
 
+def _check_cuda(many: bool) -> None:
+    """Raise `ParameterError` unless batches can be computed on a CUDA device."""
+    missing, remedy = "it computes batches only", "use 'auto', 'native' or 'xla'"
+    if many:
+        try:
+            device()
+            return
+        except DeviceError as error:
+            missing, remedy = error.message, error.remedy
+    raise ParameterError(f"the engine 'cuda' cannot be used: {missing}", field="engine", value="cuda", remedy=remedy)
+
+
 def compute_with(
-    engine: str, precision: Any, native: Callable[[], R], xla: Callable[[], R], *, many: bool = False
+    engine: str,
+    precision: Any,
+    native: Callable[[], R],
+    xla: Callable[[], R],
+    cuda: Callable[[], R] | None = None,  # of batches
 ) -> tuple[R, str]:
     """Result and engine of a computation; "auto" takes XLA where the native one cannot be used."""
-    if check_engine(engine, precision, many=many) == "native":
+    chosen = check_engine(engine, precision, many=cuda is not None)
+    if cuda is not None and chosen == "cuda":
+        return cuda(), chosen
+    if chosen == "native":
         try:
             return native(), "native"
         except ExportError as error:
@@ -90,13 +117,13 @@ def native_episode(parts: Any, _: None) -> Record:
 
 
 class BatchFunction:
-    """A pure function of a shared tree and of one for each run, compiled for many runs, by either engine.
+    """A pure function of a shared tree and of one for each run, compiled for many runs, by any engine.
 
     Arrays of the second tree have the runs along their last axis, as do the results.
     """
 
     def __init__(self, function: Callable[[Any, Any], Any]) -> None:
-        self._function, self._native = function, NativeFunction(function)
+        self._function, self._native, self._cuda = function, NativeFunction(function), CudaFunction(function)
 
     def __call__(self, engine: str, shared: Any, lanes: Any, precision: Any = np.float64) -> tuple[Any, str]:
         """Results, and the engine that computed them."""
@@ -106,7 +133,7 @@ class BatchFunction:
             precision,
             lambda: self._native(shared, lanes, single=single),
             lambda: _by_xla(self._function, shared, lanes),
-            many=True,
+            lambda: self._cuda(shared, lanes, single=single),
         )
 
 
@@ -128,13 +155,15 @@ def compute_chunks(
     workers: int | None = None,
     engine: str = "auto",
     precision: Any = np.float64,
+    numbers: int = 1,
     progress: Progress | None = None,
 ) -> tuple[R, str]:
     """Results of many runs in their order, along the first axis, and the engine that computed them.
 
-    `compute` gets a chunk of the lanes, whose arrays have the runs along the last axis, as its results have.
+    `compute` gets a chunk of the lanes, whose arrays have the runs along the last axis, as its results have; `numbers`
+    is the size of the arguments and results of a run.
     """
-    size = chunk_size(chunk, count, workers, engine, precision)
+    size = chunk_size(chunk, count, workers, engine, precision, numbers)
 
     def piece_of(piece: slice) -> tuple[Any, str]:
         part = jax.tree.map(lambda x: np.moveaxis(x, 0, -1), pad_chunk(lanes, piece, size))
@@ -153,18 +182,26 @@ def compute_chunks(
 
 
 def check_count(what: str, count: int) -> int:
-    """A number of something; `SimulationError` unless it is an integer from 1 up."""
+    """A count; `SimulationError` unless it is an integer from 1 up."""
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise SimulationError(f"{count} {what}", value=count, remedy="give an integer from 1 up")
     return count
 
 
-def chunk_size(chunk: int | None, count: int, workers: int | None, engine: str, precision: Any = np.float64) -> int:
-    """Runs per chunk: the best number of the engine, fewer where that leaves cores idle."""
+def chunk_size(
+    chunk: int | None,
+    count: int,
+    workers: int | None,
+    engine: str,
+    precision: Any = np.float64,
+    numbers: int = 1,
+) -> int:
+    """Runs per chunk: the best number of the engine, fewer where that leaves cores idle or needs too much memory."""
     workers = cores() if workers is None else check_count("workers", workers)
-    native = check_engine(engine, precision, many=True) == "native"
+    engine = check_engine(engine, precision, many=True)
     if chunk is None:
-        chunk = NATIVE if native else CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR
+        best = {"native": NATIVE, "cuda": min(ON_CUDA, max(VECTOR, MOST_NUMBERS // max(numbers, 1)))}
+        chunk = best.get(engine, CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR)
     check_count("runs per chunk", chunk)
-    even = -(-count // workers)
+    even = count if engine == "cuda" else -(-count // workers)
     return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))

@@ -63,7 +63,7 @@ def episode(
 ) -> tuple[Any, Record]:
     """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 
-    Setpoints at the start of each control period [s] are arrays of shape (periods,), of a leg the times. Returns the
+    Setpoints at the start of each control period [s] are arrays of shape (periods,), for a leg the times. Returns the
     plant's state after the last period, and the record of shape (periods,).
     """
 
@@ -105,12 +105,12 @@ def streaming_episode(
     substeps: int,
     *,
     change: Change | None = None,  # of the desired stiffness; in 32 bits setpoints may round to one number
-    split: ArrayLike | None = None,  # period from which the run without that change is computed beside
+    split: ArrayLike | None = None,  # period from which the run without that change is computed alongside
     keep: tuple[str, ...] = (),  # names of `Trajectory`
     every: int = 1,  # control periods between two kept values; a divisor of their number
     checkpoint: bool = False,  # whether reverse differentiation computes each period twice instead of storing it
 ) -> Streamed:
-    """`episode` that accumulates metrics on the way: memory does not grow with the duration."""
+    """`episode` that accumulates metrics during the run: memory does not grow with the duration."""
     periods = setpoints.angle.shape[0]
     change = last_change(setpoints.stiffness) if change is None else change
 
@@ -119,7 +119,7 @@ def streaming_episode(
         return control_period(plant, controller, state, setpoint, period, substeps)
 
     def step_without_change(carry: _Carry, following: LoopState, setpoint: Setpoint, index: Array) -> LoopState:
-        """The next state of the run without the last change; until the change that is the run's own."""
+        """The next state of the run without the last change; until the change, the two runs are identical."""
         if split is None:
             return following
         stiffness = jnp.where(index >= change.at, change.before, setpoint.stiffness)

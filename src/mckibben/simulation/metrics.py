@@ -142,11 +142,11 @@ class Metrics(NamedTuple):
     stiffness_settling
         Time from the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
         enters the settling band for good [s]. NaN if it is not inside for at least the last tenth of the time since the
-        change (a limit cycle, or an entry just before the end), or if the setpoint ends with a ramp or changes to the
-        very end.
+        change (a limit cycle, or an entry just before the end), or if the setpoint ends with a ramp or changes until
+        the very end.
     coupling
         Largest deviation of the angle from that of the same run without the last change of the desired stiffness [rad];
-        NaN if the desired stiffness never changes, ends with a ramp or changes to the very end.
+        NaN if the desired stiffness never changes, ends with a ramp or changes until the very end.
     estimate_rmse
         Root mean square error of the controller's stiffness estimate [N*m/rad]; NaN if it has none.
     time_saturated, time_slack, time_outside_domain, time_overloaded
@@ -391,7 +391,7 @@ def _root(mean: Array) -> Array:
 
 
 def _larger(one: ArrayLike, other: ArrayLike) -> Array:
-    """The larger of two, NaN if one of them is: XLA's own maximum does not always pass it on."""
+    """The larger of two, NaN if one of them is: XLA's own maximum does not always propagate it."""
     one, other = jnp.asarray(one), jnp.asarray(other)
     return jnp.where((one >= other) | jnp.isnan(one), one, other)
 

@@ -33,7 +33,7 @@ class AtRest(NamedTuple):
 
 
 class SimulationProblem(NamedTuple):
-    """Everything that a run is made of; leaves are numbers, or arrays over runs."""
+    """All parts of a run; leaves are numbers, or arrays over runs."""
 
     plant: JointPlant
     controller: Controller
@@ -69,7 +69,7 @@ class SimulationProblem(NamedTuple):
 
 
 Problem = TypeVar("Problem", bound=tuple)
-"""A named tuple with everything that a run is made of, the plant first; its `kinds` are the types of its fields."""
+"""A named tuple with all parts of a run, the plant first; its `kinds` are the types of its fields."""
 
 
 def split_problem(

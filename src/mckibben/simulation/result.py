@@ -39,8 +39,7 @@ class Outcome(enum.Enum):
     DIVERGED = "diverged: the state is not finite"
     NO_START = "not run: no pressures within limits hold the joint at the start"
     LEFT_REFERENCE = (
-        "diverged: over the last tenth of the run the angle was further from its reference (RMS) than the reference "
-        "moves, and than 5 deg"
+        "diverged: over the last tenth of the run the RMS angle error exceeded 5 deg and the range of the reference"
     )
     LIMIT_CYCLE = "completed, in a limit cycle: the angle oscillates faster than its reference"
 
@@ -49,8 +48,8 @@ class Outcome(enum.Enum):
         """Whether the run left its reference for good.
 
         Its state is not finite, its angle error exceeded 90 deg, or over the last tenth of the run the RMS angle error
-        exceeds 5 deg and the span of the reference, highest less lowest angle: a joint that stands still within that
-        span is never so far off, however slow its controller.
+        exceeds 5 deg and the span of the reference, highest minus lowest angle: a joint that stands still within that
+        span cannot reach this error, however slow its controller.
         """
         return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.LEFT_REFERENCE)
 
@@ -207,7 +206,7 @@ class Result:
 
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty, and `engine` what computed it, "native" or "xla", or empty.
+    `scenario` the text of the scenario, or empty, and `engine` that which computed it, "native" or "xla", or empty.
     """
 
     def __init__(
@@ -290,7 +289,7 @@ class Result:
             return f"{sentence} after {times[last]:.4g} s; likely cause: {cause}"
         if self.outcome is Outcome.LIMIT_CYCLE:
             amplitude, period = self.metrics["oscillation_amplitude"] / deg, self.metrics["oscillation_period"]
-            sentence = f"{sentence}, by {amplitude:.3g} deg either way with a period of {period:.3g} s"
+            sentence = f"{sentence}, with an amplitude of {amplitude:.3g} deg and a period of {period:.3g} s"
         peak = max(columns["force1"].max(), columns["force2"].max())
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"

@@ -88,7 +88,7 @@ class Feasibility:
             worst = int(np.nanargmax(missing))
             sentences.append(
                 f"the desired stiffness is not attainable {_when(self.times, short)}, by up to "
-                f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (wanted "
+                f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (desired "
                 f"{self.desired_stiffness[worst]:.4g}, attainable "
                 f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
                 f"{self.desired_angle[worst] / deg:.3g} deg)"
@@ -160,7 +160,7 @@ def simulate(
     """Run a controller on a plant.
 
     Commands are constant over each control period, in which the plant is integrated by the classical Runge-Kutta
-    method. The plant limits commands to the rated pressures of its specimens; the result says for how long a law was
+    method. The plant limits commands to the rated pressures of its specimens; the result reports for how long a law was
     outside its domain.
 
     Parameters
@@ -172,12 +172,12 @@ def simulate(
     substeps
         Integration steps per control period.
     initial
-        The initial state, or `AtRest`; at rest at the first desired angle, at mid co-contraction, unless given.
+        The initial state, or `AtRest`. Default: at rest at the first desired angle, at mid co-contraction.
     precision
-        Bits of the floats in the run: 64, or 32 for the numbers of a batch of 32 bits; a single run is no faster.
+        Bits of the floats in the run: 64, or 32 as in a batch with 32 bits; a single run is not faster.
     engine
-        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", the first where it can be used.
-        The result's `engine` says which one it was. Their numbers differ by rounding.
+        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", native if possible.
+        The result's `engine` names the one used. Their results differ by rounding.
     scenario
         Text to store with the result.
 
@@ -251,7 +251,7 @@ def checked_run(
     low, high = plant.joint.geometry.angle_range
     if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
         text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
-        warnings.warn(f"{text}, outside of which the moment arm is taken for constant", DomainWarning, stacklevel=3)
+        warnings.warn(f"{text}, outside of which the moment arm is assumed constant", DomainWarning, stacklevel=3)
     tension = getattr(controller, "minimum_tension", None)
     if tension and feasibility.feasible:
         limited = _feasibility(times, setpoints, _band(plant, _padded(setpoints.angle), amplitude, tension))
@@ -336,7 +336,7 @@ def _episode_result(
 
 
 def _padded(values: ArrayLike) -> Any:
-    """Values that end with their last one repeated: each length is a program of its own."""
+    """Values that end with their last one repeated: each length needs its own program."""
     return np.pad(values, (0, -np.size(values) % _BLOCK), mode="edge")
 
 

@@ -10,6 +10,7 @@ from importlib.metadata import version
 import jax
 
 import mckibben
+from mckibben.codegen.cuda import device
 from mckibben.codegen.native import compiler, compiler_words, own_flags
 from mckibben.simulation.engine import check_engine
 
@@ -17,7 +18,7 @@ _PATIENCE = 20.0  # s for a compiler to state its version
 
 
 def software(engine: str = "auto") -> dict[str, str]:
-    """Versions, platform, the engine of batches and, of the native one, the compiler and the user's options for it."""
+    """Versions, platform, the engine of batches and its compiler: with the user's options, or with the CUDA device."""
     found = {
         "mckibben": mckibben.__version__,
         "jax": jax.__version__,
@@ -27,6 +28,8 @@ def software(engine: str = "auto") -> dict[str, str]:
     }
     if found["engine"] == "native":
         found["compiler"] = " ".join([_compiler_version(compiler() or ""), *compiler_words()[1:], *own_flags()])
+    if found["engine"] == "cuda":
+        found |= {"compiler": device().compiler, "device": device().name}
     return found
 
 
@@ -45,13 +48,13 @@ def _compiler_version(path: str) -> str:
 def engine_of_job(
     trial: Callable[[], Collection[str]], kept: Mapping[str, str] | None = None, engine: str = "auto"
 ) -> str:
-    """Engine of all results of a job that is stored, "native" or "xla".
+    """Engine of all results of a job that is stored: "native", "xla" or "cuda".
 
     Of a new job, XLA if it is among the engines of trial runs; of a continued one, if its `kept` software names it.
     """
-    if engine != "auto":
-        return check_engine(engine, many=True)
-    chosen = check_engine("auto", many=True)
-    if kept is not None:
-        return "xla" if kept.get("engine") == "xla" else chosen
+    if engine == "auto" and kept is not None and kept.get("engine") in ("xla", "cuda"):
+        engine = kept["engine"]
+    chosen = check_engine(engine, many=True)
+    if engine != "auto" or kept is not None:
+        return chosen
     return "xla" if chosen == "xla" or "xla" in trial() else "native"

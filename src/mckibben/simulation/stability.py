@@ -21,7 +21,7 @@ from mckibben.simulation.loop import LoopState, initial_loop
 from mckibben.simulation.problem import sample_reference, sampling_times
 
 _FREQUENCIES = 400  # from a hundredth of the Nyquist frequency up, in equal ratios
-_COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of what nothing moves
+_COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
 
 
 class LinearLoop(NamedTuple):
@@ -48,7 +48,7 @@ class Margins(NamedTuple):
     radius
         Largest modulus of the poles in discrete time; below 1 for a stable loop.
     gain, phase, delay
-        Least factor of both commands, phase [rad], and delay [s], beyond which the loop is unstable.
+        Smallest factor of both commands, phase [rad], and delay [s], beyond which the loop is unstable.
     disk
         Disk margin alpha of both commands at once, each with its own gain and phase, without skew: gains from
         (2 - alpha)/(2 + alpha) to its inverse and phases up to 2 arctan(alpha / 2).

@@ -1,1 +1,1 @@
-"""Whole pieces of work: scenario files, the paper end to end, tuning."""
+"""Studies: sweeps, tuning, comparisons of controllers, stiffness tests, and tests on a rig."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben import catalog
-from mckibben.errors import NotInCatalogError
+from mckibben.errors import NotInCatalogError, suggest
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
@@ -106,9 +106,10 @@ def law_type_named(name: str) -> type[ForceLaw]:
             if len(found) > 1:
                 raise _unknown("law", name, f"it may be {' or '.join(found)}")
             return laws[found[0]]
-    short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws)
+    short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
     broken = "".join(f"; {problem}" for problem in load_installed())
-    raise _unknown("law", name, f"known are {short}; load the module of your own law first (--extension){broken}")
+    remedy = f"{suggest(name.lower(), short)}; load the module of a user-defined law first (--extension){broken}"
+    raise _unknown("law", name, remedy)
 
 
 def _plain(name: str) -> str:

@@ -23,6 +23,13 @@ Values = NDArray[np.float64]
 
 _SETTLING = 2.0  # s
 HELD, CLOSED, COMMANDED, CONTROLLED = "pressures held", "valves closed", "commands constant", "controller at work"
+SHOWN = {
+    HELD: "constant pressures",
+    CLOSED: "closed valves",
+    COMMANDED: "constant commands",
+    CONTROLLED: "controller active",
+}
+"""Names of the tests in tables and figures."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +87,8 @@ class StiffnessTests:
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headers and rows of a table of every other amplitude and rate; for a controller, the magnitude."""
         varied = [(name, test) for name, test in self.tests.items() if name not in (HELD, CLOSED)]
-        headers = ["amplitude", HELD, CLOSED]
-        headers += [f"{name}, {rate:.2g} Hz" for name, test in varied for rate in test.frequency[::2]]
+        headers = ["amplitude", SHOWN[HELD], SHOWN[CLOSED]]
+        headers += [f"{SHOWN[name]}, {rate:.2g} Hz" for name, test in varied for rate in test.frequency[::2]]
         columns = [self.secant, self.closed_secant]
         for name, test in varied:
             columns += [*(test.magnitude if name == CONTROLLED else test.stiffness)[::2]]

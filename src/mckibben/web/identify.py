@@ -358,7 +358,9 @@ class _Page:
             for entry in found.entries
         ]
         with panel(f"Laws, ranked by {found.criterion}"):
-            made = table(("law", "parameters", "RMSE N", *(f"unseen {name} N" for name in blocks), "remarks"), rows)
+            made = table(
+                ("law", "parameters", "RMSE [N]", *(f"held-out {name} [N]" for name in blocks), "remarks"), rows
+            )
             made.columns[-1]["align"] = "left"
 
     def download(self) -> None:

@@ -173,7 +173,7 @@ class _Page:
         angles = ANGLES / deg
         low, high = found.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
-        draw(self.stiffness, [*band("attainable", angles, low, high, BLUE), lowest | self.mark(), highest])
+        draw(self.stiffness, [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest])
         self.found = found
 
     def mark(self) -> dict[str, Any]:

@@ -40,6 +40,7 @@ body { background: #f6f7f9; color: #1b2126; }
 .fields { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4px 14px; width: 100%; }
 .q-uploader { max-height: none; }
 .q-uploader__list { min-height: 0; padding: 0 8px; }
+.q-uploader__subtitle { display: none; }
 .fact { font-size: 17px; font-variant-numeric: tabular-nums; }
 .tab { text-decoration: none; color: #5f6b76; padding: 4px 2px; border-bottom: 2px solid transparent; }
 .tab.here { color: #0072B2; border-bottom-color: #0072B2; }

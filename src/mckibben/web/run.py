@@ -78,9 +78,11 @@ class _Page:
                     ("angle", list(SIGNALS), self.choose_angle),
                     ("stiffness", list(SIGNALS), self.choose_stiffness),
                 ):
-                    ui.select(options, label=f"{label}: choose a kind", on_change=choose).props("dense").classes(
-                        "w-full"
-                    ).mark(label)
+                    ui.select(
+                        options,
+                        label=f"change the {label}{'' if label == 'controller' else ' reference'}",
+                        on_change=choose,
+                    ).props("dense").classes("w-full").mark(label)
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel("Scenario"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
@@ -269,7 +271,7 @@ class _Page:
         self.numbers.clear()
         with self.numbers:
             rows = [_row(one) for one in (dataclasses.replace(now, name="now"), *overlays)]
-            table(("run", "angle RMSE °", "stiffness RMSE N·m/rad", "coupling °", "air L", "outcome"), rows)
+            table(("run", "angle RMSE [°]", "stiffness RMSE [N·m/rad]", "coupling [°]", "air [L]", "outcome"), rows)
 
 
 def _row(one: Kept) -> tuple[str, ...]:

@@ -106,7 +106,7 @@ def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands
 
 def test_where_the_motor_of_a_card_that_fell_silent_stands_is_asked(on_card, tmp_path):
     twin, checked = on_card(faults=[SamplesStopped(5.0)])
-    with pytest.raises(StoppedError, match=r"samples did not come in time.*no sensor shows"):
+    with pytest.raises(StoppedError, match=r"samples did not come in time.*no sensor confirms"):
         run_test(checked, tmp_path / "out")
     twin.pass_time(1.0)
     assert twin.truth.pressure < 0.2 * bar

@@ -82,12 +82,12 @@ def test_a_signal_stops_it_vented_and_it_goes_on(tmp_path, number):
 
 
 def test_it_overwrites_nothing_and_goes_on_with_nothing_else(tmp_path):
-    with pytest.raises(FileError, match="holds no test to resume"):
+    with pytest.raises(FileError, match="no test to resume"):
         run_test(checked(), tmp_path, resume=True)
     run_test(checked(), tmp_path)
-    with pytest.raises(FileError, match=r"holds a record already; resume it \(--resume\)"):
+    with pytest.raises(FileError, match=r"contains a record; resume it \(--resume\)"):
         run_test(checked(), tmp_path)
-    with pytest.raises(ScenarioError, match="holds another test; resume it with its own"):
+    with pytest.raises(ScenarioError, match="another test; resume it with its own"):
         run_test(checked(TEXT.replace("repeats: 1", "repeats: 2")), tmp_path, resume=True)
 
 

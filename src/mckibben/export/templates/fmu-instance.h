@@ -192,7 +192,7 @@ static bool fmu_step(fmu_instance *self, double time, double step)
     double number;
     fmu_reference variable;
     if (SAMPLED && (count < 1 || fabs(step - count * LONGEST) > 1e-6 * LONGEST))
-        return fmu_fail(self, "a step of %g s is no whole number of periods of %g s", step, LONGEST);
+        return fmu_fail(self, "a step of %g s is not a whole number of periods of %g s", step, LONGEST);
     if (!(step >= 0))
         return fmu_fail(self, "a step of %g s", step);
     fmu_refresh(content); /* sampled function: results of the initial inputs, held until new inputs are set */

@@ -76,7 +76,7 @@ int main(int count, char **arguments)
         ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
     }
     if (steps > 0)
-        printf("%.0f ns a step (%ld steps, last command %.6g Pa), %u bytes of memory\n",
+        printf("%.0f ns per step (%ld steps, last command %.6g Pa), %u bytes of memory\n",
                1e9 * (double)(clock() - start) / CLOCKS_PER_SEC / (double)steps, steps, (double)commands.pressure1,
                (unsigned)sizeof controller);
     return deviation <= TOLERANCE * largest ? 0 : 1;

@@ -349,7 +349,7 @@ class NiRig(NiBackend, MovingBackend):
         if not pulses:
             return
         if not rate > 0:
-            raise RigError(f"the motor cannot go at {rate:g} pulses a second", value=rate, lower=0.0, unit="Hz")
+            raise RigError(f"the motor cannot run at {rate:g} pulses per second", value=rate, lower=0.0, unit="Hz")
         constants = driver.package.constants
         train = driver.task()
         try:
@@ -388,7 +388,7 @@ class NiRig(NiBackend, MovingBackend):
 
     def close(self) -> None:
         """Vent, stop, and close the card. Never raises."""
-        self.vent()  # first: the air is the greater danger
+        self.vent()  # first: the air is the greater hazard
         self.stop()
         super().close()
 

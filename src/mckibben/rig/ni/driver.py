@@ -16,7 +16,7 @@ _NO_DEVICE = -200220
 _NO_CHANNEL = (-200170, -200149)
 _GONE = (-88709, -201003, -200324, -50405)
 
-_DRIVER = "install NI-DAQmx from ni.com (`nidaqmx installdriver` helps), or give the server of another machine's cards"
+_DRIVER = "install NI-DAQmx from ni.com (`nidaqmx installdriver` helps), or give the server of a machine with cards"
 
 
 class Driver:
@@ -61,7 +61,7 @@ class Driver:
             return {device.name: (device.product_type, f"{device.serial_num:X}") for device in self._system().devices}
 
     def reset(self, device: str) -> None:
-        """Abort the tasks of a device, whose lines and outputs rest then."""
+        """Abort the tasks of a device, whose lines and outputs then return to rest."""
         with self.translated(device):
             self._system().devices[device].reset_device()
 
@@ -155,7 +155,7 @@ class Terminals:
     Raises
     ------
     RangeError
-        If terminals are missing or given twice; all of it at once.
+        If terminals are missing or given twice; reports all at once.
     """
 
     inputs: Mapping[str, str] = field(default_factory=lambda: {"force": "Dev1/ai0", "pressure": "Dev1/ai1"})

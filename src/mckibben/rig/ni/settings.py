@@ -36,8 +36,8 @@ class CardSettings(Checked):
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, str) and value != field.default and not _ADDRESS.fullmatch(value):
-                remedy = "write it as the driver calls it, such as Dev1, ai0 or port0/line1"
-                raise RangeError(f"{quoted(value)} is no address", field=field.name, value=value, remedy=remedy)
+                remedy = "write it as the driver does, such as Dev1, ai0 or port0/line1"
+                raise RangeError(f"{quoted(value)} is not an address", field=field.name, value=value, remedy=remedy)
 
     def terminals(self, *, counter: str = "", direction: str = "") -> Terminals:
         """Return the terminals, with those of a motor if it is given its counter."""

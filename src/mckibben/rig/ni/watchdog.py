@@ -1,5 +1,5 @@
-"""Watchdog on the host: a second process that vents a card when the process of the test dies or hangs, and whose own
-death stops the test: each has to answer the other.
+"""Watchdog on the host: a second process that vents a card when the process of the test dies or hangs; if it dies
+itself, the test stops. Each has to answer the other.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class WatchdogLink:
         threading.Thread(target=self._listen, name="answers of the watchdog process", daemon=True).start()
 
     def beat(self, now: float) -> None:
-        """Send a heartbeat, at most five in the timeout of the relay; the one before has to be answered by then."""
+        """Send a heartbeat, at most five in the timeout of the relay; the previous one has to be answered by then."""
         if not self._ended and now - self._sent_at < self._interval:
             return
         with self._changed:
@@ -83,7 +83,7 @@ class WatchdogLink:
 def host_watchdog(backend: NiBackend) -> Iterator[None]:
     """Vent the card of a backend if this process dies or hangs within the block; its heartbeat fails if that one does.
 
-    The process has a session of its own: Ctrl-C and a closed terminal are for the test alone. It imports nothing from
+    The process has its own session: Ctrl-C and a closed terminal affect only the test. It imports nothing from
     the current folder.
     """
     command = [sys.executable, "-P", "-m", "mckibben.rig.ni.watchdog"]
@@ -154,7 +154,7 @@ def _read(lines: queue.SimpleQueue[bytes]) -> None:
 
 
 def _watch(lines: queue.SimpleQueue[bytes], answer: IO[bytes], patience: float) -> bool:
-    """Answer heartbeats until the test's process is done (False), or is to be vented for (True)."""
+    """Answer heartbeats until the test's process ends normally (False), or the rig has to be vented (True)."""
     armed = False
     while True:
         try:

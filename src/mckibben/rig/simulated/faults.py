@@ -63,7 +63,7 @@ class Slipped(Fault):
 
 @dataclass(frozen=True)
 class Burst(Fault):
-    """Burst bladder, of a sonic conductance [m^3/(s*Pa)], 5 dm^3/(s*bar) unless given."""
+    """Burst bladder, of a sonic conductance [m^3/(s*Pa)], by default 5 dm^3/(s*bar)."""
 
     conductance: Conductance = 5 * L_PER_S_BAR
 
@@ -75,7 +75,7 @@ class Stalled(Fault):
 
 @dataclass(frozen=True)
 class HostDelayed(Fault):
-    """Host is busy for a duration [s]: its next read returns that much later."""
+    """Host is busy for a duration [s], by which its next read is delayed."""
 
     duration: Duration = 1.0
 
@@ -87,7 +87,7 @@ class SamplesStopped(Fault):
 
 @dataclass(frozen=True)
 class SamplesDropped(Fault):
-    """Samples are lost: a number of them and all that wait to be read; again each period [s] `every`, if given."""
+    """Samples are lost: a number of them and all that are waiting to be read; repeated with a period `every` [s]."""
 
     samples: Samples = 10
     every: Duration | None = None

@@ -30,31 +30,31 @@ class SimulatedIsobaricTest(Checked):
     .. math:: F = T + f + c + d
 
     with the friction :math:`f` of the muscle, its creep :math:`c`, and the drift :math:`d` of the force sensor. Creep
-    goes on while the rig waits and samples; each pressure begins with a relaxed muscle. A muscle without friction of
-    its own is given a `MaxwellSlip` within the band :math:`\pm B \tanh(T/2B)`, which fades with the tension, so that
+    goes on while the rig waits and samples; each pressure begins with a relaxed muscle. A muscle without friction
+    is given a `MaxwellSlip` within the band :math:`\pm B \tanh(T/2B)`, which fades with the tension, so that
     the force is positive (T + f is at least T/2); that form is ours, and reaches 96 % of the band at T = 4B. The device
     is adjusted before each pressure so that the first plateau is reached by stretching. Every loop is then closed, as
-    measured ones are: the first plateaus after a reversal still lie on the side of the pass before. To a fit that is a
-    bias: refitting Eq. 3 is out by up to 7 N, by 0.1 N without the two most stretched plateaus of each pressure.
+    measured ones are: the first plateaus after a reversal still lie on the side of the previous pass. This biases a
+    fit: refitting Eq. 3 is off by up to 7 N, and by 0.1 N without the two most stretched plateaus of each pressure.
 
     Parameters
     ----------
     muscle
-        Its law is the truth that an identification should find. Friction of its own replaces the next two numbers. Its
-        creep is its own, none unless given.
+        Its law is the truth that an identification should find. Its friction, if any, replaces the next two numbers.
+        Its creep, if any, is simulated as well.
     hysteresis
         Half the width B [N] of the loop between loading (above) and unloading (below). Hunt (2017) finds
         +-15.6 kPa for a 10 mm muscle, which is +-12..17 N: 12 N. 0 is no friction.
     presliding_length
-        Travel s0 [m] of the friction's change of direction after a reversal: 0.5 mm (ours), of which 86 % is done after
-        1 mm and 98 % after 2 mm.
+        Travel s0 [m] of the friction's change of direction after a reversal: 0.5 mm (ours); 86 % of the change is
+        completed after 1 mm and 98 % after 2 mm.
     force_noise
         Standard deviation of a sample of the force sensor [N], white: 0.5 N (ours; 0.03 % of a 200 kg sensor).
     pressure_noise
         Standard deviation of a sample of the pressure sensor [Pa], white: 0.5 kPa (ours; 0.05 % of a 10 bar sensor).
     regulator_offset
         Largest deviation of the true from the set pressure [Pa], drawn once per pressure and repeat, uniform: 4.5 kPa
-        (ours; 0.5 % of a regulator's 9 bar). A true pressure is not below 0.
+        (ours; 0.5 % of a regulator's 9 bar). True pressures are not below 0.
     force_drift
         Drift of the zero of the force sensor [N/h], linear from the start of the test: 0.
     force_wander
@@ -97,8 +97,8 @@ class SimulatedIsobaricTest(Checked):
     def run(self, protocol: IsobaricProtocol, *, seed: int) -> IsobaricDataset:
         """Run the test within the `boundaries`; return the dataset of the sensors' readings.
 
-        Samples are float32; those of a sensor without noise are float64, so that nothing stands between the law and the
-        data. `slack_force` is five standard errors of a plateau mean, and the highest drift. The draws (regulator,
+        Samples are float32; those of a sensor without noise are float64, so that the data are exactly those of the
+        law. `slack_force` is five standard errors of a plateau mean, and the highest drift. The draws (regulator,
         force sensor, pressure sensor, wander) are independent streams of the seed.
 
         Raises

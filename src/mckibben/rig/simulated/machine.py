@@ -286,7 +286,7 @@ class Machine:
             self._chamber.resting = False
 
     def pass_until(self, to: float) -> Knots:
-        """Integrate until a time [s] without events on the way."""
+        """Integrate until a time [s], before which there are no events."""
         chamber, grip, motor, carriage = self._chamber, self.grip, self.motor, self._carriage
         now, pull, pressure = self.now, self._pull, chamber.pressure
         knots = Knots([now], [pull], [pressure])

@@ -42,15 +42,15 @@ class Regulator:
     error within a band, to the supply or to the exhaust. Behind it is a 3/2 valve: without current its spring shuts off
     the regulator and vents the muscle.
 
-    Numbers "of the maker" are those of the data sheet of the ITV0000 series from memory, unchecked.
+    Numbers "of the maker" are quoted from memory from the data sheet of the ITV0000 series, unverified.
 
     Parameters
     ----------
     supply
         Gauge pressure [Pa] of the compressed air: 8 bar (ours; the maker allows 10).
     conductance, critical
-        C [m^3/(s*Pa)] and b [-] of the fully open regulator, either way: 0.0091 dm^3/(s*bar), with which it passes the
-        maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours).
+        C [m^3/(s*Pa)] and b [-] of the fully open regulator, in both directions: 0.0091 dm^3/(s*bar), with which it
+        passes the maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours).
     band
         Pressure error at which it is fully open [Pa]: 0.1 bar (ours).
     lag
@@ -195,8 +195,8 @@ class Stretcher:
     drive
         Motor and lead screw.
     backlash
-        Backlash of the nut [m]: 0.02 mm (ours). A force above the friction of the guide takes it up: the carriage of a
-        taut muscle follows the screw, that of a slack one stays.
+        Backlash of the nut [m]: 0.02 mm (ours). A force above the friction of the guide takes it up: with a taut
+        muscle the carriage follows the screw, with a slack one it stays.
     guide_friction
         Friction of the guide rails [N]: 5 N (ours).
     acceleration
@@ -258,12 +258,12 @@ class Motor:
             raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
         if not 0 < rate <= self._fastest:
             raise RigError(
-                f"the motor cannot go at {rate:g} pulses a second",
+                f"the motor cannot run at {rate:g} pulses per second",
                 value=rate,
                 lower=0.0,
                 upper=self._fastest,
                 unit="Hz",
-                remedy=f"it does {self._fastest:g} at most",
+                remedy=f"it reaches {self._fastest:g} at most",
             )
         self.stop(now)
         if pulses:

@@ -25,7 +25,7 @@ from mckibben.units import Hz, s
 
 
 class SimulatedRig(MovingBackend):
-    """The paper's stretching device with a muscle, of two inputs and one output.
+    """The paper's stretching device with a muscle; two inputs and one output.
 
     Simulated time advances only in `read`, by the duration of the samples; `RealTimeRig` paces it in real time. The
     same seed and the same calls give the same samples.
@@ -33,8 +33,8 @@ class SimulatedRig(MovingBackend):
     - The force is that of the law (tabulated, see `error` in `description`), with the friction and creep of the
       muscle. It is constant from 3 % beyond the contraction range of the specimen.
     - The air follows ISO 6358 and the ideal gas at room temperature, in the volume of the braid between the clamps.
-    - After `vent`, or a missed heartbeat, a spring-return valve vents, whatever the regulator does: from 8 bar, at any
-      contraction, the true pressure is below 0.2 bar within 1 s (tested), whatever else is broken.
+    - After `vent`, or a missed heartbeat, a spring-return valve vents, independent of the regulator: from 8 bar, at any
+      contraction, the true pressure is below 0.2 bar within 1 s (tested), in spite of any other fault.
     - `vent` holds until `set_valves` gives a signal above 0 again. A missed heartbeat holds until it is reopened.
 
     Parameters
@@ -263,7 +263,7 @@ class SimulatedRig(MovingBackend):
         """Advance the time to that of the host; in simulated time there is none."""
 
     def _rest(self) -> None:
-        """Vent and stop, without time that passes."""
+        """Vent and stop, without advancing the time."""
         self._machine.set_signal(0.0, 0.0)
         self._machine.cut()
         self._machine.motor.stop(self._machine.now)
@@ -312,7 +312,7 @@ _SOON = 1e-6  # s, shortest sleep
 
 
 class RealTimeRig(SimulatedRig):
-    """A `SimulatedRig` in real time, by a clock [s] and a sleep; those of the system unless given."""
+    """A `SimulatedRig` in real time, by a clock [s] and a sleep; by default those of the system."""
 
     def __init__(
         self,

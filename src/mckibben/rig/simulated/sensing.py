@@ -35,7 +35,7 @@ PRESSURE = Calibration(
     gain=1 * bar,
     low=0.0,
     high=10 * bar,
-    method="SDE1-D10, 0 to 10 bar at 0 to 10 V; the output is read off its designation, unchecked",
+    method="SDE1-D10, 0 to 10 bar at 0 to 10 V; the output is inferred from its designation, unverified",
 )
 VALVE = Calibration(
     name="valve",
@@ -43,7 +43,7 @@ VALVE = Calibration(
     gain=0.9 * bar,
     low=0.0,
     high=9 * bar,
-    method="ITV0050-3, 0 to 9 bar at 0 to 10 V; read off its designation, unchecked",
+    method="ITV0050-3, 0 to 9 bar at 0 to 10 V; inferred from its designation, unverified",
 )
 
 
@@ -60,7 +60,7 @@ class Sensor:
     drift, wander
         Drift of its zero, and standard deviation of its random walk, after an hour, in the unit.
     saturation
-        Saturation of its amplifier, either way [V].
+        Saturation of its amplifier, in both directions [V].
     """
 
     calibration: Calibration

@@ -264,7 +264,7 @@ class Suite(RunSettings):
     max_angular_acceleration, max_angular_velocity
         Largest angular acceleration [rad/s^2] and velocity [rad/s] of a reference; sines are scaled down to them.
     setups
-        Valves by name, each compared on its own: see `of_setup`.
+        Valves by name, each compared separately: see `of_setup`.
     controllers
         Controllers by name; all are compared with the first.
     true_model

@@ -57,7 +57,7 @@ class _Range(Distribution):
             message = f"the range is empty: {self.low:g} is not below {self.high:g}"
             raise ParameterError(message, remedy="write the lower end first")
         if self.points is not None and not 2 <= self.points <= MAX_ROWS:
-            raise ParameterError(f"a grid of {self.points} points is none", remedy=f"choose 2 to {MAX_ROWS} points")
+            raise ParameterError(f"a grid cannot have {self.points} points", remedy=f"choose 2 to {MAX_ROWS} points")
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -93,7 +93,7 @@ class LogUniform(_Range):
         super().__post_init__()
         if self.low <= 0 <= self.high:
             raise ParameterError(
-                f"a range from {self.low:g} to {self.high:g} has no even logarithm",
+                f"a range from {self.low:g} to {self.high:g} has no logarithm",
                 remedy="give two ends of one sign, neither of them zero, or leave `log` out",
             )
 
@@ -121,7 +121,7 @@ class Normal(Distribution):
     def __post_init__(self) -> None:
         if not (math.isfinite(self.mean) and math.isfinite(self.deviation) and self.deviation > 0):
             raise ParameterError(
-                f"mean {self.mean:g} and standard deviation {self.deviation:g} make no normal distribution",
+                f"mean {self.mean:g} and standard deviation {self.deviation:g} do not make a normal distribution",
                 remedy="give finite numbers, the deviation above zero",
             )
         if not (self.lower <= self.mean <= self.upper and self.lower < self.upper):

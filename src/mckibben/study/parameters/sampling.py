@@ -99,7 +99,7 @@ def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distributio
 def _fitted(parameter: ScenarioParameter, distribution: Distribution) -> Distribution:
     """The distribution with integers for an integer parameter, and truncated at the parameter's range."""
     if isinstance(distribution, IntegerRange) and not parameter.is_integer:
-        raise ParameterError(f"{parameter.name} is no whole number", remedy="give a Uniform range or Values")
+        raise ParameterError(f"{parameter.name} is not a whole number", remedy="give a Uniform range or Values")
     if isinstance(distribution, Values) and not parameter.is_integer:
         return Values(tuple(float(value) for value in distribution.values))
     if isinstance(distribution, Values) and all(float(value).is_integer() for value in distribution.values):
@@ -139,7 +139,7 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
         A name, "=", and one of
 
         ============================  ============================================================================
-        ``0.2 kg..1.0 kg``            uniform; the unit of the upper end does for both: ``0.2..1.0 kg``
+        ``0.2 kg..1.0 kg``            uniform; the unit of the upper end applies to both: ``0.2..1.0 kg``
         ``1..100 bar/rad log``        log-uniform
         ``0.2..1.0 kg in 9``          uniform, with 9 points on a grid
         ``1 kg, 2 kg, 4 kg``          discrete values
@@ -154,7 +154,7 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
     Raises
     ------
     ParameterError
-        If the text is no such distribution of a parameter of the scenario.
+        If the text is not such a distribution of a parameter of the scenario.
 
     Examples
     --------
@@ -172,7 +172,7 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
         if len(text) > _MAX_TEXT:
             _fail(f"is longer than {_MAX_TEXT} characters", "shorten it")
         if not equals:
-            _fail("is no parameter and its range", "write it like 'load.mass2=0.2 kg..1.0 kg'")
+            _fail("is not a parameter and its range", "write it like 'load.mass2=0.2 kg..1.0 kg'")
         parameter = find_parameter(scenario, name)
         return SweptParameter(parameter, _parse_distribution(definition.strip().replace("±", "+-"), parameter))
     except ParameterError as error:
@@ -222,7 +222,7 @@ def _parse_range(text: str, parameter: ScenarioParameter) -> Distribution:
             _fail("a range of whole numbers is all of them", "leave `log` and `in ...` out, or list values")
         return IntegerRange(int(low), int(high))
     if points is not None and not re.fullmatch(r"[0-9]{1,9}", points):
-        _fail(f"{quoted(points)} is no number of points", "write it like `in 9`")
+        _fail(f"{quoted(points)} is not a number of points", "write it like `in 9`")
     count = None if points is None else int(points)
     if log is None:
         return Uniform(low, high, count)
@@ -258,7 +258,7 @@ def _parse_amount(text: str, parameter: ScenarioParameter) -> tuple[float, float
     else:
         amount = float(relative[1]) / 100 * abs(nominal)
     if not amount > 0 or amount > 1e300:
-        _fail(f"{quoted(text)} is no amount", "give one above zero")
+        _fail(f"{quoted(text)} is not an amount", "give one above zero")
     return amount, nominal
 
 
@@ -296,7 +296,7 @@ MAX_TOTAL = 2**30
 """Most rows of a table of which parts are computed: the length of a Sobol sequence."""
 
 Table = dict[str, NDArray]
-"""Values [SI] by name, float64 or int64, one row a run."""
+"""Values [SI] by name, float64 or int64, one row per run."""
 
 SamplingMethod = Literal["sobol", "random", "grid"]
 """Method by which combinations of values are chosen."""
@@ -316,8 +316,8 @@ def sample(
     swept
         Parameters and their distributions.
     method
-        "sobol": scrambled Sobol sequence (`scipy.stats.qmc.Sobol`); "random": independent draws; of both, the first
-        rows of a longer table are the shorter one. "grid": all combinations; the last parameter runs fastest.
+        "sobol": scrambled Sobol sequence (`scipy.stats.qmc.Sobol`); "random": independent draws; with both, a longer
+        table begins with the shorter one. "grid": all combinations; the last parameter varies fastest.
     samples, seed
         Number of rows, and seed of the scrambling or the draws; not of a grid.
     rows
@@ -341,7 +341,7 @@ def sample(
     """
     names = [each.name for each in swept]
     if not names:
-        raise ParameterError("nothing is varied", remedy="say what, like 'load.mass2=0.2 kg..1.0 kg'")
+        raise ParameterError("nothing is varied", remedy="name a parameter, as in 'load.mass2=0.2 kg..1.0 kg'")
     for name in names:
         if names.count(name) > 1:
             raise ParameterError(f"{name} is varied twice", remedy="keep one of them")

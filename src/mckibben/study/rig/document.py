@@ -81,7 +81,7 @@ class SimulatedRigSettings(Checked, MuscleRig):
             raise RangeError("has no law for its simulated muscle", remedy=remedy)
 
     def backend(self, session: int = 0) -> MovingBackend:
-        """Return the simulated rig, each session with noise of its own."""
+        """Return the simulated rig, each session with its own noise."""
         from mckibben.rig.simulated import (
             FORCE_SENSOR,
             PRESSURE_SENSOR,
@@ -154,7 +154,7 @@ class RigTest(DocumentModel):
     protocol: Annotated[Protocol, Part(Protocol)]
 
     def is_same(self, other: RigTest) -> bool:
-        """Whether two tests are the same, if on the same kind of hardware at other terminals."""
+        """Whether two tests are the same, possibly on the same kind of hardware at other terminals."""
         wired = self.rig.physical and type(self.rig) is type(other.rig)
         return (self.model_copy(update={"rig": other.rig}) if wired else self) == other
 
@@ -173,7 +173,7 @@ def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
 
 @dataclass(frozen=True)
 class Setup:
-    """A rig that is not opened yet, and its bench."""
+    """A rig that is not open yet, and its bench."""
 
     backend: MovingBackend
     bench: Bench

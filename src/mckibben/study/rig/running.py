@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
-    """Status of the channels of a protocol's rig, or of the paper's terminals: lines, each with whether it is well."""
+    """Status of the channels of a protocol's rig, or of the paper's terminals: lines, each with whether it works."""
     from mckibben.rig.ni import channel_status
 
     if protocol is None:
@@ -181,12 +181,12 @@ def run_test(
     folder = Path(folder)
     if resume and not segments(folder):
         if not (folder / PROTOCOL).exists():
-            raise FileError(str(folder), [Problem("holds no test to resume", remedy="leave --resume out")])
+            raise FileError(str(folder), [Problem("contains no test to resume", remedy="leave --resume out")])
         check_free(folder, [data_name(checked.test)])
     if not resume:
         if segments(folder):
             remedy = "resume it (--resume), or choose another folder"
-            raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
+            raise FileError(str(folder), [Problem("contains a record", remedy=remedy)])
         check_free(folder, [PROTOCOL, data_name(checked.test)], "resume the test (--resume), or choose another folder")
     make_folder(folder)
     with file_lock(folder / "lock", "running a test here"):
@@ -220,7 +220,7 @@ def _kept_test(folder: Path) -> RigTest:
     path = folder / PROTOCOL
     if not segments(folder):
         if not path.exists():
-            raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
+            raise FileError(str(folder), [Problem("contains no test", remedy="give the folder of `rig run --out`")])
         return RigTest.read(path)
     recorded = RigTest.parse(header_of(folder)[0]["protocol"], source=f"the record in {folder}", folder=folder)
     try:
@@ -312,10 +312,10 @@ def _check_same(checked: CheckedTest, folder: Path) -> None:
     kept = _kept_test(folder)
     if not checked.test.is_same(kept):
         remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
-        raise ScenarioError(str(folder), [Problem("holds another test", remedy=remedy)])
+        raise ScenarioError(str(folder), [Problem("contains another test", remedy=remedy)])
     if segments(folder) and header_of(folder)[0]["steps"] != describe_steps(checked.steps):
         remedy = "restore the files that the protocol names, such as that of its law"
-        raise ScenarioError(str(folder), [Problem("holds a test of other steps", field="steps", remedy=remedy)])
+        raise ScenarioError(str(folder), [Problem("contains a test of other steps", field="steps", remedy=remedy)])
     _warn_of_calibration(checked, folder)
 
 

@@ -111,7 +111,8 @@ class BatchTask:
 
     def __call__(self, table: Table) -> Columns:
         """Return the results of some rows; raises SimulationError if the software differs."""
-        here = software("xla" if self.software["engine"] == "xla" else "auto")
+        engine = self.software["engine"]
+        here = software("auto" if engine == "native" else engine)
         if here != self.software:
             raise SimulationError(
                 f"a worker has {_listed(here)}, the sweep {_listed(self.software)}",

@@ -114,7 +114,7 @@ class SweepPlan:
         samples = _SAMPLES if options.samples is None else options.samples
         seed = 0 if options.seed is None or method == "grid" else options.seed
         rows = count_rows(swept, method, samples)
-        batch_size, block = _sizes(rows, options.block)
+        batch_size, block = _sizes(rows, options.block, engine)
         piece = _rows_of_part(part, rows, block)
         table = sample(swept, method, samples, seed, piece)  # type: ignore[arg-type]  # checks the method itself
         first = sample(swept, method, samples, seed, slice(0, 1))  # type: ignore[arg-type]
@@ -144,7 +144,7 @@ class SweepPlan:
         return cls(task, swept, table, block, manifest, part, piece.start)
 
     def with_engine(self, engine: str) -> SweepPlan:
-        """The plan with all runs by an engine, "native" or "xla"."""
+        """The plan with all runs by an engine other than "auto"."""
         found = software(engine)
         task, manifest = replace(self.task, software=found), {**self.manifest, "software": found}
         return replace(self, task=task, manifest=manifest)
@@ -217,9 +217,9 @@ def _precision(bits: int | None) -> int:
     return 64 if bits is None else bits
 
 
-def _sizes(rows: int, block: int | None) -> tuple[int, int]:
-    """Runs per batch, and runs per block; functions of the number of runs and the platform alone."""
-    cpu = jax.default_backend() == "cpu"
+def _sizes(rows: int, block: int | None, engine: str) -> tuple[int, int]:
+    """Runs per batch, and runs per block; functions of the number of runs, the platform and CUDA alone."""
+    cpu = jax.default_backend() == "cpu" and engine != "cuda"
     batches, largest = (_MIN_BATCHES, CHUNK) if cpu else (1, ON_ACCELERATOR)
     batches = max(batches, -(-rows // largest))  # of equal size, so that the last one needs little padding
     batch_size = _full_vectors(-(-rows // batches))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from mckibben.errors import FileError, ParameterError, Problem
+from mckibben.errors import FileError, ParameterError, Problem, quoted
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.scenario import Known, Scenario, with_values
 from mckibben.simulation.software import engine_of_job, software
@@ -200,6 +200,7 @@ def tune(
     resume: bool = False,
     known: Known = (),
     conditions: Table | None = None,
+    engine: str = "auto",
     progress: Progress | None = None,
 ) -> TuningResult:
     """Search scenario parameters within ranges for the lowest cost.
@@ -229,6 +230,9 @@ def tune(
     conditions
         Values [SI] of other parameters by name, such as a `sample` of them: every trial is simulated under all rows,
         and the cost combines them like scenarios.
+    engine
+        As for `simulate_many`; one engine computes all trials, XLA those of the gradient method. Default: that of the
+        search that is continued, or "auto".
     progress
         Called with the current step and the completed fraction, 0 to 1, first after all arguments have been checked.
         Default: a progress bar in notebooks.
@@ -258,11 +262,16 @@ def tune(
         problem.check_smooth()
     folder = Path() if history is None else history.parent
     if method is Method.GRADIENT:
+        if engine not in ("auto", "xla"):
+            raise ParameterError(
+                f"the gradient method cannot use the engine {quoted(engine)}",
+                field="engine",
+                value=engine,
+                remedy="choose another method, or leave the engine out",
+            )
         engine = "xla"
-    elif history is None:
-        engine = "auto"
-    else:
-        engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None)
+    elif history is not None:
+        engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None, engine)
     problem = replace(problem, engine=engine)
     about = {
         "software": software(engine),

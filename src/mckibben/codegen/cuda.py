@@ -1,0 +1,248 @@
+"""Functions compiled as CUDA kernels by NVRTC, and run by NVIDIA's driver; both are called by ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import importlib.util
+import re
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from ctypes import byref, c_char_p, c_int, c_int64, c_size_t, c_uint, c_void_p
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mckibben.codegen.kernels import THREADS
+from mckibben.codegen.native import Compiled, NativeFunction
+from mckibben.errors import CompilerError, DeviceError
+
+_MAJOR_VERSIONS = 13, 12  # of CUDA
+_WHEELS = {13: "cu13", 12: "cuda_nvrtc"}  # folders of NVRTC's wheels in the package `nvidia`
+_DRIVER = "libcuda.so.1"
+_OPTIONS = (
+    "--std=c++17",
+    "--device-as-default-execution-space",
+    "--ptxas-options=-v",
+    "--prec-div=false",  # in 32 bits, an error of two units in the last place
+    "--prec-sqrt=false",
+)
+_PRELUDE = """typedef int int32_t;
+typedef unsigned int uint32_t;
+typedef long long int64_t;
+#define INFINITY __longlong_as_double(0x7ff0000000000000ll)
+#define NAN __longlong_as_double(0x7ff8000000000000ll)
+"""  # NVRTC has no headers
+_OLD = 35, 803, 804  # driver's errors: insufficient, mismatched or incompatible driver
+_NO_DEVICE = 100
+_OUT_OF_MEMORY = 2
+_MAJOR, _MINOR = 75, 76  # attributes of a device: its compute capability
+_OTHER_ENGINE = "use engine='native' or 'xla'"
+
+
+class Program(NamedTuple):
+    """A compiled kernel: its binary or PTX, the registers per thread, and the bytes per thread that spill to memory."""
+
+    image: bytes
+    ptx: str
+    registers: int
+    spilled: int
+
+
+class Nvrtc:
+    """NVIDIA's runtime compiler."""
+
+    def __init__(self, library: Any) -> None:
+        self._library = library
+        major, minor, count = c_int(), c_int(), c_int()
+        self._call("nvrtcVersion", byref(major), byref(minor))
+        self.version = major.value, minor.value
+        self._call("nvrtcGetNumSupportedArchs", byref(count))
+        known = (c_int * count.value)()
+        self._call("nvrtcGetSupportedArchs", known)
+        self.architectures = list(known)
+
+    def compile(self, source: str, architecture: int) -> Program:
+        """Compile for a compute capability, such as 90; as PTX if it is newer than the compiler."""
+        if architecture < min(self.architectures):
+            raise DeviceError(
+                f"the device has compute capability {architecture / 10}, NVRTC {self.name} compiles from "
+                f"{min(self.architectures) / 10} up",
+                value=architecture,
+                lower=min(self.architectures),
+                remedy=f"install an older NVRTC, or {_OTHER_ENGINE}",
+            )
+        known = architecture in self.architectures
+        target = f"sm_{architecture}" if known else f"compute_{max(self.architectures)}"
+        options = [one.encode() for one in (f"--gpu-architecture={target}", *_OPTIONS)]
+        program = c_void_p()
+        self._call("nvrtcCreateProgram", byref(program), (_PRELUDE + source).encode(), b"run.cu", 0, None, None)
+        try:
+            status = self._library.nvrtcCompileProgram(program, len(options), (c_char_p * len(options))(*options))
+            log = self._text(program, "ProgramLog").decode(errors="replace").rstrip("\0")
+            if status:
+                first = next((line for line in log.splitlines() if "error" in line), self._error(status))
+                raise CompilerError(f"NVRTC {self.name} does not compile the program: {first}", value=status)
+            ptx = self._text(program, "PTX")
+            image = self._text(program, "CUBIN") if known else ptx
+        finally:
+            self._call("nvrtcDestroyProgram", byref(program))
+        registers, spilled = (re.search(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
+        return Program(image, ptx.decode(), *(int(one[1]) if one else 0 for one in (registers, spilled)))
+
+    @property
+    def name(self) -> str:
+        """Its version as text."""
+        return ".".join(map(str, self.version))
+
+    def _text(self, program: c_void_p, what: str) -> bytes:
+        size = c_size_t()
+        self._call(f"nvrtcGet{what}Size", program, byref(size))
+        text = ctypes.create_string_buffer(size.value)
+        self._call(f"nvrtcGet{what}", program, text)
+        return text.raw
+
+    def _error(self, status: int) -> str:
+        self._library.nvrtcGetErrorString.restype = c_char_p
+        return self._library.nvrtcGetErrorString(status).decode()
+
+    def _call(self, name: str, *arguments: Any) -> None:
+        if status := getattr(self._library, name)(*arguments):
+            raise CompilerError(f"{name}: {self._error(status)}", value=status)
+
+
+@functools.cache
+def nvrtc() -> Nvrtc:
+    """The newest NVRTC of the wheels or the system; raises `DeviceError` if there is none."""
+    spec = importlib.util.find_spec("nvidia")
+    folders = [Path(one) for one in (spec.submodule_search_locations or ())] if spec else []
+    for major in _MAJOR_VERSIONS:
+        name = f"libnvrtc.so.{major}"
+        for path in (*(str(one / _WHEELS[major] / "lib" / name) for one in folders), name):
+            with suppress(OSError):
+                return Nvrtc(ctypes.CDLL(path))
+    raise DeviceError(
+        "there is no NVRTC, the compiler of CUDA 12 or 13",
+        remedy=f"install mckibben with the extra gpu (pip install 'mckibben[gpu]'), or {_OTHER_ENGINE}",
+    )
+
+
+def driver_library() -> Any:
+    """The library of the CUDA driver; raises `DeviceError` if there is none."""
+    try:
+        return ctypes.CDLL(_DRIVER)
+    except OSError as error:
+        remedy = f"install NVIDIA's driver, or {_OTHER_ENGINE}"
+        raise DeviceError(f"there is no CUDA driver ({_DRIVER})", remedy=remedy) from error
+
+
+class Device:
+    """A CUDA device, with its primary context; raises `DeviceError` if its driver fails."""
+
+    def __init__(self, driver: Any, compiler: Nvrtc) -> None:
+        self._driver, self._lock = driver, threading.Lock()
+        self.compiler = f"NVRTC {compiler.name}"
+        self._call("cuInit", 0)
+        version, count, device, major, minor = (c_int() for _ in range(5))
+        self._call("cuDriverGetVersion", byref(version))
+        if version.value // 1000 < compiler.version[0]:
+            raise _old_driver(f"is of CUDA {version.value // 1000}.{version.value % 1000 // 10}", self.compiler)
+        self._call("cuDeviceGetCount", byref(count))
+        if count.value == 0:
+            raise _no_device()
+        self._call("cuDeviceGet", byref(device), 0)
+        name = ctypes.create_string_buffer(100)
+        self._call("cuDeviceGetName", name, len(name), device)
+        self.name = name.value.decode(errors="replace")
+        self._call("cuDeviceGetAttribute", byref(major), _MAJOR, device)
+        self._call("cuDeviceGetAttribute", byref(minor), _MINOR, device)
+        self.architecture = 10 * major.value + minor.value
+        self._context = c_void_p()
+        self._call("cuDevicePrimaryCtxRetain", byref(self._context), device)
+
+    def load(self, image: bytes) -> c_void_p:
+        """The function of a compiled kernel."""
+        module, function = c_void_p(), c_void_p()
+        with self._used():
+            self._call("cuModuleLoadData", byref(module), image)
+            self._call("cuModuleGetFunction", byref(function), module, b"run")
+        return function
+
+    def run(self, function: c_void_p, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+        """Compute all runs; `results`, an array in memory, is overwritten."""
+        with self._used(), ExitStack() as memory:
+            places = [self._allocated(memory, one.nbytes) for one in (words, results)]
+            self._call("cuMemcpyHtoD_v2", places[0], c_void_p(words.ctypes.data), c_size_t(words.nbytes))
+            arguments = [ctypes.create_string_buffer(scalars), *places, c_int64(lanes)]
+            pointers = (c_void_p * len(arguments))(*(ctypes.addressof(one) for one in arguments))
+            blocks = c_uint(-(-lanes // THREADS)), c_uint(1), c_uint(1)
+            threads = c_uint(THREADS), c_uint(1), c_uint(1)
+            self._call("cuLaunchKernel", function, *blocks, *threads, c_uint(0), None, pointers, None)
+            self._call("cuCtxSynchronize")
+            self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[-1], c_size_t(results.nbytes))
+
+    @contextmanager
+    def _used(self) -> Iterator[None]:
+        """The device for this thread alone, so that memory is that of one chunk."""
+        with self._lock:
+            self._call("cuCtxSetCurrent", self._context)
+            yield
+
+    def _allocated(self, memory: ExitStack, size: int) -> c_int64:
+        place = c_int64()
+        self._call("cuMemAlloc_v2", byref(place), c_size_t(max(size, 1)))
+        memory.callback(lambda: self._driver.cuMemFree_v2(place))
+        return place
+
+    def _call(self, name: str, *arguments: Any) -> None:
+        status = getattr(self._driver, name)(*arguments)
+        if status == 0:
+            return
+        if status == _NO_DEVICE:
+            raise _no_device()
+        if status in _OLD:
+            raise _old_driver(f"fails with error {status}", self.compiler)
+        text = c_char_p()
+        known = self._driver.cuGetErrorName(status, byref(text)) == 0 and text.value
+        remedy = "give a smaller `chunk`" if status == _OUT_OF_MEMORY else _OTHER_ENGINE
+        error = known.decode() if known else f"error {status}"
+        raise DeviceError(f"the CUDA driver fails: {name}: {error}", field=name, value=status, remedy=remedy)
+
+
+def _no_device() -> DeviceError:
+    return DeviceError("the CUDA driver finds no device", value=_NO_DEVICE, remedy=_OTHER_ENGINE)
+
+
+def _old_driver(reason: str, compiler: str) -> DeviceError:
+    remedy = f"update NVIDIA's driver, or install an NVRTC of its version, or {_OTHER_ENGINE}"
+    return DeviceError(f"the CUDA driver {reason}, too old for {compiler}", field="driver", remedy=remedy)
+
+
+@functools.cache
+def device() -> Device:
+    """The first CUDA device; raises `DeviceError`, which names the missing part, if it cannot be used."""
+    return Device(driver_library(), nvrtc())
+
+
+@dataclass(frozen=True)
+class _OnDevice(Compiled):
+    """A kernel on the device."""
+
+    def _call(self, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+        device().run(self.run, scalars, words, results, lanes)
+
+
+class CudaFunction(NativeFunction):
+    """A pure function compiled as a CUDA kernel, of a tree shared by all runs and a tree with an entry per run."""
+
+    _threads = True
+
+    def _state(self) -> tuple[str, ...]:
+        return repr((device().compiler, device().architecture, _OPTIONS)), "cuda"
+
+    def _built(self, source: str, many: bool) -> bytes:
+        return nvrtc().compile(source, device().architecture).image
+
+    def _loaded(self, program: bytes, leaves: Sequence[Any], tree: Any, single: bool) -> Compiled:
+        return _OnDevice(device().load(program), list(leaves), tree)

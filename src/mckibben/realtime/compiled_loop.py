@@ -1,0 +1,206 @@
+"""Control periods of a simulated joint that is not paced, computed by one compiled loop.
+
+The operations are those of the loop period by period, in their order, so that all results are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from mckibben.codegen.native import EXACT, NativeFunction
+from mckibben.realtime.compiled_step import ControlProgram, FlatTree, advance_flat, step_flat
+from mckibben.realtime.simulated import SimulatedJoint
+from mckibben.rig.calibration import Calibration
+from mckibben.rig.safety import JointMonitor
+
+
+class Channels(NamedTuple):
+    """Conversions of the simulated joint and of its host; each a tuple over channels, in SI and volts."""
+
+    sensors: tuple[tuple[Any, ...], ...]  # gain, offset, tare; ends of the converter; ends of a working sensor
+    valves: tuple[tuple[Any, ...], ...]  # gain, offset, tare; ends of the converter; rated pressures
+    steps: tuple[Any, Any]  # of the encoder [rad] and the converter [V]; 0 for none
+    limits: tuple[tuple[Any, Any], ...]  # of the commands [Pa]
+    following: tuple[tuple[Any, Any], ...]  # gain and zero of the pressures, as the monitor has them
+    share: Any  # of the monitor's filter
+
+
+class Periods(NamedTuple):
+    """Inputs of control periods, each of shape (periods,)."""
+
+    counts: Any  # whether it is one: the others fill the chunk
+    raising: Any  # whether the commands are given
+    ramp: tuple[Any, Any]  # given commands [Pa]
+    reference: tuple[Any, Any]
+    noise: tuple[Any, Any]  # of the pressures [Pa]
+
+
+class LoopState(NamedTuple):
+    """State of joint and host between two periods."""
+
+    plant: Any
+    controller: Any
+    commands: tuple[Any, Any]  # [Pa], of the host
+    valves: tuple[Any, Any]  # [Pa], as the valves have them
+    errors: tuple[Any, Any]  # of the pressures from their commands [Pa], filtered
+
+
+class PeriodRecord(NamedTuple):
+    """Record of control periods, each of shape (periods,)."""
+
+    volts: tuple[Any, Any, Any]
+    reading: tuple[Any, Any, Any]
+    errors: tuple[Any, Any]
+    wanted: tuple[Any, Any]
+    commands: tuple[Any, Any]
+    telemetry: tuple[Any, ...]
+
+
+class Joint(NamedTuple):
+    """Numbers and layouts of controller and plant, as compiled, and the period [s]."""
+
+    controller: Any
+    plant: Any
+    controller_layouts: tuple[FlatTree, FlatTree]
+    plant_layouts: tuple[FlatTree, FlatTree, int]
+    telemetry: int  # number of its values
+    period: Any
+
+
+def _clip(x: Any, low: Any, high: Any) -> Any:
+    """`min(max(x, low), high)` of Python."""
+    x = jnp.where(low > x, low, x)
+    return jnp.where(high < x, high, x)
+
+
+def _rounded(x: Any, step: Any) -> Any:
+    return jnp.where(step > 0, lax.round(x / step, lax.RoundingMethod.TO_NEAREST_EVEN) * step, x)
+
+
+def _run(parts: tuple[Joint, Channels, LoopState, Periods], _: None) -> tuple[LoopState, PeriodRecord]:
+    """States and records of periods, each from the sample at its start to its command."""
+    joint, channels, start, periods = parts
+
+    def period(state: LoopState, at: Periods) -> tuple[LoopState, PeriodRecord]:
+        moving = jnp.stack([*state.valves, joint.period])
+        plant = advance_flat(*joint.plant_layouts, joint.plant, state.plant, moving)
+        true = _rounded(plant[0], channels.steps[0]), plant[2] + at.noise[0], plant[3] + at.noise[1]
+        volts, reading = [], []
+        for value, (gain, offset, tare, low, high, working, broken) in zip(true, channels.sensors, strict=True):
+            signal = _clip(_rounded((value + tare) / gain + offset, channels.steps[1]), low, high)
+            volts.append(signal)
+            right = (working <= signal) & (signal <= broken)
+            reading.append(jnp.where(right, (signal - offset) * gain - tare, jnp.nan))
+        errors = tuple(
+            error + channels.share * (signal * gain + zero - command - error)
+            for error, signal, (gain, zero), command in zip(
+                state.errors, volts[1:], channels.following, state.commands, strict=True
+            )
+        )
+
+        def controlled(memory: Array) -> tuple[Array, Array]:
+            inputs = jnp.stack([*at.reference, *reading, joint.period])
+            return step_flat(*joint.controller_layouts, joint.controller, memory, inputs)
+
+        def raised(memory: Array) -> tuple[Array, Array]:
+            nothing = jnp.full(joint.telemetry, jnp.nan)
+            return memory, jnp.concatenate([jnp.stack(at.ramp), nothing])
+
+        memory, values = lax.cond(at.raising, raised, controlled, state.controller)
+        wanted = values[0], values[1]
+        commands = tuple(_clip(one, *limits) for one, limits in zip(wanted, channels.limits, strict=True))
+        valves = tuple(
+            _clip((_clip((command + tare) / gain + offset, low, high) - offset) * gain - tare, least, most)
+            for command, (gain, offset, tare, low, high, least, most) in zip(commands, channels.valves, strict=True)
+        )
+        new = LoopState(plant, memory, commands, valves, errors)  # type: ignore[arg-type]
+        new = LoopState(*(_chosen(at.counts, *pair) for pair in zip(new, state, strict=True)))
+        reported = tuple(values[2 + i] for i in range(joint.telemetry))
+        return new, PeriodRecord(tuple(volts), tuple(reading), errors, wanted, commands, reported)  # type: ignore[arg-type]
+
+    return lax.scan(period, start, periods)
+
+
+def _chosen(counts: Any, new: Any, old: Any) -> Any:
+    if isinstance(new, tuple):
+        return tuple(jnp.where(counts, *pair) for pair in zip(new, old, strict=True))
+    return jnp.where(counts, new, old)
+
+
+run_periods = NativeFunction(_run, EXACT)
+"""Program of `_run`; raises `ExportError` where it cannot be compiled."""
+
+
+class Computed(NamedTuple):
+    """Record of periods, each of shape (periods, ...), and states and commands of the valves [Pa] after them."""
+
+    volts: NDArray[np.float64]
+    reading: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    wanted: NDArray[np.float64]
+    commands: NDArray[np.float64]
+    telemetry: NDArray[np.float64]
+    plant: NDArray[np.float64]
+    controller: NDArray[np.float64]
+    valves: tuple[float, float]
+
+
+def compute_periods(
+    program: ControlProgram,
+    backend: SimulatedJoint,
+    monitor: JointMonitor,
+    limits: tuple[tuple[float, float], tuple[float, float]],
+    memory: NDArray[np.float64] | None,
+    commands: tuple[float, float],
+    ramp: NDArray[np.float64],
+    references: NDArray[np.float64],
+    sensors: Sequence[Calibration],
+    *,
+    size: int,
+) -> Computed:
+    """Compute up to `size` periods after a command [Pa], with a controller's state, or without one on a ramp [Pa].
+
+    Raises `ExportError` if the loop cannot be compiled.
+    """
+    count, raising, start = len(references), memory is None, backend.ahead(len(references))
+    memory = np.zeros(program.layouts[1].size) if memory is None else memory
+    plant, period, telemetry = backend.program, start.period, len(program.telemetry)
+    joint = Joint(program.numbers, plant.numbers, program.layouts, plant.layouts, telemetry, period)
+    of_sensors, valves = backend.channels()
+    working = [one.working_volts(channel) for one, channel in zip(sensors, backend.inputs, strict=True)]
+    channels = Channels(
+        tuple((*one, *ends) for one, ends in zip(of_sensors, working, strict=True)),
+        valves,
+        (backend.sensing.angle_step, backend.sensing.volts_step),
+        limits,
+        tuple((one.gain, one.zero) for one in monitor.signals[1:]),
+        monitor.share,
+    )
+    columns = [_filled(column, size) for column in (*ramp.T, *references.T, *start.noise.T)]
+    pairs = zip(columns[::2], columns[1::2], strict=True)
+    periods = Periods(np.arange(size) < count, np.full(size, raising), *pairs)
+    state = LoopState(start.state, memory, commands, start.commands, monitor.errors)
+    parts = jax.tree.map(_as_array, (joint, channels, state, periods))  # other numbers compile nothing
+    after, record = run_periods(parts)
+    volts, reading, errors, wanted, given, reported = (
+        np.array([column[:count] for column in part]).reshape(len(part), count).T for part in record
+    )
+    ends = after.plant, after.controller, (float(after.valves[0]), float(after.valves[1]))
+    return Computed(volts, reading, errors, wanted, given, reported, *ends)
+
+
+def _as_array(leaf: Any) -> Any:
+    return np.asarray(leaf) if isinstance(leaf, float) else leaf
+
+
+def _filled(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    """Values, and then the last one."""
+    return np.concatenate([values, np.repeat(values[-1:], size - len(values), axis=0)])

@@ -1,0 +1,62 @@
+"""Prediction over the delay of the commands, against integrals of the commands and of the equation of motion."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mckibben.actuator import FirstOrderValve
+from mckibben.control import PID, DelayCompensation, Measurement, PositionStiffnessControl
+from mckibben.control.delay import _means
+from mckibben.errors import ParameterError
+from mckibben.units import ms
+
+PERIOD, DELAY, LAG = 1 * ms, 8 * ms, 20 * ms
+ANGLE, PRESSURES = 0.05, (2.5e5, 3.1e5)
+
+
+@pytest.fixture(scope="module")
+def control(knee, load):
+    inner = PositionStiffnessControl(PID(3e5, 4e6, 5e4), PID(3e4, 1.1e6, 0.0), model=knee)
+    return DelayCompensation(knee, load, valve=FirstOrderValve(LAG), controller=inner, command_delay=DELAY)
+
+
+@pytest.mark.parametrize(("newest", "oldest"), [(0.0, 1.0), (1.0, 2.0), (0.25, 0.75), (0.5, 2.25), (1.9, 3.0)])
+def test_the_mean_of_commands_between_two_ages_is_that_of_their_steps(newest, oldest):
+    sent = tuple((jnp.asarray(x), jnp.asarray(-2 * x)) for x in (1.0, 5.0, 2.0))
+    ages = newest + (np.arange(40_000) + 0.5) / 40_000 * (oldest - newest)
+    expected = np.array([1.0, 5.0, 2.0])[np.floor(ages).astype(int)].mean()
+    np.testing.assert_allclose(_means(sent, newest, oldest), (expected, -2 * expected), rtol=1e-4)
+
+
+def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, knee, load):
+    prepared = control.with_period(PERIOD)
+    estimates = prepared.init_estimates(Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES))))
+    estimates = estimates._replace(motion=estimates.motion._replace(velocity=jnp.asarray(2.0)))
+    commands = np.array([[2e5, 4e5]] * 3 + [[3.5e5, 1e5]] * 4 + [[1e5, 5e5]] * 2)  # the last sent first
+    expected = prepared._predicted(knee, estimates, tuple(map(tuple, jnp.asarray(commands))), PERIOD)
+
+    def rates(time, state, arriving):
+        angle, velocity, *pressures = state
+        torque = float(knee.torque(angle, pressures))
+        return [velocity, float(load.acceleration(angle, velocity, torque)), *((arriving - pressures) / LAG)]
+
+    state = np.array([ANGLE, 2.0, *PRESSURES])
+    for arriving in commands[-2::-1]:  # each for a period, the oldest first; the last has acted already
+        state = solve_ivp(rates, (0, PERIOD), state, args=(arriving,), rtol=1e-8).y[:, -1]
+    np.testing.assert_allclose(expected.pressures, state[2:], rtol=1e-4)
+    assert float(expected.angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=2e-3)
+
+
+def test_without_a_delay_the_estimates_are_passed_on_and_without_a_period_it_is_refused(control, knee):
+    now = Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES)))
+    with pytest.raises(ParameterError):
+        control.init(now)
+    assert len(control.with_period(PERIOD).init(now).sent) == 9
+    prompt = dataclasses.replace(control, command_delay=0.0).with_period(PERIOD)
+    state = prompt.init(now)
+    assert len(state.sent) == 1
+    moving = state.estimates._replace(motion=state.estimates.motion._replace(velocity=jnp.asarray(2.0)))
+    assert prompt._predicted(knee, moving, state.sent, PERIOD) == now
