@@ -290,6 +290,14 @@ class CudaOnProcessor:
 
 
 @pytest.fixture(scope="session")
+def nvrtc():
+    try:
+        return cuda.nvrtc()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
 def cuda_driver(tmp_path_factory):
     if not (shutil.which("c++") and sys.platform == "linux"):
         pytest.skip("there is no C++ compiler")
