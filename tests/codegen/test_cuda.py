@@ -13,7 +13,7 @@ from mckibben.codegen import cuda
 from mckibben.codegen.cuda import CudaFunction, driver_library
 from mckibben.codegen.native import Split
 from mckibben.errors import CompilerError, DeviceError, ParameterError
-from mckibben.simulation.engine import check_engine
+from mckibben.simulation.engine import check_engine, chunk_size
 
 PARTS = {"nvrtc": cuda.nvrtc.__wrapped__, "driver_library": driver_library}
 RUNS = 200  # two blocks of threads
@@ -171,6 +171,14 @@ def test_it_computes_batches_only_and_is_never_chosen(cuda_here):
     with pytest.raises(ParameterError) as caught:
         check_engine("cuda")
     assert caught.value.field == "engine"
+
+
+@pytest.mark.parametrize(
+    "count, numbers, size",
+    [(100, 1, 112), (65_536, 0, 65_536), (70_000, 1, 35_008), (65_536, 2 * 10_000, 13_120), (100, 10**9, 16)],
+)
+def test_chunks_are_even_and_fit_the_memory(cuda_here, count, numbers, size):
+    assert chunk_size(None, count, 2, "cuda", numbers=numbers) == size
 
 
 @pytest.mark.slow

@@ -135,13 +135,14 @@ def simulate_many(
     keep, every
         Names of `Trajectory` to keep over time, and the time between two values [s], by default the control period.
     chunk
-        Runs computed together: 1024 unless given, 256 by XLA, fewer where that would leave cores idle. Answers of
-        different chunk sizes agree to 1e-12; they do not depend on the number of runs or workers.
+        Runs computed together. Default: 1024, by XLA 256, by CUDA up to 65,536; fewer where that would leave cores
+        idle. Answers of different chunk sizes agree to 1e-12; they do not depend on the number of runs or workers.
     workers
         Threads; one per core unless given.
     engine
-        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", the first where it can be used.
-        The attribute ``engine`` of the table says which one it was. Their numbers differ by rounding.
+        "native": emitted as C and compiled by the machine's compiler; "xla"; "cuda": kernels on an NVIDIA GPU, which
+        needs the extra ``gpu``; or "auto", the first where it can be used, else "xla". The attribute
+        ``engine`` of the table says which one it was. Their numbers differ by rounding.
     progress
         Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
@@ -153,7 +154,10 @@ def simulate_many(
     Raises
     ------
     ParameterError
-        If there is no such leaf, or the arrays are of different lengths, or there is none.
+        If there is no such leaf, or the arrays are of different lengths, or there is none; if the engine cannot
+        be used.
+    DeviceError
+        If the GPU fails, or has too little memory for a chunk.
     SimulationError
         If an argument is of the wrong type, the times do not fit together, or a name is not known.
 
