@@ -125,7 +125,7 @@ def test_batches_in_32_bits_are_near_those_in_64(scenario, in_64_bits):
 
 
 @pytest.mark.slow
-def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device):
+def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device, nvrtc):
     found, near = batch(scenario, engine="cuda"), batch(scenario, engine="cuda", precision=32)
     assert [one.table.attrs["engine"] for one in (found, near)] == ["cuda", "cuda"]
     noisy = scenario.sensors is not None  # noise is of 32 bits
@@ -137,6 +137,9 @@ def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device):
         np.testing.assert_allclose(found[name], expected, rtol=0, atol=tolerance, err_msg=name)
     assert near["angle"].dtype == np.float32
     assert np.median(np.abs(near["angle"] - in_64_bits["angle"]).max(axis=1)) < 5e-6
+    if cuda_device is not None:
+        assert len(cuda_device.sources) == 2
+        assert all(0 < nvrtc.compile(one, 90).registers <= 255 for one in cuda_device.sources)
 
 
 @pytest.mark.slow

@@ -94,11 +94,13 @@ class ArrayRules:
         return self._elementwise(convert, x)
 
     def _bitcast_convert_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
-        names = {"f8": "from_bits", "f4": "from_bits_32", "i8": "bits"}
+        reals, words = {"f8": "from_bits", "f4": "from_bits_32"}, {"i8": "bits"}
         if self._graph.single:
-            names = {"f4": "from_bits_32", "i4": "bits"}
-        name = names.get(np.dtype(parameters["new_dtype"]).str[1:])
-        if name is None or (self._graph.single and x.flat[0].uniform):
+            words = {} if x.flat[0].uniform else {"i4": "bits"}
+            if not self._graph.threads:  # which have integers of 64 bits
+                reals = {} if x.flat[0].uniform else {"f4": "from_bits_32"}
+        name = (reals | words).get(np.dtype(parameters["new_dtype"]).str[1:])
+        if name is None:
             return None
         return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
 
