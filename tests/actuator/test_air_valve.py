@@ -216,9 +216,7 @@ def test_the_bound_on_the_rates_of_the_air_holds_and_is_near(name):
         return jnp.stack([rate, moved.valves[0], moved.reservoir if has_reservoir else 0.0 * x[2]])
 
     errors = float(valve.band) * np.array([-1.5, -0.9, -0.1, 0.1, 0.9, 1.5])
-    pressure, error, inlet = np.meshgrid(
-        [20.0, 1e5, 4e5, 7e5 - 20], errors, [6.1e5, 7e5 - 20], indexing="ij"
-    )
+    pressure, error, inlet = np.meshgrid([20.0, 1e5, 4e5, 7e5 - 20], errors, [6.1e5, 7e5 - 20], indexing="ij")
     state = pressure + error if isinstance(valve, PressureRegulator) else np.clip(error / valve.band, -1, 1)
     points = np.stack([pressure, state, inlet], axis=-1).reshape(-1, 3)
     command = np.clip(error / valve.band, -1, 1) if valve.direct else pressure + error
