@@ -11,6 +11,7 @@ from mckibben.codegen import native
 from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
+from mckibben.simulation.engine import _by_xla
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"
@@ -193,3 +194,10 @@ def test_another_process_finds_the_compiled_program(tmp_path):
         for word in ("unknown", "known")
     ]
     assert printed[0].stdout == printed[1].stdout
+
+
+def test_a_batch_of_xla_has_its_runs_along_the_last_axis():
+    lanes = {"gain": np.arange(3.0), "rows": np.arange(12.0).reshape(4, 3)}
+    sums, rows = _by_xla(lambda shared, lane: (lane["rows"].sum() + shared, lane["gain"] * lane["rows"]), 2.0, lanes)
+    np.testing.assert_allclose(sums, lanes["rows"].sum(axis=0) + 2.0)
+    np.testing.assert_allclose(rows, lanes["gain"] * lanes["rows"])
