@@ -40,7 +40,7 @@ from mckibben.cli.options import (
     results_folder,
     table,
 )
-from mckibben.cli.plan import envelope, margins, plan, stiffness
+from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import merge, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
@@ -161,6 +161,7 @@ def simulate(
 app.command()(envelope)
 app.command()(stiffness)
 app.command()(margins)
+app.command()(oracle)
 app.command()(plan)
 app.command()(sweep)
 app.command()(merge)

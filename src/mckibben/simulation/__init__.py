@@ -15,6 +15,7 @@ from mckibben.simulation.metrics import (
     settling_band,
     trajectory,
 )
+from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import Outcome, Result
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
@@ -31,6 +32,7 @@ __all__ = [
     "Margins",
     "Metrics",
     "Mode",
+    "OptimalCommands",
     "Outcome",
     "Result",
     "Trajectory",
@@ -45,6 +47,7 @@ __all__ = [
     "episode",
     "margins",
     "measure",
+    "optimal_commands",
     "rms",
     "run_episode",
     "sampled",
