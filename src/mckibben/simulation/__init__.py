@@ -8,15 +8,13 @@ from mckibben.simulation.metrics import (
     SETTLING_PART,
     Metrics,
     Trajectory,
-    compiled_measure,
-    compiled_trajectory,
     measure,
     rms,
     settling_band,
     trajectory,
 )
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
-from mckibben.simulation.result import Outcome, Result
+from mckibben.simulation.result import Outcome, Result, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
 from mckibben.simulation.stability import Margins, margins
 
@@ -38,8 +36,8 @@ __all__ = [
     "checked_run",
     "closed_valves",
     "compiled_episode",
-    "compiled_measure",
-    "compiled_trajectory",
+    "compute_metrics",
+    "compute_trajectory",
     "differentiate",
     "dynamic_stiffness",
     "episode",
