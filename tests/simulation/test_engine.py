@@ -1,5 +1,6 @@
 """Runs and batches through emitted C against XLA's, over plants, controllers, sensors and disturbances."""
 
+import importlib
 import subprocess
 import sys
 
@@ -11,7 +12,10 @@ from mckibben.codegen import native
 from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
-from mckibben.simulation.engine import _by_xla
+from mckibben.simulation import problem
+from mckibben.simulation.engine import _by_xla, native_episode
+
+SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"
@@ -162,7 +166,8 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
     monkeypatch.setattr(native, "_WARNED", [])
-    monkeypatch.setattr("mckibben.simulation.engine.native_episode._known", {})
+    for one in (SIMULATE._native_start, SIMULATE._bands._native, problem._each_sample._native, native_episode):
+        monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
 

@@ -8,8 +8,6 @@ from mckibben.simulation.metrics import (
     SETTLING_PART,
     Metrics,
     Trajectory,
-    compiled_measure,
-    compiled_trajectory,
     measure,
     rms,
     settling_band,
@@ -17,7 +15,7 @@ from mckibben.simulation.metrics import (
 )
 from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
-from mckibben.simulation.result import Outcome, Result
+from mckibben.simulation.result import Outcome, Result, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
 from mckibben.simulation.stability import Margins, margins
 
@@ -40,8 +38,8 @@ __all__ = [
     "checked_run",
     "closed_valves",
     "compiled_episode",
-    "compiled_measure",
-    "compiled_trajectory",
+    "compute_metrics",
+    "compute_trajectory",
     "differentiate",
     "dynamic_stiffness",
     "episode",

@@ -29,9 +29,9 @@ from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
     check_names,
-    compiled_reference,
     float_type,
     sample_reference,
+    sampled_reference,
     sampling_times,
     split_runs,
 )
@@ -223,7 +223,7 @@ def _warn_of_substeps(
     needed = 0
     for run in sorted({0, *(int(find(values)) for values in varied for find in (np.argmin, np.argmax))}):
         problem = eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), shared)
-        setpoints = compiled_reference(problem.reference, times)
+        setpoints = sampled_reference(problem.reference, times)
         try:
             problem.plant.check_substeps(*setpoints, period, substeps)
         except SimulationError as error:
