@@ -152,17 +152,9 @@ EXAMPLES = [
     MountedMuscle(SPECIMEN, CHOU, friction=SLIP),
 ]
 INSTANCES = {type(one).__name__: one for one in EXAMPLES}
-SLOW = {
-    name
-    for name, kind in CLASSES.items()
-    if issubclass(kind, control.Controller | leg.LegController | ForceLaw)
-    and kind not in (leg.PressureSchedule, muscle.ChouLaw)
-} | {"BackpropPID", "SeriesSpring", "SecondOrderValve"}
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name in SLOW)) for name, kind in CLASSES.items()]
-)
+@pytest.mark.parametrize("kind", CLASSES.values(), ids=CLASSES)
 @pytest.mark.slow
 def test_every_built_in_class_keeps_it(kind, tmp_path):
     samples = tmp_path / "samples.csv"

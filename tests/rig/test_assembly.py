@@ -43,7 +43,7 @@ POINTS = [
 ]
 
 
-@pytest.mark.parametrize("wrong", [{"cycle": 100.0}, {"steady": -1.0}, {"rate": 5.0}, {"settled": np.nan}])
+@pytest.mark.parametrize("wrong", [{"between": -1.0}, {"slack_force": -5.0}, {"cycle": -0.1}, {"rate": 5.0}])
 def test_a_bench_whose_numbers_make_no_sense_is_refused(wrong):
     with pytest.raises(RangeError):
         replace(BENCH, **wrong)

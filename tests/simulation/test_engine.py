@@ -13,7 +13,7 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
 from mckibben.simulation import problem
-from mckibben.simulation.engine import _by_xla, native_episode
+from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, native_episode
 
 SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
 
@@ -206,3 +206,19 @@ def test_a_batch_of_xla_has_its_runs_along_the_last_axis():
     sums, rows = _by_xla(lambda shared, lane: (lane["rows"].sum() + shared, lane["gain"] * lane["rows"]), 2.0, lanes)
     np.testing.assert_allclose(sums, lanes["rows"].sum(axis=0) + 2.0)
     np.testing.assert_allclose(rows, lanes["gain"] * lanes["rows"])
+
+
+@pytest.mark.parametrize(
+    ("count", "workers", "chunk", "size"),
+    [
+        (100, 1, None, 112),  # whole vectors
+        (100, 2, None, 64),
+        (96, 2, None, 48),
+        (3, 2, None, VECTOR),
+        (100_000, 2, None, NATIVE),
+        (100, 2, 10, 10),
+        (100, 2, 100, 64),  # no core is idle
+    ],
+)
+def test_a_chunk_has_whole_vectors_and_leaves_no_core_idle(count, workers, chunk, size):
+    assert chunk_size(chunk, count, workers, "native") == size
