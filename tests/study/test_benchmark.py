@@ -175,11 +175,17 @@ class TestTuning:
         assert list(contest.trials["PID 3"]) == trials(tmp_path)
         for trial in contest.trials["PID 3"]:
             kp = 1e4 * 200 ** trial.point[0]
-            assert (trial.metrics is None) == (kp > 8e5)
-            if trial.metrics is not None:
+            failed = 0 if trial.metrics is None else trial.metrics["failed"]
+            assert (trial.metrics is None or failed > 0) == (kp > 8e5)
+            if trial.metrics is not None and not failed:
                 error = (1 + abs(np.log10(kp / 3e5))) * np.median(mass) / 0.5 * deg
                 assert trial.metrics == pytest.approx(
-                    {"angle_rmse": error, "stiffness_rmse": np.median(lag) / 0.02, "air": kp / 3e5 * 1e-4}
+                    {
+                        "angle_rmse": error,
+                        "stiffness_rmse": np.median(lag) / 0.02,
+                        "air": kp / 3e5 * 1e-4,
+                        "failed": 0.0,
+                    }
                 )
 
     @pytest.mark.slow
@@ -349,13 +355,15 @@ def test_a_front_has_the_trials_with_the_least_error_for_their_air():
 
 
 def test_too_much_air_or_stiffness_error_raises_the_error_that_is_searched():
-    def error(air, stiffness):
-        metrics = {"air": air, "angle_rmse": 0.01, "stiffness_rmse": stiffness}
-        return _error_at_air(Trial((0.5,), 1.0, metrics=metrics), 2e-4, 0.5)
+    def error(air, stiffness, failed=0.0):
+        metrics = {"air": air, "angle_rmse": 0.01, "stiffness_rmse": stiffness, "failed": failed}
+        return _error_at_air(Trial((0.5,), 1.0, metrics=metrics), 2e-4, 0.5, 1.0)
 
     assert error(2e-4, 0.5) == error(1e-4, 0.1) == 0.01
     assert error(2.2e-4, 0.5) == error(2e-4, 0.55) == pytest.approx(0.02)
-    assert _error_at_air(Trial((0.5,), FAILED_COST), 2e-4, 0.5) == FAILED_COST
+    assert error(2e-4, 0.5, failed=1.0) == 0.01
+    assert error(2e-4, 0.5, failed=2.0) == FAILED_COST
+    assert _error_at_air(Trial((0.5,), FAILED_COST), 2e-4, 0.5, 1.0) == FAILED_COST
 
 
 @pytest.mark.slow

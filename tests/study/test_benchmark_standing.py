@@ -14,7 +14,7 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES
 from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.statistics import statistics
+from mckibben.study.benchmark.statistics import air_of, front, statistics, trial_at_air
 from mckibben.study.benchmark.table import write_table
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial
@@ -144,6 +144,21 @@ def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
     for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
         assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
     assert numbers["at_air_of_first"] is None
+
+
+def test_the_air_of_a_controller_that_fails_in_every_trial_is_that_of_the_runs_that_it_survives():
+    """Only trials with the fewest failed runs count, whatever others would do with less air."""
+
+    def trial(failed, cost, error, air):
+        numbers = {"angle_rmse": error * deg, "stiffness_rmse": 1.0, "air": air * litre, "failed": failed}
+        return Trial((cost,), cost, metrics=numbers)
+
+    least, other, worse = trial(1.0, 2.0, 1.0, 0.2), trial(1.0, 3.0, 0.5, 0.3), trial(2.0, 1.0, 0.1, 0.1)
+    unknown = Trial((9.0,), FAILED_COST)
+    assert air_of([worse, unknown, other, least]) == pytest.approx(0.2 * litre)
+    assert [one for one, _ in front([worse, other, least, unknown])] == [least, other]
+    assert trial_at_air([worse, other, least], 0.25 * litre) == least
+    assert np.isnan(air_of([unknown])) and front([unknown]) == []
 
 
 def test_runs_are_resampled_in_pairs(contest, columns):

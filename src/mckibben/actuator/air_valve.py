@@ -184,15 +184,15 @@ class AirValve(AirActuator):
     def predict(
         self, pressure: Scalar, state: Scalar, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
     ) -> tuple[Scalar, Scalar]:
-        slowest, fastest, drift = self.open_rates(pressure, air)
         following = self.follow(state, command, duration)
         error = self.effective((state + following) / 2 - pressure)
-        rate = jnp.where(error > 0, fastest, -slowest)  # of the open valve
+        side = jnp.where(error > 0, 1.0, -1.0)
+        rate, drift = self.open_rate(side, pressure, air)
         lag = self.band / rate
         full = jnp.clip(jnp.abs(error) / rate - lag, 0.0, duration)  # time [s] with a fully open valve
-        rest = error - jnp.sign(error) * rate * full
-        moved = error - rest * exp((full - duration) / lag)
-        return pressure + moved + drift * lag * (1 - exp(-jnp.asarray(duration) / lag)), following
+        left = exp((full - duration) / lag)
+        moved = error - (error - side * rate * full) * left
+        return pressure + moved + drift * (full + lag * (1 - left)), following
 
     def attainable(
         self,
@@ -230,16 +230,18 @@ class AirValve(AirActuator):
         )
 
     def open_rates(self, pressure: Scalar, air: AirVolume | None) -> tuple[Scalar, Scalar, Scalar]:
-        """Rates [Pa/s] by the open valve, to the exhaust and from the full supply, and with the valve shut."""
+        """Return the rates [Pa/s] by the open valve to the exhaust and from the full supply, and with it shut."""
+        (vent, drift), (fill, _) = (self.open_rate(side, pressure, air) for side in (-1.0, 1.0))
+        return -vent, fill, drift
+
+    def open_rate(self, side: ArrayLike, pressure: Scalar, air: AirVolume | None) -> tuple[Scalar, Scalar]:
+        """Return the magnitude of the rate [Pa/s] by the valve open to one side, 1 or -1, and the rate with it shut."""
         assert air is not None
         index, absolute = self.polytropic_index, pressure + ATMOSPHERE
-        volume = air.effective(index, absolute)
-        vent, fill = (
-            pressure_rate(index, absolute, self.flow(opening, self.supply + ATMOSPHERE, pressure), volume, 0.0)
-            for opening in (-1.0, 1.0)
-        )
-        drift = pressure_rate(index, absolute, -self.leakage(pressure), volume, air.rate)
-        return jnp.minimum(vent, -_LEAST_RATE), jnp.maximum(fill, _LEAST_RATE), drift
+        by_flow = index / air.effective(index, absolute)
+        open_rate = side * by_flow * ENERGY * self.flow(side, self.supply + ATMOSPHERE, pressure)
+        drift = -by_flow * (ENERGY * self.leakage(pressure) + absolute * air.rate)
+        return jnp.maximum(open_rate, _LEAST_RATE), drift
 
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
         inside = pressure + ATMOSPHERE

@@ -154,10 +154,11 @@ class Tube(AirActuator):
     def predict(
         self, pressure: Scalar, state: TubeState, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
     ) -> tuple[Scalar, TubeState]:
-        slowest, fastest, _ = self._open_rates(state.pressure)
         following = self.valve.follow(state.valve, command, duration)
         error = self.valve.effective((state.valve + following) / 2 - state.pressure)
-        speed = jnp.where(error > 0, fastest, -slowest) / jnp.maximum(jnp.abs(error), self.valve.band)
+        at_valve = AirVolume(jnp.asarray(self.dead_volume), jnp.zeros_like(pressure))
+        rate, _ = self._tight.open_rate(jnp.where(error > 0, 1.0, -1.0), state.pressure, at_valve)
+        speed = rate / jnp.maximum(jnp.abs(error), self.valve.band)
         muscle, tube = self._moved(pressure, state.pressure, error, speed, air, duration)
         return pressure + muscle, TubeState(following, state.pressure + tube)
 
@@ -217,10 +218,6 @@ class Tube(AirActuator):
         room = volume.effective(self.polytropic_index, absolute)
         filling = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
         return filling + self.valve.leakage(absolute - ATMOSPHERE)
-
-    def _open_rates(self, outlet: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """Rates [Pa/s] of the pressure [Pa] at the outlet by the open valve, and with it shut."""
-        return self._tight.open_rates(outlet, AirVolume(jnp.asarray(self.dead_volume), jnp.zeros_like(outlet)))
 
     def _moved(
         self,

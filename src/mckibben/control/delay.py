@@ -105,6 +105,8 @@ class DelayCompensation(ModelBasedControl):
         reference, ahead = estimates.reference, jnp.asarray(self.command_delay)
         angle = reference.angle + ahead * (reference.velocity + ahead / 2 * reference.acceleration)
         inner, commands = self.controller.step(state.inner, setpoint._replace(angle=angle), expected, period)
+        unused = ("torque", "stiffness", "added_stiffness", "commands", "saturated")  # not computed in exported C
+        estimates = estimates._replace(**{name: getattr(state.estimates, name) for name in unused})
         return DelayState(inner, estimates, (commands, *state.sent[:-1])), commands
 
     def telemetry(self, state: DelayState) -> dict[str, Scalar]:

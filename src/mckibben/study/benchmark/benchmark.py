@@ -24,10 +24,12 @@ from mckibben.simulation.result import OUTCOMES
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.statistics import (
+    FAILED_RUNS,
     MAIN,
     SHOWN,
     TRADED,
     air_of,
+    fewest_failed,
     front,
     statistics,
     stiffness_limit,
@@ -260,10 +262,16 @@ class ControllerTuning:
         columns = {name: batch.metrics[name].reshape(shape) for name in TRADED}
 
         def medians(row: int) -> dict[str, float] | None:
-            if not good[row] or (started & ~usable)[row].any():
+            """Medians in which errors of failed runs are infinite, the air over the others, and the failed runs."""
+            begun, kept = started[row], (started & usable)[row]
+            if not good[row] or not kept.any():
                 return None
-            found = {name: float(np.median(column[row][started[row]])) for name, column in columns.items()}
-            return found if np.isfinite(list(found.values())).all() else None
+            errors = {name: np.where(kept, columns[name][row], np.inf)[begun] for name in MAIN}
+            values = {**errors, "air": columns["air"][row][kept]}
+            found = {name: float(np.median(column)) for name, column in values.items()}
+            if not np.isfinite(list(found.values())).all():
+                return None
+            return {**found, FAILED_RUNS: float((begun & ~kept).sum())}
 
         return Evaluated(costs, metrics=[medians(row) for row in range(len(values))])
 
@@ -340,10 +348,11 @@ class ControllerTuning:
                 start = points[np.argmin(searched_costs(points))] if tuning.candidates else points[0]
                 self._search(searched_costs, start, tuning.seed + number, partial(report, number=number))
             air, stiffness = air_of(searched) if self.air is None else self.air, stiffness_limit(searched)
+            failed = fewest_failed(searched)
             if np.isfinite(air) and (found := front(searched)):
                 begin = trial_at_air(searched, air) or found[0][0]
                 self._search(
-                    lambda points: np.array([_error_at_air(trial, air, stiffness) for trial in trials(points)]),
+                    lambda points: np.array([_error_at_air(trial, air, stiffness, failed) for trial in trials(points)]),
                     np.array(begin.point),
                     tuning.seed + self._starts,
                     partial(report, number=self._starts),
@@ -375,9 +384,12 @@ class ControllerTuning:
         )
 
 
-def _error_at_air(trial: Trial, air: float, stiffness: float) -> float:
-    """Angle error [rad] of a trial, penalised for exceeding an air [m^3] and a stiffness error [N*m/rad]."""
-    if trial.metrics is None:
+def _error_at_air(trial: Trial, air: float, stiffness: float, failed: float) -> float:
+    """Angle error [rad] of a trial, penalised for exceeding an air [m^3] and a stiffness error [N*m/rad].
+
+    `FAILED_COST` if more training runs failed than in other trials.
+    """
+    if trial.metrics is None or trial.metrics.get(FAILED_RUNS, 0.0) > failed:
         return FAILED_COST
     excess = max(trial.metrics["air"] / air - 1, 0) + max(trial.metrics["stiffness_rmse"] / stiffness - 1, 0)
     return trial.metrics["angle_rmse"] * (1 + _PENALTY * excess)

@@ -20,6 +20,8 @@ MAIN = ("angle_rmse", "stiffness_rmse")
 """Errors compared with those of the first controller."""
 TRADED = (*MAIN, "air")
 """Metrics of each trial of the tuning."""
+FAILED_RUNS = "failed"
+"""Number of failed training runs, among the metrics of a trial."""
 _SAME_STIFFNESS = 1.1  # largest stiffness error on a Pareto front, relative to the tuned controller
 _RESAMPLES = 2000
 _MAX_RESAMPLED = 2_000_000  # values at once
@@ -130,10 +132,12 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
 def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
     """Pareto front of the trials (air, angle error) with their metrics [SI], by rising air.
 
-    Includes only trials in which no run failed, with a stiffness error of at most 1.1 times that of the best trial.
+    Includes only trials with the fewest failed runs of all (usually none), and with a stiffness error of at most 1.1
+    times that of the best trial. The metrics are medians in which the errors of failed runs are infinite; the air is
+    that of the other runs.
     """
-    known = [(trial, trial.metrics) for trial in trials if trial.metrics]
     limit = stiffness_limit(trials)
+    known = [(trial, trial.metrics) for trial in _least_failing(trials) if trial.metrics]
     found: list[tuple[Trial, dict[str, float]]] = []
     for trial, at in sorted(known, key=lambda one: (one[1]["air"], one[1]["angle_rmse"])):
         if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1][1]["angle_rmse"]):
@@ -147,7 +151,7 @@ def stiffness_limit(trials: Sequence[Trial]) -> float:
 
 
 def air_of(trials: Sequence[Trial]) -> float:
-    """Air [m^3] of the trial of lowest cost, median of the training runs; NaN if unknown."""
+    """Air [m^3] of the trial of lowest cost, median of the training runs that did not fail; NaN if unknown."""
     return _best(trials).get("air", np.nan)
 
 
@@ -157,9 +161,20 @@ def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
 
 
 def _best(trials: Sequence[Trial]) -> dict[str, float]:
-    """Metrics [SI] of the trial of lowest cost; empty if runs failed in all trials."""
-    known = [trial for trial in trials if trial.metrics]
+    """Metrics [SI] of the trial of lowest cost; empty if half of the runs or more failed in all trials."""
+    known = _least_failing(trials)
     return min(known, key=lambda trial: (trial.cost, trial.point)).metrics or {} if known else {}
+
+
+def fewest_failed(trials: Sequence[Trial]) -> float:
+    """Return the smallest number of training runs that failed in a trial; infinite if unknown."""
+    return min((trial.metrics.get(FAILED_RUNS, 0.0) for trial in trials if trial.metrics), default=np.inf)
+
+
+def _least_failing(trials: Sequence[Trial]) -> list[Trial]:
+    """Trials with the smallest number of failed training runs."""
+    fewest = fewest_failed(trials)
+    return [one for one in trials if one.metrics and one.metrics.get(FAILED_RUNS, 0.0) == fewest]
 
 
 def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
