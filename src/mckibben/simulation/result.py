@@ -362,22 +362,28 @@ class Result:
         """Columns along ``time`` [s], with ``units`` and ``long_name``; period, scenario and outcome as attributes."""
         import xarray as xr  # 0.15 s
 
-        return xr.Dataset(
-            variables(self.columns, "time"),
-            coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
-            attrs={
-                "control_period": self.control_period,
-                "scenario": self.scenario,
-                "outcome": self.outcome.name,
-                "engine": self.engine,
-            },
-        )
+        return xr.Dataset(variables(self.columns, "time"), coords={"time": self._time}, attrs=self._attributes)
+
+    @property
+    def _time(self) -> tuple[str, np.ndarray, dict[str, str]]:
+        return "time", self.times, {"units": "s", "long_name": "time"}
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        return {
+            "control_period": self.control_period,
+            "scenario": self.scenario,
+            "outcome": self.outcome.name,
+            "engine": self.engine,
+        }
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write to a NetCDF file, atomically and with a checksum."""
-        from mckibben.dataset.schema import write_netcdf
+        from mckibben.dataset.netcdf import write_variables
 
-        write_netcdf(self.to_xarray(), Path(path))
+        columns = {**variables(self.columns, "time"), "time": self._time}
+        each = {name: ((dimension,), values, marks) for name, (dimension, values, marks) in columns.items()}
+        write_variables(each, self._attributes, Path(path))
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
