@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, Attainable, Scalar, lag_fraction
 from mckibben.component.checks import check_within
+from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain
@@ -81,6 +81,12 @@ class AirValve(Actuator):
         Volume [m^3] of air at the valves' inlets, and the C of the line that fills it from the supply: with them the
         supply drops while air flows. Without, the pressure at the inlets is constant.
     """
+
+    telemetry_labels: ClassVar = {
+        "opening1": Label("1", "opening of the valve of muscle 1, to the supply or where negative to the exhaust"),
+        "opening2": Label("1", "opening of the valve of muscle 2, to the supply or where negative to the exhaust"),
+        "reservoir": Label("Pa", "gauge pressure at the inlets of the valves"),
+    }
 
     holds_air = True
 
@@ -278,9 +284,8 @@ class AirValve(Actuator):
         """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""
         muscle = joint.muscle2 if joint.springs[0] else joint.muscle1
         domain = muscle.domain
-        volume = np.asarray(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
-        found = self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
-        return np.asarray(found, float) if np.ndim(found) else float(found)
+        volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
+        return self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
 
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
         """Return the first-order time constant [s] of a small change of the command at a pressure and volume.
@@ -289,8 +294,8 @@ class AirValve(Actuator):
         gauge pressure [Pa], over the step; the mean of filling and venting. For the valve model of a controller.
         """
         inside = pressure + ATMOSPHERE
-        fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside, np)
-        vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
+        fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside)
+        vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE)
         mass = self.band * (volume + self.dead_volume) / (self.polytropic_index * ENERGY)  # of a band
         return self.command_lag + mass * (1 / fill + 1 / vent) / 2
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
+from mckibben.component.columns import Labelled
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, RigidTendon
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
@@ -106,7 +107,7 @@ class Attainable(NamedTuple):
         return self.keep * pressure + self.lower, self.keep * pressure + self.upper
 
 
-class Actuator(Component):
+class Actuator(Labelled, Component):
     """Response of the pressures of the muscles to their commands; one for each muscle, all alike.
 
     The state of an actuator is the pressure, and what it holds beside it (`init`). Derive a closed form over a

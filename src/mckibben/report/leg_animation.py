@@ -19,7 +19,7 @@ from PIL import Image
 from mckibben.errors import ExportError
 from mckibben.export.leg_mjcf import coordinates, leg_scene
 from mckibben.export.mujoco import import_mujoco
-from mckibben.leg import LegPlant
+from mckibben.leg import LegPlant, LegResult
 from mckibben.report.animation import animation_format, write_frames
 from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, posture_of, skeleton
 from mckibben.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, styled
@@ -38,7 +38,7 @@ _LINES = (BLUE, SKY, VERMILLION, ORANGE, GREEN, PURPLE)
 
 def render_leg(
     plant: LegPlant,
-    run: xr.Dataset,
+    run: LegResult,
     path: str | os.PathLike[str],
     *,
     frames: int = 72,
@@ -69,9 +69,10 @@ def render_leg(
         If the file exists and `overwrite` is not set.
     """
     animation_format(path)
-    chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, frames).round().astype(int))
-    pictures = _pictures(plant, run, chosen)
-    plot, places, rows = _plot(plant, run, seconds)
+    table = run.to_xarray()
+    chosen = np.unique(np.linspace(0, table.sizes["time"] - 1, frames).round().astype(int))
+    pictures = _pictures(plant, table, chosen)
+    plot, places, rows = _plot(plant, table, seconds)
     images = []
     for picture, place in zip(pictures, places[chosen], strict=True):
         beside = plot.copy()

@@ -35,7 +35,8 @@ from mckibben.simulation.problem import (
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import BAND, Columns, Result
+from mckibben.simulation.result import BAND, Result
+from mckibben.simulation.table import Columns
 from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
@@ -291,7 +292,8 @@ def _episode_result(
     period = np.asarray(control_period, setpoints.angle.dtype)
 
     def run(setpoints: Setpoint) -> tuple[Record, str]:
-        return run_alone(engine, plant, controller, setpoints, start, period, substeps)
+        (_, record), used = run_alone(engine, plant, controller, setpoints, start, period, substeps)
+        return record, used
 
     record, used = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)

@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.component.columns import attributes
 from mckibben.dataset.schema import load_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
-from mckibben.simulation.result import OUTCOMES, attributes
+from mckibben.simulation.outcome import OUTCOMES
+from mckibben.simulation.table import outcome_variable
 from mckibben.storage.files import append_seal, atomic_write
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan, digest_of_model
@@ -58,13 +60,9 @@ class SweepResult:
             units = {"units": parameter.unit, "shown_units": parameter.shown}
             about = {**units, "long_name": parameter.name, "over": swept.text, "role": "input"}
             variables[swept.name] = ("run", plan.table[swept.name], about)
-        flags = {
-            "flag_values": np.arange(len(OUTCOMES), dtype=np.int8),
-            "flag_meanings": " ".join(outcome.name for outcome in OUTCOMES),
-        }
         for name in plan.task.metrics:
             variables[name] = ("run", columns[name], attributes(name))
-        variables["outcome"] = ("run", columns["outcome"], {"long_name": "outcome of the run", **flags})
+        variables |= outcome_variable(columns["outcome"])
         for name, (unit, meaning) in FEASIBILITY.items():
             variables[name] = ("run", columns[name], {"units": unit, "long_name": meaning})
         manifest = plan.manifest
