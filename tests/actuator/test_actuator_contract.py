@@ -19,6 +19,14 @@ CLOSED = [
     *(SecondOrderValve(60.0, damping=damping) for damping in (0.2, 0.7, 1.0, 1.00001, 3.0)),
 ]
 AIR = [FlowValve(C, SUPPLY), PressureRegulator(C, SUPPLY, time_constant=0.02), SwitchingValves(C, SUPPLY, period=0.02)]
+EXAMPLES = (
+    FirstOrderValve(0.05, rate=1e6),
+    SecondOrderValve(60.0, damping=0.5),
+    FlowValve(C, SUPPLY),
+    PressureRegulator(C, SUPPLY, time_constant=0.02, reservoir_volume=1e-3, line_conductance=C),
+    SwitchingValves(C, SUPPLY, period=0.02),
+)
+"""An instance of each class with fields, for the tests of all components."""
 SECOND = [valve for valve in CLOSED if isinstance(valve, SecondOrderValve)]
 
 
