@@ -81,14 +81,14 @@ class Feasibility:
         if unheld.any():
             first = np.flatnonzero(unheld)[0]
             sentences.append(
-                f"no pressures within limits hold the desired angle {_when(self.times, unheld)}, "
+                f"no pressures within limits hold the desired angle {time_span(self.times, unheld)}, "
                 f"first at {self.times[first]:.3g} s ({self.desired_angle[first] / deg:.3g} deg)"
             )
         short = np.nan_to_num(missing) > 0
         if short.any():
             worst = int(np.nanargmax(missing))
             sentences.append(
-                f"the desired stiffness is not attainable {_when(self.times, short)}, by up to "
+                f"the desired stiffness is not attainable {time_span(self.times, short)}, by up to "
                 f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (wanted "
                 f"{self.desired_stiffness[worst]:.4g}, attainable "
                 f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
@@ -133,9 +133,11 @@ def attainable_band(
 _band = compiled(attainable_band)
 
 
-def _when(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
-    where = np.flatnonzero(mask)
-    return f"for {mask.mean():.0%} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
+def time_span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
+    """Return the share of a run in which a mask is true, and the times [s] of its ends, as text."""
+    where, share = np.flatnonzero(mask), mask.mean()
+    text = f"{share:.0%}" if share >= 0.005 else "under 1%"
+    return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
 
 
 class CheckedRun(NamedTuple):
