@@ -145,21 +145,48 @@ class RunResult(abc.ABC):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Batch:
-    """Results of many runs, in their order; ``batch["angle_rmse"]`` is a column as an array.
+class RunTable:
+    """Results of many runs, in their order; ``result["angle_rmse"]`` is a column as an array.
+
+    `table` has along ``run`` the metrics (SI) and ``outcome``, a code; its attribute ``flag_meanings`` lists the names.
+    """
+
+    table: xr.Dataset
+
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        return self.table.sizes["run"]
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """Outcome of each run."""
+        return [OUTCOMES[code] for code in self["outcome"]]
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Mask of the runs that diverged or could not start."""
+        return np.array([outcome.failed for outcome in OUTCOMES])[self["outcome"]]
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Mask of the runs that did not fail, and did not end in a limit cycle."""
+        return np.array([outcome.usable for outcome in OUTCOMES])[self["outcome"]]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.table[name].to_numpy()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Batch(RunTable):
+    """Results of a batch; ``batch["angle_rmse"]`` is a column as an array.
 
     `table` has along ``run`` the metrics (SI; those of several joints along ``joint`` and ``run``), ``outcome`` (a
     code; its attribute ``flag_meanings`` lists the names) and the values of `over`; along ``run`` and ``time`` the kept
     parts of the trajectories. `kind` is the class of the metrics.
     """
 
-    table: xr.Dataset
     kind: type = Metrics
-
-    @property
-    def count(self) -> int:
-        """The number of runs."""
-        return self.table.sizes["run"]
 
     @property
     def engine(self) -> str:
@@ -170,24 +197,6 @@ class Batch:
     def metrics(self) -> dict[str, NDArray[np.floating]]:
         """The computed metrics by name, shape (runs,) or (joints, runs), SI; NaN for a run that could not start."""
         return {name: self[name] for name in labels_of(self.kind) if name in self.table}
-
-    @property
-    def outcomes(self) -> list[Outcome]:
-        """Outcome of each run."""
-        return [OUTCOMES[code] for code in self["outcome"]]
-
-    @property
-    def failed(self) -> NDArray[np.bool_]:
-        """Mask of the failed runs."""
-        return np.array([outcome.failed for outcome in OUTCOMES])[self["outcome"]]
-
-    @property
-    def usable(self) -> NDArray[np.bool_]:
-        """Mask of the runs that did not fail, and did not end in a limit cycle."""
-        return np.array([outcome.usable for outcome in OUTCOMES])[self["outcome"]]
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self.table[name].to_numpy()
 
     def _counted(self) -> str:
         counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))
