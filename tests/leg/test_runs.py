@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import runpy
 from pathlib import Path
 
@@ -282,6 +283,7 @@ def test_a_finished_run_has_the_metrics_of_a_batch(plant: LegPlant, start: LegSt
         np.testing.assert_allclose(value, batch[name][..., 0], rtol=1e-12, atol=1e-15, err_msg=name)
     assert set(run.metrics) == set(batch.metrics) and batch.outcomes == [Outcome.COMPLETED] * 2
     np.testing.assert_array_equal(batch["start.upward_speed"], [-1.0, -0.5])
+    assert pickle.loads(pickle.dumps(run)).metrics["apex"] == run.metrics["apex"]
     run.to_netcdf(tmp_path / "run.nc")
     table = xr.load_dataset(tmp_path / "run.nc")
     assert table["angle"].dims == ("joint", "time") and table["command"].dims == ("muscle", "time")

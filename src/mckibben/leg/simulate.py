@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from mckibben.leg.plant import LegPlant, LegSample, LegStart
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import compiled
 from mckibben.simulation.engine import BatchFunction, compute_chunks, run_alone
-from mckibben.simulation.loop import control_period, initial_loop
+from mckibben.simulation.loop import Record, control_period, initial_loop
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import sampling_times, single_run, split_runs
 from mckibben.simulation.table import Batch, RunResult, batch_table
@@ -51,21 +51,17 @@ class LegResult(RunResult):
 
     kind = LegMetrics
 
-    def __init__(
-        self,
-        columns: Mapping[str, Any],
-        control_period: float,
-        joints: tuple[str, ...],
-        muscles: tuple[str, ...],
-        measured: Callable[[], LegMetrics],
-        engine: str,
-    ) -> None:
-        super().__init__(columns, control_period, engine=engine)
-        self.joints, self.muscles = joints, muscles
-        self._measured = measured
+    def __init__(self, plant: LegPlant, record: Record, final: Any, control_period: float, engine: str) -> None:
+        columns = record.state._asdict() | {"command": record.commands, "saturated": record.limited} | record.telemetry
+        stacked = {name: np.stack(one) if isinstance(one, tuple) else one for name, one in columns.items()}
+        super().__init__(stacked, control_period, engine=engine)
+        self.joints = tuple(joint.name for joint in plant.leg.joints)
+        self.muscles = plant.leg.muscle_names
+        self._run = record.state, final, plant
 
     def _measure(self) -> LegMetrics:
-        return self._measured()
+        samples, final, plant = self._run
+        return _measured(samples, final, np.asarray(self.control_period), plant)
 
     def __repr__(self) -> str:
         return f"<LegResult: {self.describe()}>"
@@ -138,19 +134,8 @@ def simulate_leg(
     (final, record), used = run_alone(
         engine, run.plant, run.controller, times, run.start, np.asarray(control_period), substeps
     )
-    samples, last = jax.tree.map(np.asarray, (record.state, final))
-    columns = samples._asdict() | {"command": record.commands, "saturated": record.limited} | record.telemetry
-    result = LegResult(
-        {
-            name: np.stack(column) if isinstance(column, tuple) else np.asarray(column)
-            for name, column in columns.items()
-        },
-        control_period,
-        tuple(joint.name for joint in plant.leg.joints),
-        plant.leg.muscle_names,
-        lambda: _measured(samples, last, np.asarray(control_period), run.plant),
-        used,
-    )
+    record, final = jax.tree.map(np.asarray, (record, final))
+    result = LegResult(run.plant, record, final, control_period, used)
     wrong = ~np.isfinite(result["z"])
     if wrong.any():
         raise SimulationError(
