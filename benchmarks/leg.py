@@ -100,7 +100,7 @@ def _add(bench: Bench, folder: Path, where: str) -> None:
             run = simulate_leg(plant, controller, start, duration=DURATION, control_period=PERIOD, substeps=count)
         except SimulationError:  # too long a step
             return np.full(round(DURATION / PERIOD), np.nan), np.nan
-        return run["angle"].to_numpy()[1], float(run["ground_up"].max())
+        return run["angle"][1], float(run["ground_up"].max())
 
     def batch(count: int, engine: str) -> Callable[[], Any]:
         given = {"duration": DURATION, "control_period": PERIOD, "substeps": count, "workers": 1, "engine": engine}

@@ -59,7 +59,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
         kind = np.float64(PERIOD)
 
         def run() -> Angles:
-            return run_alone("native", *parts, kind, SUBSTEPS)[0].state.angle
+            return run_alone("native", *parts, kind, SUBSTEPS)[0][1].state.angle
 
         return candidate(f"ours, native loop, {_loops(base)}", run, base=base, note="all records kept")
 

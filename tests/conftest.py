@@ -31,7 +31,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
 from mckibben.simulation import Batch, Metrics, Outcome, batch, compiled_episode, episode
 from mckibben.simulation.engine import compute_with
-from mckibben.simulation.result import OUTCOMES
+from mckibben.simulation.outcome import OUTCOMES
 
 gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage took a fifth of the time of tracing
 

@@ -45,7 +45,7 @@ def hop(duration: float = 4.0):
 
 def flights(run):
     """Return the time in the air [s] of each hop of a run."""
-    times = run["flight_time"].to_numpy()
+    times = run["flight_time"]
     return times[1:][np.diff(times) != 0]
 
 

@@ -433,7 +433,6 @@ Instant = Annotated[float, Quantity("s", "s", -1e6, 1e6)]
 ShortTime = Annotated[float, Quantity("s", "ms", 0, 1e6)]
 PositiveTime = Annotated[float, Quantity("s", "ms", 0, 1e6, open_lower=True)]
 ValveTime = Annotated[float, Quantity("s", "ms", 0, 1e4, open_lower=True)]
-ValveLag = Annotated[float, Quantity("s", "ms", 0, 1e4)]
 CommandDelay = Annotated[float, Quantity("s", "ms", 0, 1e3)]
 Frequency = Annotated[float, Quantity("1/s", "Hz", 0, 1e6)]
 Length = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]  # a larger number is in millimetres

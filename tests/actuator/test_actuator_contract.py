@@ -9,7 +9,16 @@ import pytest
 from scipy.linalg import expm
 
 from mckibben.actuator.second_order_valve import _SERIES, _decaying
-from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, PressureRegulator, SecondOrderValve, SwitchingValves
+from mckibben.plant import (
+    FirstOrderValve,
+    FlowValve,
+    IdealValve,
+    PressureRegulator,
+    SecondOrderValve,
+    SwitchingValves,
+    Tube,
+    UnequalValves,
+)
 from mckibben.report.tables import SETTINGS, plant_of
 
 C, SUPPLY = 5e-9, 7e5
@@ -20,6 +29,21 @@ CLOSED = [
     *(SecondOrderValve(60.0, damping=damping) for damping in (0.2, 0.7, 1.0, 1.00001, 3.0)),
 ]
 AIR = [FlowValve(C, SUPPLY), PressureRegulator(C, SUPPLY, time_constant=0.02), SwitchingValves(C, SUPPLY, period=0.02)]
+EXAMPLES = (
+    FirstOrderValve(0.05, rate=1e6),
+    SecondOrderValve(60.0, damping=0.5),
+    FlowValve(C, SUPPLY),
+    PressureRegulator(C, SUPPLY, time_constant=0.02, reservoir_volume=1e-3, line_conductance=C),
+    SwitchingValves(C, SUPPLY, period=0.02),
+    Tube(PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4), volume=5e-6, conductance=2e-9),
+    UnequalValves(
+        Tube(FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9),
+        FlowValve(C, SUPPLY),
+        reservoir_volume=1e-3,
+        line_conductance=C,
+    ),
+)
+"""An instance of each class with fields, for the tests of all components."""
 SECOND = [valve for valve in CLOSED if isinstance(valve, SecondOrderValve)]
 
 

@@ -147,6 +147,11 @@ def test_a_valve_and_a_law_of_a_package_are_simulated(acme, tmp_path):
     content = yaml.safe_load(kept.read_text())
     assert content["valve"]["class"] == "acme_parts:AcmeValve"
     assert content["packages"] == ["acme 1.2"]
+    assert content["joint"]["muscle"]["law"]["equation"].endswith("p - k eps")
+    other = tmp_path / "other.yaml"
+    other.write_text(kept.read_text().replace("p - k eps", "p + k eps"))
+    message = run(acme, "simulate", other, cwd=tmp_path, code=2)
+    assert "equation" in message and "p + k eps" in message
     assert yaml.safe_load(run(acme, "simulate", kept, "--json", cwd=tmp_path))["outcome"]
     kept.write_text(kept.read_text().replace("acme 1.2", "acme 1.1"))
     command = "import sys; from mckibben.scenario import Scenario; Scenario.read(sys.argv[1])"

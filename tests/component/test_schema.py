@@ -99,7 +99,7 @@ COMPONENTS = {
     "loops": (PositionStiffnessControl, LOOPS),
     "decoupling": (Controller, mk.DecouplingControl(**MODEL, feedback=mk.SlidingMode(30.0, 50.0))),
     "predictive": (Controller, mk.PredictiveControl(**MODEL, bandwidth=70.0)),
-    "wrappers": (Controller, mk.SupplyLimit(LOOPS, valve_time_constant=0.03)),
+    "wrappers": (Controller, mk.SupplyLimit(LOOPS, valve=mk.FirstOrderValve(0.03))),
     "references": (mk.Reference, mk.Reference(mk.Sine(0.1, 0.5), mk.Samples([0.0, 1.0], [13.0, 14.0]))),
 }
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from runpy import run_path
 from typing import Annotated
 
 import equinox as eqx
@@ -22,7 +23,7 @@ import pytest
 from jax import lax
 
 import mckibben
-from mckibben import catalog, control, joint, leg, muscle, plant
+from mckibben import control, joint, leg, muscle, plant
 from mckibben.codegen.cuda import CudaFunction
 from mckibben.codegen.native import Split, compiler
 from mckibben.component.base import Component
@@ -50,8 +51,9 @@ CLASSES = {
 }
 
 BOX, ANGLE, DIAMETER = Domain(-0.03, 0.25, 0.0, 6e5), 25 * deg, 10 * mm
-EQ_3 = [getattr(catalog.law("lei-mas-10-180n"), p.name) for p in muscle.ExponentialLaw.parameters()]
-S0, S1, S2 = (np.array([[8.0, -20.0, 30.0, 10.0, -15.0, 5.0]]) * [[1.0], [0.3e-5], [0.05e-10]]).tolist()
+TESTS = Path(__file__).parents[1]
+LAWS = run_path(str(TESTS / "muscle" / "test_law_contract.py"))["EXAMPLES"]
+ACTUATORS = run_path(str(TESTS / "actuator" / "test_actuator_contract.py"))["EXAMPLES"]
 CHOU = muscle.ChouLaw(ANGLE, DIAMETER, BOX)
 TONDU = muscle.TonduLopezVariableLaw(ANGLE, DIAMETER, 0.2, 1.2, BOX)
 CORRECTION = muscle.ForceCorrection((-20.0, 5.0), (1e-5, 0.0), 0.1, 0.05)
@@ -59,7 +61,6 @@ KNEE, LOAD = plant_scope()["joint"], plant_scope()["load"]
 SPECIMEN = KNEE.muscle1.specimen
 SLIP = MaxwellSlip(12.0, 0.5 * mm, growth=1e-5, tension_growth=0.02, viscous=20.0, elements=4)
 ROUGH = dataclasses.replace(KNEE.muscle1, friction=SLIP)
-REGULATOR = plant.PressureRegulator(5e-9, 7 * bar, time_constant=0.02, hysteresis=0.1 * bar)
 TWO_BONES, PULLEY = joint.TwoBonePath(-0.02, 0.30, -0.03, 0.0), joint.Pulley(25 * mm, 0.3)
 PID = control.PID(2 * bar, 60 * bar, 0.4 * bar)
 LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=KNEE)
@@ -73,18 +74,7 @@ LEG = dataclasses.replace(
     ),
 )
 EXAMPLES = [
-    CHOU,
-    muscle.TonduLopezLaw(ANGLE, DIAMETER, 1.25, BOX),
-    TONDU,
-    muscle.TsagarakisCaldwellLaw(2e4, ANGLE, DIAMETER, 5e-4, 0.1, BOX),
-    muscle.MartensBoblanLaw(300.0, 20.0, ANGLE, DIAMETER, BOX),
-    muscle.ReppergerLaw(200.0, 3e-3, 0.28, BOX),
-    muscle.ReynoldsLaw(100.0, 1.4e-3, 1400.0, 3e-3, BOX),
-    muscle.HuntLaw(254.3e3, 1230.0, 192e3, 0.22, Domain(0.0, 0.2, 0.0, 5e5)),
-    catalog.law("sarosi-dmsp-10"),
-    catalog.law("lei-mas-10-180n"),
-    muscle.SmoothAffineLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, BOX),
-    muscle.SmoothLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, *S2, BOX),
+    *(example() for example in LAWS.values()),
     muscle.SpringLaw(1000.0, 180 * mm),
     *(muscle.scaled_law(law, 1.1) for law in (CHOU, TONDU)),
     *(muscle.corrected_law(law, CORRECTION) for law in (CHOU, TONDU)),
@@ -106,15 +96,7 @@ EXAMPLES = [
     joint.PendulumLoad(0.3, 250 * mm),
     joint.GeneralLoad(0.02, 0.5),
     KNEE,
-    plant.FirstOrderValve(0.05, rate=10 * bar),
-    plant.SecondOrderValve(60.0, damping=0.5),
-    plant.FlowValve(5e-9, 7 * bar),
-    plant.PressureRegulator(5e-9, 7 * bar, time_constant=0.02, reservoir_volume=1e-3, line_conductance=5e-9),
-    plant.SwitchingValves(5e-9, 7 * bar, period=0.02),
-    plant.Tube(REGULATOR, volume=5e-6, conductance=2e-9),
-    plant.UnequalValves(
-        plant.Tube(REGULATOR, volume=5e-6, conductance=2e-9), REGULATOR, reservoir_volume=1e-3, line_conductance=5e-9
-    ),
+    *ACTUATORS,
     plant.SampledSensors(0.01 * deg, 1e3, 0.5, 3),
     plant.TorquePulses(0.5),
     plant.JointFriction(0.3, elements=3),

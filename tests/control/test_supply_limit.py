@@ -6,8 +6,9 @@ import pytest
 
 from mckibben.control import PID, PositionStiffnessControl, Reference, Sine, SupplyLimit
 from mckibben.errors import RangeError
+from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import FirstOrderValve, JointPlant, PressureRegulator
 from mckibben.simulation import sampled
 from mckibben.units import bar, deg
 
@@ -48,6 +49,18 @@ def test_it_finds_the_supply_and_keeps_the_angle(run, inner):
 def test_valves_that_are_slow_are_no_lack_of_supply(run, inner):
     _, record = run(SupplyLimit(inner), 8.0 * bar, lag=0.06)
     assert np.asarray(record.telemetry["supply_estimate"]).min() > 5.9 * bar
+
+
+def test_the_lag_is_that_of_the_model_of_the_valves_in_the_joint(run, inner, knee):
+    """A regulator whose time constant depends on the muscles' volume limits as a first-order valve with that lag."""
+    valve = PressureRegulator(0.12 * L_PER_S_BAR, 8 * bar, time_constant=8e-3)
+    lag = float(valve.model_lag(knee))
+    found, same = (
+        run(SupplyLimit(inner, valve=one), 4.0 * bar)[1].telemetry["supply_estimate"]
+        for one in (valve, FirstOrderValve(lag))
+    )
+    assert lag > 10e-3
+    np.testing.assert_allclose(found, same, rtol=1e-9)
 
 
 def test_what_makes_no_sense_is_refused(inner):

@@ -33,7 +33,7 @@ def controller_of(kind, plant):
     pressures = PressureObserver(200.0)
     return {
         "loops": lambda: loops,
-        "inverse": lambda: mk.InverseModelControl(loops, load=plant.load, valve_time_constant=0.02),
+        "inverse": lambda: mk.InverseModelControl(loops, load=plant.load, valve=mk.FirstOrderValve(0.02)),
         "decoupling": lambda: mk.DecouplingControl(
             **model,
             observer=ExtendedStateObserver(120.0),

@@ -126,7 +126,7 @@ def test_every_controller_holds_the_angle(name, largest, side):
             valve_adaptation=ValveAdaptation(),
         ),
         "predictive": lambda: PredictiveControl(**model, pressure_observer=PressureObserver(200.0)),
-        "inverse": lambda: InverseModelControl(run.control(), load=plant.load, valve_time_constant=0.02),
+        "inverse": lambda: InverseModelControl(run.control(), load=plant.load, valve=FirstOrderValve(0.02)),
     }[name]()
     with pytest.warns(ReachabilityWarning):  # the stiffness follows from the angle
         result = simulate(plant, controller, run.reference(), duration=2, initial=run.initial(plant))

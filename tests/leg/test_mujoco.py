@@ -94,7 +94,7 @@ def coordinates(plant, start):
     schedule = PressureSchedule(tuple((one,) for one in COMMANDS))
     run = simulate_leg(plant, schedule, start, duration=0.1, control_period=PERIOD, substeps=SUBSTEPS)
     trunk = {"vertical": ("z",), "free": ("x", "z", "pitch")}[plant.leg.trunk.freedom]
-    return np.stack([*(run[name].to_numpy() for name in trunk), *run["angle"].to_numpy()], -1), run
+    return np.stack([*(run[name] for name in trunk), *run["angle"]], -1), run
 
 
 def stepped(model, data, seen=lambda: None):
@@ -156,7 +156,7 @@ def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, library,
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     passive(own_contact(plant))
     ours, run = coordinates(plant, start)
-    assert run["stop_torque"].to_numpy().any()
+    assert run["stop_torque"].any()
     assert run["ground_up"].max() > 100
     np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
 

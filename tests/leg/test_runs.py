@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import runpy
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
 import mckibben as mk
 from mckibben.control import Controller
@@ -26,6 +29,8 @@ from mckibben.leg import (
     simulate_leg,
     simulate_legs,
 )
+from mckibben.leg.plant import LegSample
+from mckibben.simulation import Outcome
 from mckibben.units import deg
 
 STEP = {"duration": 0.1, "control_period": 0.25e-3}
@@ -42,15 +47,15 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     run = simulate_leg(plant, schedule, start, substeps=1, **STEP)
     again = simulate_leg(plant, schedule, start, substeps=1, engine="xla", **STEP)
-    assert run.attrs["engine"] == "native" and again.attrs["engine"] == "xla"
+    assert run.engine == "native" and again.engine == "xla"
     assert float(abs(run["z"] - again["z"]).max()) < 1e-12
     over = {"start.upward_speed": [-0.5, -1.0, -1.4]}
     tables = [simulate_legs(plant, schedule, start, over=over, engine=engine, **STEP) for engine in ("native", "xla")]
-    for name in tables[0]:
+    for name in tables[0].table:
         assert np.allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, equal_nan=True), name
-    assert tables[0].attrs["engine"] == "native"
+    assert tables[0].engine == "native"
     assert float(tables[0]["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-2)
-    falls = tables[0]["deflection"].to_numpy()
+    falls = tables[0]["deflection"]
     assert (np.diff(falls) > 0).all()
 
 
@@ -75,14 +80,14 @@ def test_a_run_that_diverges_in_the_air_has_diverged(plant: LegPlant, start: Leg
     high = start._replace(clearance=0.3)
     schedule, over = PressureSchedule(tuple((p,) for p in start.pressures)), {"start.upward_speed": [-0.5, -1.0, -1.4]}
     for one, diverged in ((stiff, True), (plant, False)):
-        assert (simulate_legs(one, schedule, high, over=over, **STEP)["diverged"] == diverged).all()
+        assert (simulate_legs(one, schedule, high, over=over, **STEP).failed == diverged).all()
 
 
 @pytest.mark.slow
 def test_closed_air_makes_the_landing_stiffer(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     table = simulate_legs(plant, schedule, start, over={"valve.conductance": [5e-9, 5e-15]}, **STEP)
-    as_given, closed = table["deflection"].to_numpy()
+    as_given, closed = table["deflection"]
     assert closed < 0.9 * as_given
 
 
@@ -97,14 +102,14 @@ def test_energy_is_kept_without_damping_and_valves(plant: LegPlant) -> None:
     pressures = leg.pressures_for(angles, (0.0, 0.0), (None, None))
     start = LegStart(angles, pressures, upward_speed=-0.5)
     run = simulate_leg(elastic, PressureSchedule(tuple((p,) for p in pressures)), start, substeps=4, **STEP)
-    power = run["muscle_power"].to_numpy()
+    power = run["muscle_power"]
     work = np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2)])
-    force = run["ground_up"].to_numpy()
+    force = run["ground_up"]
     spring = force**2 / (2 * ground.stiffness)
-    stops = np.sum(run["stop_torque"].to_numpy() ** 2, axis=0) / (2 * leg.joints[0].stop_stiffness)
-    potential = 9.81 * float(leg.total_mass) * run["mass_height"].to_numpy()
-    total = run["kinetic"].to_numpy() + potential + spring + stops - work * 0.25e-3
-    assert np.ptp(total) < 2e-3 * run["kinetic"].to_numpy().max()
+    stops = np.sum(run["stop_torque"] ** 2, axis=0) / (2 * leg.joints[0].stop_stiffness)
+    potential = 9.81 * float(leg.total_mass) * run["mass_height"]
+    total = run["kinetic"] + potential + spring + stops - work * 0.25e-3
+    assert np.ptp(total) < 2e-3 * run["kinetic"].max()
 
 
 def test_schedule_is_the_mean_over_the_period() -> None:
@@ -144,7 +149,7 @@ def test_biarticular_muscle_turns_both_joints(plant: LegPlant) -> None:
     both = LegPlant(leg, plant.valve, plant.ground)
     start = LegStart((0.0, 0.0), held, upward_speed=-0.5)
     run = simulate_leg(both, PressureSchedule(tuple((p,) for p in held)), start, substeps=1, **STEP)
-    assert list(run["muscle"].to_numpy())[-1] == "rectus" and np.isfinite(run["z"]).all()
+    assert run.muscles[-1] == "rectus" and np.isfinite(run["z"]).all()
 
 
 @pytest.mark.parametrize(
@@ -227,7 +232,7 @@ def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) ->
 def test_hopping_in_place_settles_to_equal_hops() -> None:
     example = runpy.run_path("examples/leg/hopping.py")
     run = example["hop"]()
-    assert run.attrs["engine"] == "native"
+    assert run.engine == "native"
     flights = example["flights"](run)
     assert flights.size >= 8
     assert flights[-5:].std() < 0.03 * flights[-5:].mean()
@@ -241,7 +246,7 @@ def test_the_air_of_a_run_is_that_which_flows_in(plant: LegPlant, start: LegStar
     schedule = PressureSchedule(filled, tuple((0.02,) for _ in filled))
     high = start._replace(clearance=0.3)
     run = simulate_leg(plant, schedule, high, substeps=1, **STEP)
-    steps = np.diff(run["air_mass"].to_numpy(), axis=run["air_mass"].get_axis_num("time"))
+    steps = np.diff(run["air_mass"], axis=1)
     table = simulate_legs(plant, schedule, high, over={"start.upward_speed": [-1.0, -0.9]}, substeps=1, **STEP)
     assert -steps[steps < 0].sum() > 0.2 * steps[steps > 0].sum() > 0
     assert float(table["air_mass"][0]) == pytest.approx(steps[steps > 0].sum(), rel=2e-3)
@@ -278,3 +283,25 @@ def test_parts_of_a_controller_are_prepared_for_the_control_period() -> None:
 
     control = JointwiseControl((Prepared(), Prepared()), TimedReference(())).with_period(1e-3)
     assert [one.periods for one in control.controllers] == [10, 10]  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_a_finished_run_has_the_metrics_of_a_batch(plant: LegPlant, start: LegStart, tmp_path: Path) -> None:
+    """A jump: all metrics are finite, and equal whether they are accumulated or taken from the samples."""
+    levels = tuple((p, 5.5e5 if number % 2 else 0.2e5) for number, p in enumerate(start.pressures))
+    schedule = PressureSchedule(levels, tuple((5e-3,) for _ in levels))
+    run = simulate_leg(plant, schedule, start, duration=0.3, substeps=1, control_period=0.5e-3)
+    over = {"start.upward_speed": [-1.0, -0.5]}
+    batch = simulate_legs(plant, schedule, start, over=over, duration=0.3, control_period=0.5e-3)
+    assert np.isfinite(run.metrics["apex"]) and run.metrics["muscle_work"] != 0
+    for name, value in run.metrics.items():
+        np.testing.assert_allclose(value, batch[name][..., 0], rtol=1e-12, atol=1e-15, err_msg=name)
+    assert set(run.metrics) == set(batch.metrics) and batch.outcomes == [Outcome.COMPLETED] * 2
+    np.testing.assert_array_equal(batch["start.upward_speed"], [-1.0, -0.5])
+    assert pickle.loads(pickle.dumps(run)).metrics["apex"] == run.metrics["apex"]
+    run.to_netcdf(tmp_path / "run.nc")
+    table = xr.load_dataset(tmp_path / "run.nc")
+    assert table["angle"].dims == ("joint", "time") and table["command"].dims == ("muscle", "time")
+    assert all(table[name].attrs["units"] for name in (*LegSample._fields, "command", "time"))
+    assert run._repr_html_().count("<tr>") == 1 + len(run.metrics)
+    assert batch._repr_html_().count("<tr>") == 1 + len(run.metrics) + 1  # the stops of two joints

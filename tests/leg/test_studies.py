@@ -251,7 +251,7 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, mon
     assert study.timed.heights[0] >= study.constant.heights[0] - 1e-9 > 0
     assert 0 < study.timed.work < study.timed.air_energy
     assert (study.timed.rises[0] > 0) and study.timed.work < 20
-    assert study.constant.run.attrs["engine"] == "native"
+    assert study.constant.run.engine == "native"
     record = study.records()
     assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
     assert len(study.rows()[1]) == 2 and "mm" in study.describe()

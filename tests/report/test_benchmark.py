@@ -22,7 +22,7 @@ from mckibben.report.benchmark import (
 from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
-from mckibben.simulation.result import OUTCOMES
+from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
 from mckibben.study.benchmark.statistics import failed_runs, statistics
 from mckibben.study.tune.tune import Trial

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mckibben.simulation.result import OUTCOMES, Outcome, outcomes
+from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
 from mckibben.units import deg
 
 

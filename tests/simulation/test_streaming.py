@@ -17,8 +17,9 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
 from mckibben.simulation.loop import streaming_episode
-from mckibben.simulation.metrics import MetricAccumulator, last_change
+from mckibben.simulation.metrics import Course, MetricSample, last_change
 from mckibben.simulation.oscillation import find_limit_cycle
+from mckibben.simulation.reduction import Run, values_of
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
@@ -34,13 +35,14 @@ def folded(moved: Trajectory) -> Metrics:
         total, at_change, air = carried
         index, moment = at
         at_change = jnp.where(index == change.at, moment.stiffness, at_change)
-        added = MetricAccumulator.of(moment, index, periods, change, at_change, air, SETTLING_PART)
+        added = MetricSample.of(moment, index, periods, change, at_change, air, SETTLING_PART).totals()
         return (total.merge(added), at_change, (moment.air1, moment.air2)), None
 
     nothing = jnp.zeros_like(moved.angle[0])
-    begun = (MetricAccumulator.empty(nothing), nothing, (moved.air1[0], moved.air2[0]))
+    begun = (MetricSample.empty(nothing).totals().empty(), nothing, (moved.air1[0], moved.air2[0]))
     (total, _, _), _ = jax.lax.scan(following, begun, (jnp.arange(periods), moved))
-    return total.metrics(change, periods, PERIOD, find_limit_cycle(moved.angle, moved.desired_angle, PERIOD))
+    course = Course.of(find_limit_cycle(moved.angle, moved.desired_angle, PERIOD), change)
+    return values_of(Metrics, total, Run(periods, PERIOD, course))
 
 
 both_ways = jax.jit(lambda moved: (folded(moved), measure(moved, PERIOD)))

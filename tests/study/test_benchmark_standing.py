@@ -11,7 +11,7 @@ import xarray as xr
 
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
-from mckibben.simulation.result import OUTCOMES
+from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
 from mckibben.study.benchmark.statistics import air_of, front, statistics, trial_at_air

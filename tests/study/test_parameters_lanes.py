@@ -100,7 +100,7 @@ def model_of(address):
     """The names of what a controller's model has of a number of the plant."""
     part, *rest = address.name.split(".")
     if part == "valve":
-        return {f"valve.{rest[0]}"} | ({"valve_time_constant"} if rest == ["time_constant"] else set())
+        return {f"valve.{rest[0]}"}
     return {".".join(("load" if part == "load" else "model", *rest))} if part in ("load", "joint") else set()
 
 

@@ -104,7 +104,7 @@ def test_the_supply_may_be_estimated_around_any_controller():
         read = scenario(f"  class: supply_limit\n  recovery: 0.2 bar/s\n  controller:\n    {inner}")
         control = read.control()
         assert isinstance(control, SupplyLimit) and type(control.controller) is type(scenario(controller).control())
-        assert (control.recovery, control.valve_time_constant) == (0.2 * bar, 20 * ms)
+        assert (control.recovery, control.valve.time_constant) == (0.2 * bar, 20 * ms)
         assert Scenario.parse(read.dumps()) == read
         assert find_parameter(read, "controller.recovery").nominal == 0.2 * bar
 

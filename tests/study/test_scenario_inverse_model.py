@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import InverseModelControl, PositionStiffnessControl
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.scenario import Scenario, batched, find_parameter, list_parameters
@@ -16,7 +17,7 @@ KEEPING = "    minimum_tension: 8 N\n"
 FULL = """\
   learning_rate: 3 1/s
   hidden: 12
-  valve_time_constant: 15 ms
+  valve: {time_constant: 15 ms}
   filter_bandwidth: 50 rad/s
   angle_scale: 10 deg
   velocity_scale: 2 rad/s
@@ -52,7 +53,7 @@ def test_it_builds_what_it_says():
     control = scenario(FULL, KEEPING).control()
     assert isinstance(control, InverseModelControl)
     assert (control.learning_rate, control.hidden, control.seed) == (3.0, 12, 7)
-    assert (control.valve_time_constant, control.filter_bandwidth) == (0.015, 50.0)
+    assert (control.valve.time_constant, control.filter_bandwidth) == (0.015, 50.0)
     assert (control.velocity_scale, control.acceleration_scale, control.stiffness_scale) == (2.0, 9.0, 4.0)
     assert (control.angle_scale, control.pressure_scale) == pytest.approx((np.pi / 18, 0.5e5))
     assert control.load.mass2 == 0.6 and control.loops.minimum_tension == 8.0
@@ -61,7 +62,7 @@ def test_it_builds_what_it_says():
 def test_what_is_left_out_is_that_of_the_plant_and_the_class():
     short = scenario()
     control, plain = short.control(), Scenario.parse(TEXT).control()
-    assert control == InverseModelControl(plain, short.plant().load, learning_rate=5.0, valve_time_constant=0.02)
+    assert control == InverseModelControl(plain, short.plant().load, learning_rate=5.0, valve=FirstOrderValve(0.02))
     assert plain.minimum_tension is None
     assert scenario(ALONE).control().load is None
     kept = Scenario.parse(f"{BEFORE.rstrip()}\n  minimum_tension: 5 N\nreference:{AFTER}").control()
@@ -78,7 +79,7 @@ def test_its_numbers_can_be_varied_and_have_a_value():
         mine = [a for a in list_parameters(scenario(more)) if a.name.count(".") == 1 and a.part == "controller"]
         assert len(mine) >= 8
         assert all(a.nominal is not None for a in mine), mine
-    assert find_parameter(scenario(FULL), "controller.valve_time_constant").nominal == 0.015
+    assert find_parameter(scenario(FULL), "controller.valve.time_constant").nominal == 0.015
     values = {"controller.learning_rate": [1.0, 2.0], "controller.loops.minimum_tension": [5.0, 6.0]}
     many = batched(scenario(FULL), values).control()
     np.testing.assert_array_equal(many.learning_rate, [1.0, 2.0])
@@ -99,6 +100,8 @@ def test_only_the_loops_have_gains():
 def test_what_does_not_go_together_is_said():
     former = problem("  alone: true\n")
     assert former.field == "controller.alone" and "load: none" in former.remedy
+    former = problem("  valve_time_constant: 15 ms\n")
+    assert former.field == "controller.valve_time_constant" and "valve: {time_constant" in former.remedy
     assert "outside" in problem("", "    minimum_tension: 0 N\n").message
     plant, rest = text_of(ALONE).replace(MUSCLE, RUBBING).split("controller:\n")
     inner, others = rest.split("reference:")

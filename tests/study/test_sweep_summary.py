@@ -12,7 +12,7 @@ from scipy import stats
 from mckibben import report
 from mckibben.simulation import Metrics
 from mckibben.simulation.metrics import METRICS
-from mckibben.simulation.result import OUTCOMES, Outcome
+from mckibben.simulation.outcome import OUTCOMES, Outcome
 from mckibben.storage.files import to_json
 from mckibben.study.sweep import SweepResult, summary
 from mckibben.study.sweep.result import (

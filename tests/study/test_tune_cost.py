@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mckibben.component.columns import attributes
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.simulation import Metrics
-from mckibben.simulation.result import attributes
 from mckibben.study.tune import Cost, Term, parse_cost
 from mckibben.units import deg
 

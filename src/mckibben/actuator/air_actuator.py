@@ -5,7 +5,6 @@ from __future__ import annotations
 import abc
 from typing import Any, Self
 
-import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.base import Actuator, AirVolume, Scalar
@@ -49,9 +48,8 @@ class AirActuator(Actuator):
         """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""
         muscle = joint.muscle2 if joint.springs[0] else joint.muscle1
         domain = muscle.domain
-        volume = np.asarray(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
-        found = self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
-        return np.asarray(found, float) if np.ndim(found) else float(found)
+        volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
+        return self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
 
     @property
     @abc.abstractmethod

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator
 from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar, lag_fraction
 from mckibben.component.checks import check_within
+from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.muscle import Domain
 from mckibben.muscle.air import (
@@ -79,6 +79,12 @@ class AirValve(AirActuator):
         Volume [m^3] of air at the valves' inlets, and the C of the line that fills it from the supply: with them the
         supply drops while air flows. Default: the pressure at the inlets is constant.
     """
+
+    telemetry_labels: ClassVar = {
+        "opening1": Label("1", "opening of the valve of muscle 1, to the supply or where negative to the exhaust"),
+        "opening2": Label("1", "opening of the valve of muscle 2, to the supply or where negative to the exhaust"),
+        "reservoir": Label("Pa", "gauge pressure at the inlets of the valves"),
+    }
 
     conductance: Conductance
     supply: PositivePressure
@@ -245,8 +251,8 @@ class AirValve(AirActuator):
 
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
         inside = pressure + ATMOSPHERE
-        fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside, np)
-        vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
+        fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside)
+        vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE)
         mass = self.band * (volume + self.dead_volume) / (self.polytropic_index * ENERGY)  # of a band
         return self.command_lag + mass * (1 / fill + 1 / vent) / 2
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
+from mckibben.component.columns import Labelled
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, RigidTendon
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
@@ -129,7 +130,7 @@ class Reservoir(NamedTuple):
         return exchange_rate(float(self.index), float(self.critical_ratio), total, float(self.volume))
 
 
-class Actuator(Component):
+class Actuator(Labelled, Component):
     """Response of the pressures of the muscles to their commands.
 
     `for_muscle` gives the actuator of each muscle; all are alike unless it is overridden. The state of an actuator

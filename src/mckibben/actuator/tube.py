@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike
 from mckibben.actuator.air_actuator import AirActuator
 from mckibben.actuator.air_valve import AirValve
 from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar
+from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.muscle.air import (
     ATMOSPHERE,
@@ -62,6 +63,9 @@ class Tube(AirActuator):
     """
 
     short_name = "tube"
+    telemetry_labels: ClassVar = {
+        f"outlet{number}": Label("Pa", f"gauge pressure between valve and tube of muscle {number}") for number in (1, 2)
+    }
 
     valve: AirValve
     volume: TubeVolume = eqx.field(kw_only=True)

@@ -23,9 +23,7 @@ from mckibben.cli.options import (
 from mckibben.storage.files import to_json, write_json
 
 if TYPE_CHECKING:
-    import xarray as xr
-
-    from mckibben.leg import LegPlant
+    from mckibben.leg import LegPlant, LegResult
     from mckibben.leg.scenario import LegScenario
 
 leg = typer.Typer(name="leg", help="Landing and jumping of a leg.", no_args_is_help=True)
@@ -87,13 +85,12 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
         study = study_jump(read, source=str(file), progress=report)
     numbers = study.records()
     if out:
-        from mckibben.dataset.schema import write_netcdf
         from mckibben.report.leg import write_jump
 
         with keeping(out):
             write_json(out / "results.json", numbers)
-            write_netcdf(study.constant.run, out / "constant.nc")
-            write_netcdf(study.timed.run, out / "timed.nc")
+            study.constant.run.to_netcdf(out / "constant.nc")
+            study.timed.run.to_netcdf(out / "timed.nc")
             read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)
@@ -127,7 +124,7 @@ def _check_animation(path: Path | None, force: bool) -> None:
         results_folder(path.parent, [path.name], force)
 
 
-def _animate(plant: LegPlant, run: xr.Dataset, path: Path, json: bool) -> None:
+def _animate(plant: LegPlant, run: LegResult, path: Path, json: bool) -> None:
     from mckibben.report.leg_animation import render_leg
 
     with keeping(path.parent):

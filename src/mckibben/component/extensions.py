@@ -91,6 +91,11 @@ def installed_package(module: str) -> str:
     return package if package != "mckibben" and package in _distributions() else ""
 
 
+def is_foreign(module: str) -> bool:
+    """Whether a module is of a package or file that a reader may lack; a script or notebook has no name."""
+    return module.partition(".")[0] not in ("mckibben", "__main__")
+
+
 def package_version(module: str) -> str | None:
     """Return name and version of the distribution that a foreign module was installed by; None for a file."""
     package = installed_package(module)

@@ -10,7 +10,7 @@ from mckibben.control.base import (
     Measurement,
     Reference,
     Setpoint,
-    ValveLagModel,
+    ValveModel,
 )
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
@@ -74,6 +74,6 @@ __all__ = [
     "Sum",
     "SupplyLimit",
     "ValveAdaptation",
-    "ValveLagModel",
+    "ValveModel",
     "VelocityObserver",
 ]

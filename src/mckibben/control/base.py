@@ -13,9 +13,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator import Actuator
 from mckibben.component.base import Component, Inherited, Units
+from mckibben.component.columns import Labelled
 from mckibben.control.reference import Signal, as_signal
+from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
-from mckibben.units import Angle, Stiffness, ValveLag
+from mckibben.units import Angle, Stiffness
 
 Scalar = Float[Array, ""]
 
@@ -48,28 +50,31 @@ LoadModel = Annotated[Load, Inherited(lambda scope: scope["load"])]
 
 
 def _valve_model(scope: Mapping[str, Any]) -> Any:
-    """Valve of the plant; `KeyError` if its response is unknown; a file must then give a model of it."""
-    _model_lag(scope)
-    return scope["valve"]
+    """Valve of the plant; `KeyError` if its response is unknown, and a file must give a model of it."""
+    valve = scope["valve"]
+    if not valve.holds_air and valve.lag is None:
+        raise KeyError("valve")
+    return valve
 
 
 ValveModel = Annotated[Actuator, Inherited(_valve_model)]
 """A controller's model of the valves; in a file, by default, the valve of the plant."""
 
 
-def _model_lag(scope: Mapping[str, Any]) -> Any:
-    """Lag of the plant's valves; `KeyError` if it is unknown; a file must then give it."""
-    lag = scope["valve"].model_lag(scope["joint"])
-    if lag is None:
-        raise KeyError("valve")
-    return lag
+def check_valve_model(owner: str, valve: Actuator, joint: AntagonisticJoint) -> None:
+    """Raise `RangeError` if the response of a model of the valves in a joint is unknown."""
+    if valve.holds_air:
+        for muscle in (joint.muscle1, joint.muscle2):
+            muscle.specimen.check_volume(f"a {type(valve).__name__} as the model of the valves")
+    elif valve.lag is None:
+        raise RangeError(
+            f"{owner}: the time constant of a {type(valve).__name__} is unknown",
+            field="valve",
+            remedy="give the controller a `valve` with a time_constant, or the class a property `lag`",
+        )
 
 
-ValveLagModel = Annotated[ValveLag, Inherited(_model_lag)]
-"""First-order time constant [s] of the valves in a controller's model; in a file, by default, that of the plant's."""
-
-
-class DiscreteTimeSystem(Component):
+class DiscreteTimeSystem(Labelled, Component):
     """Discrete-time system with explicit state, driven by measurements; the caller determines the time.
 
     `init` is called once, and `step` once per control period.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.columns import Label
 from mckibben.control.allocation import clip_commands, limit_commands
 from mckibben.control.base import Controller, JointModel, Measurement, Setpoint
 from mckibben.control.inverse_model import InverseModelControl
@@ -40,6 +41,9 @@ class FrictionCompensation(Controller):
     """
 
     short_name = "friction_compensation"
+    telemetry_labels: ClassVar = {
+        "friction_compensation": Label("N*m", "friction torque compensated by the controller")
+    }
 
     controller: Controller
     model: JointModel = eqx.field(kw_only=True)

@@ -9,9 +9,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from mckibben.actuator import FirstOrderValve
+from mckibben.component.columns import Label
 from mckibben.control.allocation import keep_taut, linearise, pressure_range, prioritise_torque
 from mckibben.control.backprop import Network
-from mckibben.control.base import Controller, LoadModel, Measurement, Setpoint, ValveLagModel
+from mckibben.control.base import Controller, LoadModel, Measurement, Setpoint, ValveModel, check_valve_model
 from mckibben.control.position_stiffness import Feedforward, PositionStiffnessControl, PositionStiffnessState
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.joint.attainable import pressure_limits_of
@@ -115,8 +117,8 @@ class InverseModelControl(Controller):
         Model of inertia, damping and gravity; None for the network alone.
     learning_rate, hidden, seed
         eta [1/s], 0 for none; number of hidden neurons, and seed of their weights.
-    valve_time_constant
-        Lag [s] of the model's valves, the preview of the feedforward.
+    valve
+        Model of the valves, with the lag that the feedforward previews; default: first-order, 20 ms.
     filter_bandwidth
         Bandwidth of the filters [rad/s]: above the motion, below the noise of the encoder.
     angle_scale, velocity_scale, acceleration_scale, stiffness_scale, pressure_scale
@@ -133,13 +135,19 @@ class InverseModelControl(Controller):
     """
 
     short_name = "inverse_model"
-    renamed: ClassVar = {"alone": "load: none"}
+    renamed: ClassVar = {"alone": "load: none", "valve_time_constant": "valve: {time_constant: ...}"}
+    telemetry_labels: ClassVar = {
+        "feedforward_differential": Label("Pa", "feedforward differential pressure"),
+        "feedforward_cocontraction": Label("Pa", "feedforward co-contraction"),
+        "inverse_error_differential": Label("Pa", "error of the learned inverse in differential pressure"),
+        "inverse_error_cocontraction": Label("Pa", "error of the learned inverse in co-contraction"),
+    }
 
     loops: PositionStiffnessControl
     load: LoadModel | None = None
     learning_rate: Rate = eqx.field(kw_only=True, default=10.0)
     hidden: Count = eqx.field(kw_only=True, static=True, default=8)
-    valve_time_constant: ValveLagModel = eqx.field(kw_only=True, default=0.02)
+    valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
     filter_bandwidth: Bandwidth = eqx.field(kw_only=True, default=60.0)
     angle_scale: AngleScale = eqx.field(kw_only=True, default=0.15)
     velocity_scale: Bandwidth = eqx.field(kw_only=True, default=1.0)
@@ -147,6 +155,10 @@ class InverseModelControl(Controller):
     stiffness_scale: StiffnessScale = eqx.field(kw_only=True, default=3.0)
     pressure_scale: PressureScale = eqx.field(kw_only=True, default=1e5)
     seed: Seed | Int[Array, ""] = eqx.field(kw_only=True, default=0)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_valve_model("InverseModelControl", self.valve, self.loops.model)
 
     @property
     def minimum_tension(self) -> float | None:
@@ -222,7 +234,7 @@ class InverseModelControl(Controller):
 
     def _preview(self, reference: ReferenceDerivatives, stiffness: Scalar, period: ArrayLike) -> InverseInput:
         """Reference after the valves' lag."""
-        lag = jnp.asarray(self.valve_time_constant)
+        lag = jnp.asarray(self.valve.model_lag(self.loops.model))
         velocity = reference.velocity + lag * reference.acceleration
         angle = reference.angle + lag * (reference.velocity + lag / 2 * reference.acceleration)
         return InverseInput(angle, velocity, reference.acceleration_after(lag, period), stiffness)

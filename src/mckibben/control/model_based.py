@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,9 +12,18 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
 from mckibben.actuator.base import Attainable, air_volumes
+from mckibben.component.columns import Label
 from mckibben.control.adaptation import AdaptationState, LawAdaptation, with_strengths
 from mckibben.control.allocation import command_limits
-from mckibben.control.base import Controller, JointModel, LoadModel, Measurement, Setpoint, ValveModel
+from mckibben.control.base import (
+    Controller,
+    JointModel,
+    LoadModel,
+    Measurement,
+    Setpoint,
+    ValveModel,
+    check_valve_model,
+)
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.control.valve_adaptation import ValveAdaptation, ValveAdaptationState
@@ -79,6 +88,14 @@ class Estimates(NamedTuple):
 class ModelBasedControl(Controller):
     """Base of controllers with a model of joint, load and valves: parameters and state estimation."""
 
+    telemetry_labels: ClassVar = {
+        "velocity_estimate": Label("rad/s", "controller's estimate of the angular velocity"),
+        "disturbance_estimate": Label("N*m", "controller's estimate of the disturbance torque"),
+        "strength1_estimate": Label("1", "controller's estimate of the strength of muscle 1 relative to its law"),
+        "strength2_estimate": Label("1", "controller's estimate of the strength of muscle 2 relative to its law"),
+        "valve_time_constant_estimate": Label("s", "controller's estimate of the time constant of the valves"),
+    }
+
     model: JointModel
     load: LoadModel
     valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
@@ -93,15 +110,7 @@ class ModelBasedControl(Controller):
         name = type(self).__name__
         if self.adaptation is not None:
             self.adaptation.check_load(self.load)
-        if self.valve.holds_air:
-            for muscle in (self.model.muscle1, self.model.muscle2):
-                muscle.specimen.check_volume(f"a {type(self.valve).__name__} as the model of the valves")
-        elif self.valve.lag is None:
-            raise RangeError(
-                f"{name}: the time constant of a {type(self.valve).__name__} is unknown",
-                field="valve",
-                remedy="give the controller a `valve` with a time_constant, or the class a property `lag`",
-            )
+        check_valve_model(name, self.valve, self.model)
         if self.valve_adaptation is not None and not self.valve.is_first_order:
             raise RangeError(
                 f"{name}: valve_adaptation estimates the lag of a first-order valve, and the model is a "

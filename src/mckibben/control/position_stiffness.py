@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from numbers import Real
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Units
+from mckibben.component.columns import Label
 from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, JointModel, Loop, Measurement, Setpoint
 from mckibben.errors import McKibbenWarning
@@ -79,6 +80,14 @@ class PositionStiffnessControl(Controller):
     """
 
     short_name = "position_stiffness"
+    telemetry_labels: ClassVar = {
+        "position_kp": Label("Pa/rad", "proportional gain of the position loop"),
+        "position_ki": Label("Pa/(rad*s)", "integral gain of the position loop"),
+        "position_kd": Label("Pa*s/rad", "derivative gain of the position loop"),
+        "stiffness_kp": Label("Pa/(N*m/rad)", "proportional gain of the stiffness loop"),
+        "stiffness_ki": Label("Pa/(N*m*s/rad)", "integral gain of the stiffness loop"),
+        "stiffness_kd": Label("Pa*s/(N*m/rad)", "derivative gain of the stiffness loop"),
+    }
 
     position: Annotated[Loop, _ANGLE_LOOP]
     stiffness: Annotated[Loop, _STIFFNESS_LOOP]

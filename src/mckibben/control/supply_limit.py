@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.actuator.base import lag_fraction
 from mckibben.component.checks import check_kind
-from mckibben.control.base import Controller, Measurement, Setpoint, ValveLagModel
+from mckibben.component.columns import Label
+from mckibben.control.base import Controller, Measurement, Setpoint, ValveModel, check_valve_model
 from mckibben.control.observer import lagged
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
@@ -53,8 +55,8 @@ class SupplyLimit(Controller):
     ----------
     controller
         Controller with a model of the joint.
-    valve_time_constant
-        tau_v [s] of the model; 0 for valves without lag.
+    valve
+        Model of the valves, with the lag tau_v; default: first-order, 20 ms.
     time_constant
         T [s], by which a shortfall lowers the estimate.
     recovery
@@ -62,15 +64,18 @@ class SupplyLimit(Controller):
     """
 
     short_name = "supply_limit"
+    renamed: ClassVar = {"valve_time_constant": "valve: {time_constant: ...}"}
+    telemetry_labels: ClassVar = {"supply_estimate": Label("Pa", "controller's estimate of the supply pressure")}
 
     controller: Controller
-    valve_time_constant: ValveLagModel = eqx.field(kw_only=True, default=0.02)
+    valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
     time_constant: PositiveTime = eqx.field(kw_only=True, default=0.03)
     recovery: PressureRate = eqx.field(kw_only=True, default=0.2 * bar)
 
     def __check_init__(self) -> None:
         super().__check_init__()
         check_kind("SupplyLimit", "model", self._model, AntagonisticJoint)
+        check_valve_model("SupplyLimit", self.valve, self._model)
 
     def init(self, measurement: Measurement) -> SupplyLimitState:
         pressures = measurement.pressures
@@ -79,7 +84,7 @@ class SupplyLimit(Controller):
     def step(
         self, state: SupplyLimitState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[SupplyLimitState, Pair]:
-        fraction = lag_fraction(self.valve_time_constant, period)
+        fraction = lag_fraction(self.valve.model_lag(self._model), period)
 
         def shortfall(i: int) -> Scalar:
             pressure = measurement.pressures[i]

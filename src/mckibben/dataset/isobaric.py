@@ -5,23 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Self
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.plausibility import check_pressures
 from mckibben.dataset.schema import (
     VARIABLES,
+    MeasuredTable,
     assemble,
     format_range,
-    load_validated,
-    normalize,
     write_csv,
-    write_netcdf,
 )
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
@@ -82,7 +78,7 @@ def format_list(values: np.ndarray, most: int = 24) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class IsobaricDataset:
+class IsobaricDataset(MeasuredTable):
     """Points of isobaric tests: pressure, contraction and force.
 
     Made by `of` or `read_dataset`; two are equal where ``a.table.identical(b.table)``. A `DatasetError` lists variables
@@ -111,13 +107,7 @@ class IsobaricDataset:
     array([174.])
     """
 
-    table: xr.Dataset
-
-    def __post_init__(self) -> None:
-        table, problems = normalize(self.table, VARIABLES)
-        if problems:
-            raise DatasetError("dataset", problems)
-        object.__setattr__(self, "table", table)
+    schema = VARIABLES
 
     @classmethod
     def of(
@@ -185,19 +175,9 @@ class IsobaricDataset:
         )
 
     @property
-    def pressure(self) -> NDArray[np.float64]:
-        """Gauge pressure of each point [Pa], read-only."""
-        return self.table["pressure"].to_numpy()
-
-    @property
     def contraction(self) -> NDArray[np.float64]:
         """Contraction of each point [-], positive = shorter, read-only."""
         return self.table["contraction"].to_numpy()
-
-    @property
-    def force(self) -> NDArray[np.float64]:
-        """Axial pull of each point [N], read-only."""
-        return self.table["force"].to_numpy()
 
     @property
     def slack(self) -> NDArray[np.bool_]:
@@ -237,9 +217,6 @@ class IsobaricDataset:
         """Distinct phases; empty if not recorded."""
         return self._words("phase")
 
-    def __len__(self) -> int:
-        return self.table.sizes["point"]
-
     def __repr__(self) -> str:
         name = self.table.attrs["specimen"]
         slack = int(self.slack.sum())
@@ -258,10 +235,6 @@ class IsobaricDataset:
         if samples := self.table.sizes.get("sample"):
             parts.append(f"{samples} samples per point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
-
-    def _repr_html_(self) -> str:
-        read = self.table.attrs.get("columns_read", "")
-        return f"<p>{escape(repr(self))}</p>{f'<pre>{escape(read)}</pre>' if read else ''}{self.table._repr_html_()}"
 
     def select(self, mask: ArrayLike) -> Self:
         """Points where `mask` (booleans, one per point) is true, in their order."""
@@ -323,15 +296,6 @@ class IsobaricDataset:
             return self
         table = self.table.drop_vars(["force_samples", "pressure_samples"], errors="ignore")
         return type(self)(table.assign({name: ("point", values) for name, values in columns.items()}))
-
-    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write everything, samples included, to a NetCDF-4 file atomically; `from_netcdf` reads it back."""
-        write_netcdf(self.table, Path(path))
-
-    @classmethod
-    def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file written by `to_netcdf`; raises a `DatasetError` if it is missing or not a dataset."""
-        return load_validated(Path(path), cls)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the plateau means as CSV in SI units atomically; `read_dataset` reads the same numbers back.

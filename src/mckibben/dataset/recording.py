@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
-from html import escape
-from pathlib import Path
 from typing import Self
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.checks import check_positive
@@ -28,14 +24,14 @@ from mckibben.dataset.isometric import (
 )
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
 from mckibben.dataset.preprocessing import with_notes, without_offset
-from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
+from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording:
+class Recording(MeasuredTable):
     """Samples of a test in the order of time, made by `of` or `read_recording`.
 
     `plateaus` extracts points where pressure and contraction were constant, `isometric` where a muscle of fixed length
@@ -59,13 +55,8 @@ class Recording:
     array([50., 90.])
     """
 
-    table: xr.Dataset
-
-    def __post_init__(self) -> None:
-        table, problems = normalize(self.table, RECORDED)
-        if problems:
-            raise DatasetError("recording", problems)
-        object.__setattr__(self, "table", table)
+    schema = RECORDED
+    word = "recording"
 
     @classmethod
     def of(
@@ -108,22 +99,9 @@ class Recording:
         return self.table["time"].to_numpy()
 
     @property
-    def pressure(self) -> NDArray[np.float64]:
-        """Gauge pressure [Pa], read-only."""
-        return self.table["pressure"].to_numpy()
-
-    @property
-    def force(self) -> NDArray[np.float64]:
-        """Axial pull [N], read-only."""
-        return self.table["force"].to_numpy()
-
-    @property
     def contraction(self) -> NDArray[np.float64] | None:
         """Contraction [-], read-only; None where it was not recorded."""
         return self.table["contraction"].to_numpy() if "contraction" in self.table else None
-
-    def __len__(self) -> int:
-        return self.table.sizes["sample"]
 
     def __repr__(self) -> str:
         name = self.table.attrs["specimen"]
@@ -134,10 +112,6 @@ class Recording:
             if self.contraction is not None:
                 parts.append(f"contraction {format_range(self.contraction / percent)} %")
         return f"<Recording{f' {name!r}' if name else ''}: {', '.join(parts)}>"
-
-    def _repr_html_(self) -> str:
-        read = self.table.attrs.get("columns_read", "")
-        return f"<p>{escape(repr(self))}</p>{f'<pre>{escape(read)}</pre>' if read else ''}{self.table._repr_html_()}"
 
     def plateaus(
         self,
@@ -389,12 +363,3 @@ class Recording:
             set_pressure=level_of,
             force_spread=sums.spread[index],
         )
-
-    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write all samples to a NetCDF-4 file atomically."""
-        write_netcdf(self.table, Path(path))
-
-    @classmethod
-    def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file written by `to_netcdf`; raises a `DatasetError` if it is missing or not a recording."""
-        return load_validated(Path(path), cls)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.formats import probe
 from mckibben.dataset.netcdf import NUMERIC, write_variables
@@ -260,6 +263,56 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
         return make(table)
     except DatasetError as error:
         raise DatasetError(str(path), error.problems) from None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredTable:
+    """Base of datasets: a table of measured points or samples that fits its schema.
+
+    Attributes
+    ----------
+    table
+        Variables of `schema` with ``units`` and ``long_name``, read-only, and attributes of the test.
+    """
+
+    schema: ClassVar[Mapping[str, Variable]]
+    """Variables; the first gives the length."""
+    word: ClassVar[str] = "dataset"
+    """Name in errors."""
+
+    table: xr.Dataset
+
+    def __post_init__(self) -> None:
+        table, problems = normalize(self.table, self.schema)
+        if problems:
+            raise DatasetError(self.word, problems)
+        object.__setattr__(self, "table", table)
+
+    @property
+    def pressure(self) -> NDArray[np.float64]:
+        """Gauge pressure [Pa], read-only."""
+        return self.table["pressure"].to_numpy()
+
+    @property
+    def force(self) -> NDArray[np.float64]:
+        """Axial pull [N], read-only."""
+        return self.table["force"].to_numpy()
+
+    def __len__(self) -> int:
+        return self.pressure.size
+
+    def _repr_html_(self) -> str:
+        read = self.table.attrs.get("columns_read", "")
+        return f"<p>{escape(repr(self))}</p>{f'<pre>{escape(read)}</pre>' if read else ''}{self.table._repr_html_()}"
+
+    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
+        """Write everything, samples included, to a NetCDF-4 file atomically; `from_netcdf` reads it back."""
+        write_netcdf(self.table, Path(path))
+
+    @classmethod
+    def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file of `to_netcdf`; raises a `DatasetError` if it is missing or does not fit."""
+        return load_validated(Path(path), cls)
 
 
 CSV_COLUMNS = {

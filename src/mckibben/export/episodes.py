@@ -21,8 +21,8 @@ from mckibben.numerics.runtime import batch_options
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import FlatTree, compile_flat
 from mckibben.scenario import Scenario, batched, initial_state, valid_rows
+from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import SimulationProblem
-from mckibben.simulation.result import SWUNG_OVER_AT
 from mckibben.study.parameters import parse_sweeps, sample
 from mckibben.units import atm, bar, deg, litre
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mckibben.codegen.source_module import SourceModule
+from mckibben.component.columns import attributes
 from mckibben.export.controller import controller_functions, is_real, units_of
 from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit
@@ -20,7 +21,6 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import IOState, JointPlant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
-from mckibben.simulation.result import attributes
 
 _NUMBER = np.zeros(())
 _STATE_NAMES = {"pressures.0": "pressure1", "pressures.1": "pressure2"}

@@ -23,8 +23,8 @@ class Exported(NamedTuple):
 
 _FMI = ("fmi",)
 TARGETS = {
-    "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers", ("single",)),
-    "js": ("mckibben.export.javascript:js_files", "controller as JavaScript, for pages", ()),
+    "c": ("mckibben.export.controller_files:c_files", "controller as C99, for microcontrollers", ("single",)),
+    "js": ("mckibben.export.controller_files:js_files", "controller as JavaScript, for pages", ()),
     "fmu": ("mckibben.export.fmu:plant_fmu", "joint with load and valves as an FMU (FMI 2.0 or 3.0)", _FMI),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller as an FMU, for co-simulation", _FMI),
     "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "force of a muscle as an FMU", _FMI),

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
 from mckibben.component.classes import classes_of, find_class, full_name
-from mckibben.component.extensions import load_installed, package_version
+from mckibben.component.extensions import is_foreign, load_installed, package_version
 from mckibben.component.schema import declared_fields
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
@@ -51,7 +51,7 @@ def write_fit(fit: Fit, path: Path) -> None:
         parameters[p.name] = {"estimate": value, "unit": p.unit}
         comments["parameters", p.name] = f"{show(value, p.shown)}: {p.meaning}, not estimated"
     data = {
-        "law": full_name(law) if _is_foreign(law) else law.__name__,
+        "law": full_name(law) if is_foreign(law.__module__) else law.__name__,
         "version": package_version(law.__module__),
         "equation": law.equation,
         "parameters": parameters,
@@ -113,11 +113,6 @@ def law_types(*, installed: bool = False) -> dict[str, type[ForceLaw]]:
     return {**LAWS, **{name: law for name, law in others.items() if law not in LAWS.values()}}
 
 
-def _is_foreign(law: type) -> bool:
-    """Whether a class is of a package or file that a reader may lack; that of a script or notebook has no name."""
-    return law.__module__.partition(".")[0] not in ("mckibben", "__main__")
-
-
 def _find_law(name: Any, line: int | None) -> tuple[type[ForceLaw] | None, list[Problem]]:
     """The law of a name in a file, or the problems with it."""
     try:
@@ -131,17 +126,6 @@ def _find_law(name: Any, line: int | None) -> tuple[type[ForceLaw] | None, list[
         "`mckibben --extension FILE.py ...`, or a module"
     )
     return None, [Problem(f"there is no law {quoted(name)}", line, "law", remedy, value=name), *load_installed()]
-
-
-def _check_equation(law: type[ForceLaw], data: dict[str, Any], line: int | None) -> list[Problem]:
-    """A problem if the file is of another law than the class."""
-    given = data.get("equation", law.equation)
-    if given == law.equation:
-        return []
-    message = f"is {quoted(given)}, that of {law.__module__}.{law.__qualname__} is {quoted(law.equation)}"
-    made = f" (version {data['version']})" if data.get("version") else ""
-    remedy = f"import the law that the file was made with{made}, or identify it again"
-    return [Problem(message, line, "equation", remedy, value=given)]
 
 
 def _of_kind(unit: str, expected: str) -> str:
@@ -331,7 +315,10 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
     if "law" in data:
         law_type, problems = _find_law(data["law"], document.line(("law",)))
         if law_type is not None:
-            problems = _check_equation(law_type, data, document.line(("equation",)))
+            try:
+                law_type.check_equation(data.get("equation", law_type.equation), data.get("version"))
+            except RangeError as error:
+                problems = [Problem.of(error, document.line(("equation",)), "equation")]
         if problems:
             raise ScenarioError(source, [*document.problems, *problems])
     base, row = (_FitFile, _FittedEstimate) if complete else (_LawFile, _Estimate)

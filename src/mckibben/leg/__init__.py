@@ -15,7 +15,7 @@ from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
 from mckibben.leg.metrics import LegMetrics
 from mckibben.leg.plant import Ground, LegMeasurement, LegPlant, LegStart, LegState
 from mckibben.leg.scenario import LegScenario, read_leg
-from mckibben.leg.simulate import leg_metrics, simulate_leg, simulate_legs
+from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate_legs
 
 __all__ = [
     "BiarticularMuscle",
@@ -31,6 +31,7 @@ __all__ = [
     "LegMetrics",
     "LegPlant",
     "LegReference",
+    "LegResult",
     "LegScenario",
     "LegStart",
     "LegState",

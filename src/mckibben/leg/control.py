@@ -5,13 +5,14 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.columns import Label
 from mckibben.control import Controller, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
@@ -160,6 +161,11 @@ class PhasedReference(LegReference):
     extensor
         Index of the joint whose angle grows as the leg gets longer.
     """
+
+    telemetry_labels: ClassVar = {
+        "phase": Label("1", "phase of the hop: 0 flight, 1 touchdown, 2 stance, 3 push-off"),
+        "flight_time": Label("s", "duration of the last flight"),
+    }
 
     flight: tuple[Setpoint, ...]
     touchdown: tuple[Setpoint, ...]

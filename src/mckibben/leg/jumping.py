@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,17 +20,15 @@ from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, fram
 from mckibben.leg.landing import EDGES
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import leg_metrics, simulate_leg, simulate_legs
+from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import sampling_times
+from mckibben.simulation.table import Batch
 from mckibben.units import bar, deg, mm, ms
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +58,7 @@ class Jump:
     """
 
     schedule: PressureSchedule
-    run: xr.Dataset
+    run: LegResult
     heights: Floats
     rises: Floats
     work: float
@@ -222,13 +220,13 @@ class JumpRuns(NamedTuple):
     duration: float
     step: float
 
-    def simulate(self, plant: LegPlant, schedule: PressureSchedule) -> xr.Dataset:
+    def simulate(self, plant: LegPlant, schedule: PressureSchedule) -> Batch:
         """Metrics of many jumps."""
         return simulate_legs(plant, schedule, self.start, duration=self.duration, control_period=self.step)
 
     def heights(self, variables: Floats) -> Floats:
         """Height [m] of the apex for columns of variables; 0 where the foot stays on the ground."""
-        found = self.simulate(self.plant, self.variables.schedule(np.asarray(variables)))["apex"].to_numpy()
+        found = self.simulate(self.plant, self.variables.schedule(np.asarray(variables)))["apex"]
         return np.where(np.isfinite(found), found, 0.0)
 
     def height_and_gradient(self, variables: Floats, engine: str = "auto") -> tuple[float, Floats]:
@@ -329,10 +327,10 @@ def _jump(runs: JumpRuns, variables: Floats, drawn: LegPlant, standing: Floats) 
     valve: Any = runs.plant.valve
     supply = float(np.asarray(valve.supply if valve.holds_air else runs.variables.high)) + ATMOSPHERE
     inflow = float(table["air_mass"][0]) * ENERGY * math.log(supply / ATMOSPHERE)
-    ratio = 1 + run["pressure"].to_numpy()[:, 0] / ATMOSPHERE
-    stored = run["air_mass"].to_numpy()[:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY
-    rises = table["take_off_speed"].to_numpy() ** 2 / (2 * runs.plant.gravity)
-    heights = table["apex"].to_numpy() - standing
+    ratio = 1 + run["pressure"][:, 0] / ATMOSPHERE
+    stored = run["air_mass"][:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY
+    rises = table["take_off_speed"] ** 2 / (2 * runs.plant.gravity)
+    heights = table["apex"] - standing
     return Jump(schedule, run, heights, rises, float(table["muscle_work"][0]), inflow + float(stored))
 
 

@@ -13,17 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.actuator import AirActuator
+from mckibben.component.columns import attributes
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
-from mckibben.leg.metrics import LEG_UNITS, LegMetrics
+from mckibben.leg.metrics import LegMetrics
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import simulate_leg, simulate_legs
+from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve
-from mckibben.simulation.result import attributes
 from mckibben.simulation.software import engine_of_job, software
+from mckibben.simulation.table import Batch
 from mckibben.storage.files import explain_write_errors, file_lock
 from mckibben.storage.journal import (
     Journal,
@@ -98,7 +99,7 @@ class LandingStudy:
         forces = np.moveaxis(self.table["peak_trunk_force"].to_numpy(), 2, -1)
         return np.argmax(forces <= forces.min(axis=-1, keepdims=True) * (1 + BEST_WITHIN), axis=-1)
 
-    def compared_runs(self) -> dict[str, tuple[LegPlant, xr.Dataset]]:
+    def compared_runs(self) -> dict[str, tuple[LegPlant, LegResult]]:
         """Plant and time traces of two nominal landings by title: softest and best commanded stiffness.
 
         From the middle drop, with the valve of a time constant if there is one.
@@ -280,7 +281,7 @@ def study_landing(
     total, engines = len(valves) * len(blocks), set()
     tables: list[dict[str, Floats]] = []
 
-    def land(valve: Any, rows: slice, engine: str, report: Progress) -> xr.Dataset:
+    def land(valve: Any, rows: slice, engine: str, report: Progress) -> Batch:
         commands = tuple(pressures[level[rows]].T)
         speeds = -np.sqrt(2 * nominal.gravity * drops[drop[rows]])
         return simulate_legs(
@@ -294,7 +295,7 @@ def study_landing(
         )
 
     def engines_used() -> set[str]:
-        return {land(valve, slice(0, 1), "auto", silent).attrs["engine"] for valve in valves.values()}
+        return {land(valve, slice(0, 1), "auto", silent).engine for valve in valves.values()}
 
     if journal is not None:
         software_before = read_header(journal, _FORMAT, _VERSION).get("software") if resume else None
@@ -312,11 +313,11 @@ def study_landing(
                         engine,
                         lambda what, part, n=name, k=number: (progress or silent)(f"{n}: {what}", (k + part) / total),
                     )
-                    if found["diverged"].any():
+                    if found.failed.any():
                         remedy = "give a shorter `step`"
                         raise ScenarioError(source, [Problem("landings diverge", field="step", remedy=remedy)])
-                    engines.add(found.attrs["engine"])
-                    of_joint = found.isel(joint=index)
+                    engines.add(found.engine)
+                    of_joint = found.table.isel(joint=index)
                     columns = {metric: of_joint[metric].to_numpy() for metric in LegMetrics._fields}
                     kept.keep(number, columns)
                 parts.append(columns)
@@ -426,7 +427,7 @@ def _table(
 
     dims = ("valve", "drop", "stiffness", "draw")
     columns = {
-        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), attributes(name, LEG_UNITS))
+        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), attributes(name))
         for name in LegMetrics._fields
     }
     coords = {

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.columns import labelled
 from mckibben.leg.plant import LegPlant, LegSample
-from mckibben.simulation.result import UNITS
+from mckibben.simulation.reduction import Duration, Largest, LargestError, Run, Totals, Tracked, metrics_of, values_of
 
 Scalar = Float[Array, ""]
 
@@ -16,127 +19,169 @@ IMPACT = 10e-3
 """Time [s] after the first touch in which the force is that of the foot's own impact, `peak_force_late` leaves out."""
 
 
+@labelled
 class LegMetrics(NamedTuple):
-    """Metrics of a run.
+    """Metrics of a run of a leg, in SI."""
 
-    Attributes
-    ----------
-    peak_force, peak_force_late
-        Largest upward force of the ground [N], and the largest more than 10 ms after the first touch, without the
-        impact of the foot's own mass.
-    peak_trunk_force
-        Largest upward force [N] on the trunk: its mass times the acceleration of the hip, gravity included.
-    deflection
-        How far the hip sinks below its height at the first touch [m].
-    stop_torque
-        Largest torque of the stops of each joint [N*m]; above 0 it has bottomed out.
-    apex
-        Largest height of the centre of mass [m] that the run reaches or is on its way to when the foot is in the air,
-        after the first touch, in any flight; NaN if the foot stays on the ground.
-    take_off_speed
-        Upward speed of the centre of mass [m/s] that belongs to `apex`.
-    muscle_work
-        Work of the muscles [J]: the integral of tension times rate of shortening. Until the take-off of the flight that
-        `apex` is of, or, without one, to the end of the run.
-    air_mass
-        Mass of the air [kg] that flows into the muscles until then, at room temperature.
-    time_outside_domain
-        Time [s] with a contraction outside its muscle's domain.
-    """
-
-    peak_force: Scalar
-    peak_force_late: Scalar
-    peak_trunk_force: Scalar
-    deflection: Scalar
-    stop_torque: tuple[Scalar, ...]
-    apex: Scalar
-    take_off_speed: Scalar
-    muscle_work: Scalar
-    air_mass: Scalar
-    time_outside_domain: Scalar
-
-
-LEG_UNITS = UNITS | {
-    "peak_force": ("N", "largest upward force of the ground"),
-    "peak_force_late": ("N", "largest upward force of the ground, without the impact of the foot"),
-    "peak_trunk_force": ("N", "largest upward force on the trunk"),
-    "deflection": ("m", "depth of the hip below its height at the first touch"),
-    "stop_torque": ("N*m", "torque of the stops"),
-    "apex": ("m", "greatest height of the centre of mass in flight"),
-    "take_off_speed": ("m/s", "upward speed of the centre of mass at take-off"),
-    "muscle_work": ("J", "work of the muscles"),
-    "air_mass": ("kg", "mass of the air"),
-    "x": ("m", "position of the hip, forwards"),
-    "z": ("m", "height of the hip"),
-    "speed": ("m/s", "upward speed of the hip"),
-    "pitch": ("rad", "pitch of the trunk"),
-    "pressure": ("Pa", "gauge pressure"),
-    "command": ("Pa", "commanded pressure"),
-    "tension": ("N", "tension of the muscle"),
-    "contraction": ("1", "contraction of the muscle"),
-    "ground_forward": ("N", "force of the ground on the foot, forwards"),
-    "ground_up": ("N", "force of the ground on the foot, upwards"),
-    "mass_height": ("m", "height of the centre of mass"),
-    "mass_speed": ("m/s", "upward speed of the centre of mass"),
-    "kinetic": ("J", "kinetic energy"),
-    "muscle_power": ("W", "power of the muscles"),
-    "outside": ("1", "a muscle's contraction is outside its domain"),
-    "diverged": ("1", "the run diverged"),
-}
-"""Unit and meaning of the variables of runs of a leg."""
+    peak_force: Annotated[Scalar, Largest("N", "largest upward force of the ground", of="ground_up")]
+    peak_force_late: Annotated[
+        Scalar,
+        Largest(
+            "N",
+            "largest upward force of the ground, without the impact of the foot",
+            of="force_after_impact",
+            note="later than 10 ms after the first touch",
+        ),
+    ]
+    peak_trunk_force: Annotated[
+        Scalar,
+        Largest(
+            "N",
+            "largest upward force on the trunk",
+            of="trunk_force",
+            note="its mass times the acceleration of the hip, gravity included",
+        ),
+    ]
+    deflection: Annotated[Scalar, Largest("m", "depth of the hip below its height at the first touch", of="depth")]
+    stop_torque: Annotated[
+        tuple[Scalar, ...],
+        LargestError(
+            "N*m", "torque of the stops", of="stop_torque", along="joint", note="above 0 the joint has bottomed out"
+        ),
+    ]
+    apex: Annotated[
+        Scalar,
+        Tracked(
+            "m",
+            "greatest height of the centre of mass in flight",
+            of="apex",
+            note="that the run reaches or is on its way to, after the first touch, in any flight; NaN if the "
+            "foot stays on the ground",
+        ),
+    ]
+    take_off_speed: Annotated[
+        Scalar, Tracked("m/s", "upward speed of the centre of mass at take-off", of="take_off_speed")
+    ]
+    muscle_work: Annotated[
+        Scalar,
+        Tracked(
+            "J",
+            "work of the muscles",
+            of="muscle_work",
+            note="the integral of tension times rate of shortening, until the take-off of the flight that `apex` is "
+            "of, or, without one, to the end of the run",
+        ),
+    ]
+    air_mass: Annotated[
+        Scalar,
+        Tracked(
+            "kg",
+            "mass of the air",
+            of="air_mass",
+            note="that flows into the muscles until then, at room temperature",
+        ),
+    ]
+    time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
 
 
-class MetricSums(NamedTuple):
-    """Accumulated metrics."""
+class MetricSample(NamedTuple):
+    """Quantities of a sample that metrics are made of; flags are 0 or 1."""
 
-    metrics: LegMetrics
+    ground_up: Scalar  # [N]
+    force_after_impact: Scalar  # [N], 0 before
+    trunk_force: Scalar  # [N]
+    depth: Scalar  # of the hip below its height at the first touch [m], 0 before
+    stop_torque: tuple[Scalar, ...]  # [N*m]
+    outside: Scalar
+
+
+class Flight(NamedTuple):
+    """Contact with the ground and the highest flight so far, tracked from sample to sample."""
+
     touched: Scalar  # time since the first touch [s], below 0 before
     height: Scalar  # of the hip at the first touch [m]
     speed: Scalar  # of the hip, upwards [m/s]
     work: Scalar  # of the muscles so far [J]
     drawn: Scalar  # air so far [kg]
     air: tuple[Scalar, ...]
+    apex: Scalar  # -inf before a flight
+    take_off_speed: Scalar
+    muscle_work: Scalar
+    air_mass: Scalar
 
     @classmethod
-    def of(cls, first: LegSample) -> MetricSums:
+    def of(cls, first: LegSample) -> Flight:
         zero = jnp.zeros_like(first.z)
-        stops = tuple(zero for _ in first.stop_torque)
-        start: dict[str, Any] = dict.fromkeys(LegMetrics._fields, zero)
-        metrics = LegMetrics(**start | {"stop_torque": stops, "apex": zero - jnp.inf})
-        return cls(metrics, zero - 1, first.z, first.speed, zero, zero, first.air_mass)
+        return cls(zero - 1, first.z, first.speed, zero, zero, first.air_mass, zero - jnp.inf, zero, zero, zero)
 
-    def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:
-        """Metrics with a further sample, a period [s] later."""
-        gravity, mass = plant.gravity, plant.leg.trunk.mass
-        last, force = self.metrics, sample.ground_up
+    def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> tuple[Flight, MetricSample]:
+        """Return the state after a further sample, a period [s] later, and what metrics are made of."""
+        gravity, force = plant.gravity, sample.ground_up
         before = self.touched < 0
         touched = jnp.where(before, jnp.where(force > 0, 0.0, -1.0), self.touched + period)
         height = jnp.where(touched < 0, sample.z, self.height)  # at touchdown, that of the previous sample
         rising = jnp.maximum(sample.mass_speed, 0.0)
         ballistic = sample.mass_height + rising * rising / (2 * gravity)
         flying = (touched > 0) & (force <= 0)
-        higher = flying & (ballistic > last.apex + 1e-6)  # in flight it is constant except for rounding
-        stops = zip(last.stop_torque, sample.stop_torque, strict=True)
+        higher = flying & (ballistic > self.apex + 1e-6)  # in flight it is constant except for rounding
         inflow = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
         work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(inflow)
-        counts = higher | (last.apex == -jnp.inf)
-        metrics = LegMetrics(
-            peak_force=jnp.maximum(last.peak_force, force),
-            peak_force_late=jnp.where(touched > IMPACT, jnp.maximum(last.peak_force_late, force), last.peak_force_late),
-            peak_trunk_force=jnp.maximum(
-                last.peak_trunk_force, mass * ((sample.speed - self.speed) / period + gravity)
-            ),
-            deflection=jnp.where(touched >= 0, jnp.maximum(last.deflection, height - sample.z), last.deflection),
-            stop_torque=tuple(jnp.maximum(most, jnp.abs(now)) for most, now in stops),
-            apex=jnp.where(higher, ballistic, last.apex),
-            take_off_speed=jnp.where(higher, sample.mass_speed, last.take_off_speed),
-            muscle_work=jnp.where(counts, work, last.muscle_work),
-            air_mass=jnp.where(counts, drawn, last.air_mass),
-            time_outside_domain=last.time_outside_domain + jnp.where(sample.outside, period, 0.0),
+        counts = higher | (self.apex == -jnp.inf)
+        following = Flight(
+            touched=touched,
+            height=height,
+            speed=sample.speed,
+            work=work,
+            drawn=drawn,
+            air=sample.air_mass,
+            apex=jnp.where(higher, ballistic, self.apex),
+            take_off_speed=jnp.where(higher, sample.mass_speed, self.take_off_speed),
+            muscle_work=jnp.where(counts, work, self.muscle_work),
+            air_mass=jnp.where(counts, drawn, self.air_mass),
         )
-        return MetricSums(metrics, touched, height, sample.speed, work, drawn, sample.air_mass)
+        return following, MetricSample(
+            ground_up=force,
+            force_after_impact=jnp.where(touched > IMPACT, force, 0.0),
+            trunk_force=plant.leg.trunk.mass * ((sample.speed - self.speed) / period + gravity),
+            depth=jnp.where(touched >= 0, height - sample.z, 0.0),
+            stop_torque=sample.stop_torque,
+            outside=sample.outside.astype(sample.z.dtype),
+        )
 
-    def finished(self) -> LegMetrics:
-        """The metrics; NaN for the apex of a foot that never left the ground."""
-        apex = self.metrics.apex
-        return self.metrics._replace(apex=jnp.where(apex > -jnp.inf, apex, jnp.nan))
+
+class MetricSums(NamedTuple):
+    """Accumulated sums and maxima, and the state that is tracked."""
+
+    totals: Totals
+    flight: Flight
+
+    @classmethod
+    def of(cls, first: LegSample) -> MetricSums:
+        zero = jnp.zeros_like(first.z)
+        nothing = MetricSample(zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
+        return cls(_totals(nothing).empty(), Flight.of(first))
+
+    def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:
+        """Return the sums with a further sample, a period [s] later."""
+        flight, quantities = self.flight.after(sample, period, plant)
+        return MetricSums(self.totals.merge(_totals(quantities)), flight)
+
+    def finished(self, periods: int, period: ArrayLike) -> LegMetrics:
+        """Return the metrics of a whole run; NaN for the apex of a foot that never left the ground."""
+        apex = jnp.where(self.flight.apex > -jnp.inf, self.flight.apex, jnp.nan)
+        return values_of(LegMetrics, self.totals, Run(periods, period, self.flight._replace(apex=apex)))
+
+
+def measure(samples: LegSample, last: LegSample, period: ArrayLike, plant: LegPlant) -> LegMetrics:
+    """Return the metrics of a finished run, from its samples of shape (periods,) and that at its end."""
+
+    def advance(sums: MetricSums, sample: LegSample) -> tuple[MetricSums, None]:
+        return sums.after(sample, period, plant), None
+
+    first, rest = (jax.tree.map(lambda x, at=at: x[at], samples) for at in (0, slice(1, None)))
+    sums = lax.scan(advance, MetricSums.of(first), rest)[0]
+    return sums.after(last, period, plant).finished(samples.z.shape[0], period)
+
+
+def _totals(quantities: Any) -> Totals:
+    return Totals.of(metrics_of(LegMetrics).values(), quantities)

@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.actuator.base import Actuator, AirState, AirVolume
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
+from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement, RigidTendon
 from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, foot_mobility, frames, motion
@@ -108,27 +109,28 @@ class LegMeasurement(NamedTuple):
     ground_force: Scalar
 
 
+@labelled
 class LegSample(NamedTuple):
     """Sample of a run at the start of a control period; tuples are over joints or muscles."""
 
-    x: Scalar
-    z: Scalar
-    speed: Scalar
-    pitch: Scalar
-    angle: tuple[Scalar, ...]
-    velocity: tuple[Scalar, ...]
-    pressure: tuple[Scalar, ...]
-    tension: tuple[Scalar, ...]
-    contraction: tuple[Scalar, ...]
-    stop_torque: tuple[Scalar, ...]
-    ground_forward: Scalar
-    ground_up: Scalar
-    mass_height: Scalar
-    mass_speed: Scalar
-    kinetic: Scalar
-    muscle_power: Scalar
-    air_mass: tuple[Scalar, ...]
-    outside: Array  # whether a contraction is outside its muscle's domain
+    x: Annotated[Scalar, Label("m", "position of the hip, forwards")]
+    z: Annotated[Scalar, Label("m", "height of the hip")]
+    speed: Annotated[Scalar, Label("m/s", "upward speed of the hip")]
+    pitch: Annotated[Scalar, Label("rad", "pitch of the trunk")]
+    angle: Annotated[tuple[Scalar, ...], Label("rad", "joint angle", along="joint")]
+    velocity: Annotated[tuple[Scalar, ...], Label("rad/s", "angular velocity", along="joint")]
+    pressure: Annotated[tuple[Scalar, ...], Label("Pa", "gauge pressure", along="muscle")]
+    tension: Annotated[tuple[Scalar, ...], Label("N", "tension of the muscle", along="muscle")]
+    contraction: Annotated[tuple[Scalar, ...], Label("1", "contraction of the muscle", along="muscle")]
+    stop_torque: Annotated[tuple[Scalar, ...], Label("N*m", "torque of the stops", along="joint")]
+    ground_forward: Annotated[Scalar, Label("N", "force of the ground on the foot, forwards")]
+    ground_up: Annotated[Scalar, Label("N", "force of the ground on the foot, upwards")]
+    mass_height: Annotated[Scalar, Label("m", "height of the centre of mass")]
+    mass_speed: Annotated[Scalar, Label("m/s", "upward speed of the centre of mass")]
+    kinetic: Annotated[Scalar, Label("J", "kinetic energy")]
+    muscle_power: Annotated[Scalar, Label("W", "power of the muscles")]
+    air_mass: Annotated[tuple[Scalar, ...], Label("kg", "mass of the air", along="muscle")]
+    outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
 
 
 class LegForces(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,18 +12,18 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
+from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.errors import SimulationError
 from mckibben.leg.control import LegController
-from mckibben.leg.metrics import LEG_UNITS, LegMetrics, MetricSums
-from mckibben.leg.plant import LegPlant, LegStart
+from mckibben.leg.metrics import LegMetrics, MetricSums, measure
+from mckibben.leg.plant import LegPlant, LegSample, LegStart
 from mckibben.notebook import Progress
+from mckibben.numerics.compiled import compiled
 from mckibben.simulation.engine import BatchFunction, compute_chunks, run_alone
 from mckibben.simulation.loop import Record, control_period, initial_loop
+from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import sampling_times, single_run, split_runs
-from mckibben.simulation.result import variables
-
-if TYPE_CHECKING:
-    import xarray as xr
+from mckibben.simulation.table import Batch, RunResult, batch_table
 
 
 class LegProblem(NamedTuple):
@@ -38,6 +38,50 @@ class LegProblem(NamedTuple):
     )
 
 
+declare(__name__, {"command": Label("Pa", "commanded pressure", along="muscle")})
+
+
+class LegResult(RunResult):
+    """A simulated run of a leg; ``result["z"]`` is a column as an array, ``result["time"]`` its times.
+
+    Columns have shape (periods,), those of joints (joints, periods) and of muscles (muscles, periods), in SI: the
+    fields of `LegSample`, ``command``, ``saturated``, and the telemetry of the controller. `joints` and `muscles` are
+    their names, `control_period` is the time between two values [s], and `engine` what computed it, "native" or "xla".
+    """
+
+    kind = LegMetrics
+
+    def __init__(self, plant: LegPlant, record: Record, final: Any, control_period: float, engine: str) -> None:
+        columns = record.state._asdict() | {"command": record.commands, "saturated": record.limited} | record.telemetry
+        stacked = {name: np.stack(one) if isinstance(one, tuple) else one for name, one in columns.items()}
+        super().__init__(stacked, control_period, engine=engine)
+        self.joints = tuple(joint.name for joint in plant.leg.joints)
+        self.muscles = plant.leg.muscle_names
+        self._run = record.state, final, plant
+
+    def _measure(self) -> LegMetrics:
+        samples, final, plant = self._run
+        return _measured(samples, final, np.asarray(self.control_period), plant)
+
+    def __repr__(self) -> str:
+        return f"<LegResult: {self.describe()}>"
+
+    def describe(self) -> str:
+        """Return duration, size of the leg, and largest force of the ground."""
+        size = f"{len(self.joints)} joints, {len(self.muscles)} muscles"
+        return f"{self.duration:g} s, {size}, ground force up to {self['ground_up'].max():.4g} N"
+
+    def _rows_of(self, name: str) -> tuple[str, ...]:
+        label = _LABELS.get(name)
+        return (label.along if label else "muscle",) if np.ndim(self.columns[name]) > 1 else ()
+
+    def _coordinates(self) -> dict[str, list[str]]:
+        return {"joint": list(self.joints), "muscle": list(self.muscles)}
+
+
+_LABELS = labels_of(LegSample)
+
+
 def leg_metrics(
     plant: LegPlant, controller: LegController, start: LegStart, times: Array, period: ArrayLike, substeps: int
 ) -> LegMetrics:
@@ -50,7 +94,7 @@ def leg_metrics(
 
     loop = initial_loop(plant, controller, start)
     sums = MetricSums.of(plant.observe(loop[0]))
-    return lax.scan(advance, (loop, sums), times)[0][1].finished()
+    return lax.scan(advance, (loop, sums), times)[0][1].finished(len(times), period)
 
 
 def simulate_leg(
@@ -62,11 +106,8 @@ def simulate_leg(
     control_period: float = 1e-3,
     substeps: int = 4,
     engine: str = "auto",
-) -> xr.Dataset:
-    """Simulate a leg; the dataset has all states, forces and commands over ``time``.
-
-    Columns of joints have the dimension ``joint``, those of muscles ``muscle``. Attributes: ``units`` of each, and the
-    ``engine`` that computed it.
+) -> LegResult:
+    """Simulate a leg; the result has all states, forces and commands over ``time``, and the metrics of the run.
 
     Parameters
     ----------
@@ -90,9 +131,12 @@ def simulate_leg(
     run = single_run(LegProblem(plant, controller, start), control_period, "simulate_legs")
     plant.check_start(start)
     plant.check_substeps(start.angles, None, control_period, substeps)
-    record, used = run_alone(engine, run.plant, run.controller, times, run.start, np.asarray(control_period), substeps)
-    table = _table(plant, jax.tree.map(np.asarray, record), times).assign_attrs(engine=used)
-    wrong = ~np.isfinite(table["z"].to_numpy())
+    (final, record), used = run_alone(
+        engine, run.plant, run.controller, times, run.start, np.asarray(control_period), substeps
+    )
+    record, final = jax.tree.map(np.asarray, (record, final))
+    result = LegResult(run.plant, record, final, control_period, used)
+    wrong = ~np.isfinite(result["z"])
     if wrong.any():
         raise SimulationError(
             f"the run diverges at {times[wrong.argmax()]:.4g} s",
@@ -100,7 +144,12 @@ def simulate_leg(
             value=substeps,
             remedy="give more substeps, or softer stops and ground",
         )
-    return table
+    return result
+
+
+@compiled
+def _measured(samples: LegSample, final: Any, period: ArrayLike, plant: LegPlant) -> LegMetrics:
+    return measure(samples, plant.observe(final), period, plant)
 
 
 def simulate_legs(
@@ -116,8 +165,8 @@ def simulate_legs(
     workers: int | None = None,
     engine: str = "auto",
     progress: Progress | None = None,
-) -> xr.Dataset:
-    """Simulate a leg many times, as `simulate_leg` does, and return the `LegMetrics` along ``run``.
+) -> Batch:
+    """Simulate a leg many times, as `simulate_leg` does, and return the `LegMetrics` of each run.
 
     Parameters
     ----------
@@ -152,12 +201,15 @@ def simulate_legs(
         engine=engine,
         progress=progress,
     )
-    import xarray as xr
-
     finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)
-    table = variables(joined._asdict() | {"diverged": ~finite}, "run", lambda _: "joint", LEG_UNITS)
-    coords = {"joint": [joint.name for joint in plant.leg.joints]}
-    return xr.Dataset(table, coords=coords, attrs={"engine": used})
+    codes = outcomes(
+        angle_max=np.where(finite, 0.0, np.inf), left_domain=joined.time_outside_domain > 0, saturated=False
+    )
+    columns: dict[str, Any] = {"joint": [joint.name for joint in plant.leg.joints]}
+    for name, column in joined._asdict().items():
+        dims = ("joint", "run") if isinstance(column, tuple) else ("run",)
+        columns[name] = (dims, np.stack(column) if isinstance(column, tuple) else column, attributes(name))
+    return Batch(batch_table(columns, codes, over or {}, engine=used), LegMetrics)
 
 
 @BatchFunction
@@ -165,14 +217,3 @@ def _run(given: Any, lane: Any) -> LegMetrics:
     """Metrics of one run."""
     shared, *rest = given
     return leg_metrics(*eqx.combine(lane, shared), *rest)
-
-
-def _table(plant: LegPlant, record: Record, times: Any) -> xr.Dataset:
-    import xarray as xr
-
-    given = record.state._asdict() | {"command": record.commands, "saturated": record.limited} | record.telemetry
-    of_joints = ("angle", "velocity", "stop_torque")
-    columns = variables(given, "time", lambda name: "joint" if name in of_joints else "muscle", LEG_UNITS)
-    joints = [joint.name for joint in plant.leg.joints]
-    coords = {"time": ("time", times, {"units": "s"}), "joint": joints, "muscle": list(plant.leg.muscle_names)}
-    return xr.Dataset(columns, coords=coords)

@@ -1,5 +1,6 @@
 """Muscles: force laws, specimen, and the internal state of friction and creep."""
 
+from mckibben.component.classes import concrete_subclasses
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, pressure_for, scaled_law
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
@@ -15,24 +16,8 @@ from mckibben.muscle.spring import SpringLaw, return_spring
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
-LAWS: dict[str, type[ForceLaw]] = {
-    law.__name__: law
-    for law in (
-        ChouLaw,
-        TonduLopezLaw,
-        TonduLopezVariableLaw,
-        TsagarakisCaldwellLaw,
-        MartensBoblanLaw,
-        ReppergerLaw,
-        ReynoldsLaw,
-        HuntLaw,
-        SarosiLaw,
-        ExponentialLaw,
-        SmoothAffineLaw,
-        SmoothLaw,
-    )
-}
-"""Force laws by the name used in files and on the command line."""
+LAWS: dict[str, type[ForceLaw]] = {law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}
+"""Force laws with parameters to identify, by the name used in files and on the command line."""
 
 __all__ = [
     "LAWS",

@@ -11,6 +11,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, check_within
+from mckibben.component.classes import find_class
+from mckibben.component.extensions import is_foreign
+from mckibben.errors import RangeError, quoted
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
 from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm
@@ -63,6 +66,36 @@ class ForceLaw(Component):
     def unit_of(cls, name: str) -> Quantity | None:
         known = {one.name: one for one in (*cls.parameters(), *cls.constants)}
         return Quantity(known[name].unit, known[name].shown, -1e40, 1e40) if name in known else None
+
+    @classmethod
+    def check_equation(cls, given: Any, version: str | None = None) -> None:
+        """Raise `RangeError` if a file, written with a version of the law's package, has another equation."""
+        if given != cls.equation:
+            made = f" (version {version})" if version else ""
+            raise RangeError(
+                f"is {quoted(given)}, that of {cls.__module__}.{cls.__qualname__} is {quoted(cls.equation)}",
+                field="equation",
+                value=given,
+                remedy=f"import the law that the file was made with{made}, or identify it again",
+            )
+
+    @classmethod
+    def from_file(cls, value: Any) -> Any:
+        """Return the section without its equation, which has to be that of the class."""
+        if not isinstance(value, dict) or "equation" not in value:
+            return value
+        kind = find_class(cls, str(value.get("class")))
+        if kind is not None:
+            kind.check_equation(value["equation"])
+        return {key: one for key, one in value.items() if key != "equation"}
+
+    @classmethod
+    def to_file(cls, section: dict[str, Any]) -> dict[str, Any]:
+        """Return the section, of a class that a reader may lack with its equation."""
+        kind = find_class(cls, section.get("class", ""))
+        if kind is None or not is_foreign(kind.__module__):
+            return section
+        return section | {"equation": kind.equation}
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:

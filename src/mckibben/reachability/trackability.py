@@ -27,7 +27,7 @@ from mckibben.reachability.trajectory import (
     smoothed,
 )
 from mckibben.simulation.problem import sampling_times
-from mckibben.simulation.simulate import attainable_band
+from mckibben.simulation.simulate import attainable_band, time_span
 from mckibben.units import deg
 
 MAX_SMOOTHING = 0.25
@@ -213,24 +213,18 @@ class Trackability:
         if infeasible.any():
             first = int(np.flatnonzero(infeasible)[0])
             sentences.append(
-                f"no pressures within limits give the torque {_period_of(times, infeasible)}, first at "
+                f"no pressures within limits give the torque {time_span(times, infeasible)}, first at "
                 f"{times[first]:.3g} s ({reference.angle[first] / deg:.3g} deg)"
             )
         if outside.any():
             worst = int(np.argmax(np.where(outside, violation, 0.0)))
             sentences.append(
-                f"the stiffness is not attainable {_period_of(times, outside)}, by up to {violation[worst]:.3g} "
+                f"the stiffness is not attainable {time_span(times, outside)}, by up to {violation[worst]:.3g} "
                 f"N*m/rad at {times[worst]:.3g} s (desired {reference.stiffness[worst]:.4g}, attainable "
                 f"{band.lowest[worst]:.4g}..{band.highest[worst]:.4g} N*m/rad at "
                 f"{reference.angle[worst] / deg:.3g} deg)"
             )
         return " and ".join(sentences)
-
-
-def _period_of(times: Values, where: NDArray[np.bool_]) -> str:
-    at = np.flatnonzero(where)
-    fraction = f"{where.mean():.0%}" if where.mean() >= 0.005 else "under 1%"
-    return f"for {fraction} of the run, between {times[at[0]]:.3g} s and {times[at[-1]]:.3g} s"
 
 
 def check_trackability(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.columns import attributes
 from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
@@ -18,7 +19,6 @@ from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Feasibility, Result, compute_trajectory
 from mckibben.simulation.loop import Record
-from mckibben.simulation.result import attributes
 
 _TOGETHER = 50  # rows that go to the recorder at once: 50 ms of 1 kHz
 _LONGEST = 0.1  # s that a row waits for others, if they are fewer

@@ -117,13 +117,13 @@ def jump_traces(study: JumpStudy) -> Figure:
     jumps = (("constant pressures", study.constant), ("timed pressures", study.timed))
     for j, (title, jump) in enumerate(jumps):
         run = jump.run
-        time = run["time"].to_numpy() / ms
-        names = [str(name) for name in run["muscle"].to_numpy()]
+        time = run["time"] / ms
+        names = list(run.muscles)
         for i, (name, look) in enumerate(looks_of(names).items()):
-            grid[0, j].plot(time, run["pressure"].to_numpy()[i] / bar, label=name, **look)
-            grid[0, j].plot(time, run["command"].to_numpy()[i] / bar, color=look["color"], linewidth=0.6, alpha=0.6)
-        grid[1, j].plot(time, run["ground_up"].to_numpy(), color=VERMILLION)
-        height = (run["mass_height"].to_numpy() - study.standing) / mm
+            grid[0, j].plot(time, run["pressure"][i] / bar, label=name, **look)
+            grid[0, j].plot(time, run["command"][i] / bar, color=look["color"], linewidth=0.6, alpha=0.6)
+        grid[1, j].plot(time, run["ground_up"], color=VERMILLION)
+        height = (run["mass_height"] - study.standing) / mm
         grid[2, j].plot(time, height, color=BLUE)
         grid[2, j].axhline(jump.heights[0] / mm, color=ORANGE, linewidth=0.8, linestyle=(0, (4, 2)))
         letter(grid[0, j], j, title)

@@ -27,7 +27,7 @@ from mckibben.units import bar, deg, ms
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mckibben.leg import LegPlant
+    from mckibben.leg import LegPlant, LegResult
 
 _SIZE = 560, 400
 """Height and width of the picture of the leg, in pixels."""
@@ -39,7 +39,7 @@ _LINES = (BLUE, SKY, VERMILLION, ORANGE, GREEN, PURPLE)
 
 def render_leg(
     plant: LegPlant,
-    run: xr.Dataset,
+    run: LegResult,
     path: str | os.PathLike[str],
     *,
     frames: int = 72,
@@ -70,9 +70,10 @@ def render_leg(
         If the file exists and `overwrite` is not set.
     """
     animation_format(path)
-    chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, frames).round().astype(int))
-    pictures = _pictures(plant, run, chosen)
-    plot, places, rows = _plot(plant, run, seconds)
+    table = run.to_xarray()
+    chosen = np.unique(np.linspace(0, table.sizes["time"] - 1, frames).round().astype(int))
+    pictures = _pictures(plant, table, chosen)
+    plot, places, rows = _plot(plant, table, seconds)
     images = []
     for picture, place in zip(pictures, places[chosen], strict=True):
         beside = plot.copy()

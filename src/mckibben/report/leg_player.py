@@ -15,14 +15,14 @@ from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, ske
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mckibben.leg import LegPlant
+    from mckibben.leg import LegPlant, LegResult
 
 _FRAMES = 240
 _SCALE = 1e4
 """Numbers are stored as integers: lengths in 0.1 mm."""
 
 
-def leg_player(runs: Mapping[str, tuple[LegPlant, xr.Dataset]], key: str = "leg") -> markupsafe.Markup:
+def leg_player(runs: Mapping[str, tuple[LegPlant, LegResult]], key: str = "leg") -> markupsafe.Markup:
     """HTML of a self-contained player of one or more runs side by side; `key` is its id in the page.
 
     Parameters
@@ -32,7 +32,7 @@ def leg_player(runs: Mapping[str, tuple[LegPlant, xr.Dataset]], key: str = "leg"
     """
     force = max(float(np.hypot(run["ground_forward"], run["ground_up"]).max()) for _, run in runs.values()) or 1.0
     pressure = max(float(run["pressure"].max()) for _, run in runs.values()) or 1.0
-    shown = [_run(title, plant, run, force, pressure) for title, (plant, run) in runs.items()]
+    shown = [_run(title, plant, run.to_xarray(), force, pressure) for title, (plant, run) in runs.items()]
     corners = np.array([one.pop("corners") for one in shown])
     options = {
         "runs": shown,

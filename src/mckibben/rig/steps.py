@@ -6,7 +6,7 @@ import abc
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -66,7 +66,6 @@ class Move(ProtocolStep):
     speed: Speed = SPEED
 
     def describe(self) -> str:
-        """Description as text."""
         return f"move to {self.to / percent:.4g} % contraction at {self.speed / mm:g} mm/s"
 
 
@@ -80,7 +79,6 @@ class Dwell(ProtocolStep):
     duration: WaitTime
 
     def describe(self) -> str:
-        """Description as text."""
         return f"wait {self.duration:g} s"
 
 
@@ -96,7 +94,6 @@ class Pressurise(ProtocolStep):
     holding: Tension | None = None  # force held meanwhile by moving, see `HoldForce`; constant length unless given
 
     def describe(self) -> str:
-        """Description as text."""
         rate = f" at {self.rate / bar:g} bar/s" if self.rate is not None else ""
         holding = f", holding {self.holding:g} N" if self.holding is not None else ""
         return f"pressurise to {self.pressure / bar:g} bar{rate}{holding}"
@@ -115,7 +112,6 @@ class HoldForce(ProtocolStep):
     longest: Duration = 300 * s  # timeout, after which the test is stopped
 
     def describe(self) -> str:
-        """Description as text."""
         return f"move until the force is {self.force:g} N +- {self.tolerance:g} N"
 
 
@@ -132,7 +128,6 @@ class Acquire(ProtocolStep):
     keep: bool = True  # whether it is a point of the dataset, not one that only finds a boundary
 
     def describe(self) -> str:
-        """Description as text."""
         return f"acquire {self.samples} samples in {self.duration:g} s"
 
 
@@ -152,7 +147,6 @@ class Walk(ProtocolStep):
     slack_force: Force = 1 * N
 
     def describe(self) -> str:
-        """Description as text."""
         to = "back" if self.to is None else f"to {self.to / percent:.4g} % contraction"
         ends = [f"until {self.force:g} N"] if self.force is not None else []
         ends += [f"until {self.slack} slack plateaus"] if self.slack is not None else []
@@ -171,7 +165,6 @@ class Vent(ProtocolStep):
     short_name = "vent"
 
     def describe(self) -> str:
-        """Description as text."""
         return "vent"
 
 
@@ -191,7 +184,6 @@ class Repeat(ProtocolStep):
             raise RangeError("Repeat: no steps", field="steps", remedy="give at least one")
 
     def describe(self) -> str:
-        """Description as text, without its steps."""
         return f"{self.times} times"
 
 
@@ -285,12 +277,12 @@ def _short_of(low: float, protocol: IsobaricProtocol, of: Muscle) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsometricProtocol(Protocol):
-    """Isometric test: constant length, the pressure stepped up and down."""
+class SteppedProtocol(Protocol, abc.ABC):
+    """Base of tests in which the pressure is stepped up and down at each value of another quantity."""
 
-    short_name = "isometric"
+    held: ClassVar[str]
+    """Field of the values of the other quantity."""
 
-    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))  # ours
     pressures: Sequence[SetPressure] = PAPER_PRESSURES
     rate: PressureRate | None = None  # of the set pressure; steps unless given
     speed: Speed = SPEED
@@ -300,9 +292,28 @@ class IsometricProtocol(Protocol):
     repeats: Repeats = 1
 
     def __post_init__(self) -> None:
-        for name in ("contractions", "pressures"):
+        for name in (self.held, "pressures"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        _check_lists("isometric protocol", self, "contractions")
+        problems = field_problems(self)
+        if not (self.pressures and all(a < b for a, b in itertools.pairwise(self.pressures))):
+            problems.append(Problem("do not rise", field="pressures", remedy="give at least one, ascending"))
+        if not getattr(self, self.held):
+            problems.append(Problem("give at least one", field=self.held))
+        refuse_problems(f"{self.short_name} protocol", problems)
+
+    @abc.abstractmethod
+    def steps(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
+        """Return the steps of the test; `dry_run` checks them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsometricProtocol(SteppedProtocol):
+    """Isometric test: constant length, the pressure stepped up and down."""
+
+    short_name = "isometric"
+    held = "contractions"
+
+    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))  # ours
 
     def steps(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
         """Steps of the test, without pressures whose force by the law exceeds the rated one; `dry_run` checks them."""
@@ -329,25 +340,16 @@ class IsometricProtocol(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsotonicProtocol(Protocol):
+class IsotonicProtocol(SteppedProtocol):
     """Isotonic test: constant force, the pressure stepped up and down."""
 
     short_name = "isotonic"
+    held = "forces"
 
     forces: Sequence[Tension] = (50.0, 100.0, 200.0)  # ours
     pressures: Sequence[SetPressure] = PAPER_PRESSURES[4:]  # ours; 200 N takes about 2 bar
     rate: PressureRate = 0.1 * bar / s  # ours, slow enough for the motor
     tolerance: Force = 2.0  # of the force at a point
-    speed: Speed = SPEED
-    dwell: WaitTime = 5 * s
-    acquisition: Duration = 1 * s
-    samples: Samples = 1000
-    repeats: Repeats = 1
-
-    def __post_init__(self) -> None:
-        for name in ("forces", "pressures"):
-            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        _check_lists("isotonic protocol", self, "forces")
 
     def steps(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
         """Steps of the test, from the vented muscle at its initial length; `dry_run` checks them."""
@@ -373,7 +375,7 @@ def steps_of(protocol: Protocol, of: Muscle | Specimen) -> tuple[ProtocolStep, .
     """Steps of a test, for a muscle or for a specimen without a law."""
     if isinstance(protocol, Steps):
         return protocol.steps
-    assert isinstance(protocol, IsobaricProtocol | IsometricProtocol | IsotonicProtocol)
+    assert isinstance(protocol, IsobaricProtocol | SteppedProtocol)
     return isobaric_steps(protocol, of) if isinstance(protocol, IsobaricProtocol) else protocol.steps(of)
 
 
@@ -382,13 +384,3 @@ def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequenc
         return list(pressures)
     there = forces(of, contraction, np.array(pressures))
     return [p for p, force in zip(pressures, there, strict=True) if force <= float(specimen_of(of).force_limit) * 0.95]
-
-
-def _check_lists(what: str, protocol: IsometricProtocol | IsotonicProtocol, name: str) -> None:
-    pressures, values = protocol.pressures, getattr(protocol, name)
-    problems = field_problems(protocol)
-    if not (pressures and all(a < b for a, b in itertools.pairwise(pressures))):
-        problems.append(Problem("do not rise", field="pressures", remedy="give at least one, ascending"))
-    if not values:
-        problems.append(Problem("give at least one", field=name))
-    refuse_problems(what, problems)

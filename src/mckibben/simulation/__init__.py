@@ -1,6 +1,6 @@
 """The sampled-data loop, its result and metrics, and the static feasibility of a reference."""
 
-from mckibben.simulation.batch import Batch, simulate_many
+from mckibben.simulation.batch import simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
 from mckibben.simulation.loop import compiled_episode, episode
@@ -14,10 +14,12 @@ from mckibben.simulation.metrics import (
     trajectory,
 )
 from mckibben.simulation.optimal import OptimalCommands, optimal_commands
+from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
-from mckibben.simulation.result import Outcome, Result, compute_metrics, compute_trajectory
+from mckibben.simulation.result import Result, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
 from mckibben.simulation.stability import Margins, margins
+from mckibben.simulation.table import Batch, RunResult
 
 __all__ = [
     "SETTLING_PART",
@@ -33,6 +35,7 @@ __all__ = [
     "OptimalCommands",
     "Outcome",
     "Result",
+    "RunResult",
     "Trajectory",
     "check_reference",
     "checked_run",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -16,15 +15,17 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
+from mckibben.component.columns import attributes
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import McKibbenWarning, SimulationError
-from mckibben.notebook import Progress, html_table
+from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import BatchFunction, compute_chunks
 from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
+from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -35,67 +36,10 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_runs,
 )
-from mckibben.simulation.result import OUTCOMES, Outcome, attributes, outcomes
+from mckibben.simulation.table import Batch, batch_table
 
 if TYPE_CHECKING:
     import xarray as xr
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Batch:
-    """Results of many runs, in their order; ``batch["angle_rmse"]`` is a column as an array.
-
-    `table` has along ``run`` the metrics (SI), ``outcome`` (a code; its attribute ``flag_meanings`` lists the names)
-    and the values of `over`; along ``run`` and ``time`` the kept parts of the trajectories.
-    """
-
-    table: xr.Dataset
-
-    @property
-    def count(self) -> int:
-        """The number of runs."""
-        return self.table.sizes["run"]
-
-    @property
-    def metrics(self) -> dict[str, NDArray[np.floating]]:
-        """The computed metrics by name, shape (runs,), SI; NaN for a run that could not start."""
-        return {name: self[name] for name in Metrics._fields if name in self.table}
-
-    @property
-    def outcomes(self) -> list[Outcome]:
-        """Outcome of each run."""
-        return [OUTCOMES[code] for code in self["outcome"]]
-
-    @property
-    def failed(self) -> NDArray[np.bool_]:
-        """Mask of the failed runs."""
-        return np.array([outcome.failed for outcome in OUTCOMES])[self["outcome"]]
-
-    @property
-    def usable(self) -> NDArray[np.bool_]:
-        """Mask of the runs that did not fail, and did not end in a limit cycle."""
-        return np.array([outcome.usable for outcome in OUTCOMES])[self["outcome"]]
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self.table[name].to_numpy()
-
-    def _counted(self) -> str:
-        counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))
-        return ", ".join(f"{n} {outcome.name.lower()}" for n, outcome in zip(counts, OUTCOMES, strict=True) if n)
-
-    def __repr__(self) -> str:
-        return f"<Batch: {self.count} runs ({self._counted()}), metrics {', '.join(self.metrics)}>"
-
-    def _repr_html_(self) -> str:
-        parts = (0, 50, 100)
-        rows = []
-        for name, values in self.metrics.items():
-            finite = values[np.isfinite(values)]
-            numbers = np.percentile(finite, parts) if finite.size else np.full(len(parts), np.nan)
-            about = attributes(name)
-            rows.append((about["long_name"], *(f"{number:.4g}" for number in numbers), about.get("units", "")))
-        head = ("metric", "least", "median", "largest", "unit")
-        return html_table(f"{self.count} runs: {self._counted()}", head, rows)
 
 
 def simulate_many(
@@ -315,23 +259,11 @@ def _table(columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDA
         oscillates=columns["_oscillation_amplitude"] > 0,
         started=columns["_started"],
     )
-    flags = {
-        "flag_values": np.arange(len(OUTCOMES), dtype=np.int8),
-        "flag_meanings": " ".join(o.name for o in OUTCOMES),
-    }
-    table: dict[str, Any] = {}
-    for name, values in over.items():
-        given = np.asarray(values)
-        axes = [f"{name}.{axis}" for axis in range(given.ndim)]
-        dims = ["run", *axes[1:]] if given.ndim and given.shape[0] == code.size else axes
-        table[name] = (dims, given, {"long_name": f"value of {name}"})
-    table |= {name: ("run", columns[name], attributes(name)) for name in asked.metrics}
-    table |= {"outcome": ("run", code, {"long_name": "how the run ended", **flags})}
+    table: dict[str, Any] = {name: ("run", columns[name], attributes(name)) for name in asked.metrics}
     table |= {name: (("run", "time"), columns[name], attributes(name)) for name in asked.keep}
-    time = {"time": ("time", times, {"units": "s", "long_name": "time"})} if asked.keep else {}
-    import xarray as xr
-
-    return xr.Dataset(table, coords=time)
+    if asked.keep:
+        table |= {"time": ("time", times, {"units": "s", "long_name": "time"})}
+    return batch_table(table, code, over)
 
 
 def _stride(every: float | None, control_period: float, periods: int) -> int:

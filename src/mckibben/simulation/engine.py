@@ -103,17 +103,17 @@ def run_alone(
     start: Any,
     period: Any,
     substeps: int,
-) -> tuple[Record, str]:
-    """Record of one run, and the engine that computed it; `numeric` parts."""
+) -> tuple[tuple[Any, Record], str]:
+    """State after one run with its record, and the engine that computed them; `numeric` parts."""
     parts = plant, controller, setpoints, start, period, substeps
     precision = np.asarray(period).dtype
-    return compute_with(engine, precision, lambda: native_episode(parts), lambda: compiled_episode(*parts)[1])
+    return compute_with(engine, precision, lambda: native_episode(parts), lambda: compiled_episode(*parts))
 
 
 @NativeFunction
-def native_episode(parts: Any, _: None) -> Record:
-    """Record of one run."""
-    return episode(*parts)[1]
+def native_episode(parts: Any, _: None) -> tuple[Any, Record]:
+    """State after one run, and its record."""
+    return episode(*parts)
 
 
 class BatchFunction:

@@ -17,8 +17,18 @@ from jaxtyping import Array, ArrayLike
 from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
 from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, Plant, PlantState
-from mckibben.simulation.metrics import SETTLING_PART, Change, MetricAccumulator, Metrics, last_change, trajectory
+from mckibben.simulation.metrics import (
+    SETTLING_PART,
+    Change,
+    Course,
+    Metrics,
+    MetricSample,
+    angle_at_end,
+    last_change,
+    trajectory,
+)
 from mckibben.simulation.oscillation import Oscillation
+from mckibben.simulation.reduction import Run, Totals, values_of
 
 
 class Record(NamedTuple):
@@ -90,7 +100,7 @@ class Streamed(NamedTuple):
 class _Carry(NamedTuple):
     loop: LoopState
     without_change: LoopState
-    total: MetricAccumulator
+    total: Totals
     stiffness_at_change: Array
     air: tuple[Array, Array]
     oscillation: Oscillation
@@ -138,7 +148,7 @@ def streaming_episode(
         at_change = jnp.where(index == change.at, now.stiffness, carry.stiffness_at_change)
         air = (now.air1, now.air2)
         before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
-        added = MetricAccumulator.of(now, index, periods, change, at_change, before, SETTLING_PART)
+        added = MetricSample.of(now, index, periods, change, at_change, before, SETTLING_PART).totals()
         without = step_without_change(carry, following, setpoint, index)
         oscillation = carry.oscillation.after(now.angle, now.desired_angle, index)
         return _Carry(following, without, carry.total.merge(added), at_change, air, oscillation), {
@@ -155,13 +165,14 @@ def streaming_episode(
     rows = jnp.arange(periods), setpoints
     loop = initial_loop(plant, controller, initial)
     zero = jnp.zeros_like(jnp.asarray(initial.angle))
-    carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero), Oscillation.empty(zero))
+    carry = _Carry(loop, loop, MetricSample.empty(zero).totals().empty(), zero, (zero, zero), Oscillation.empty(zero))
     if every == 1 or not keep:
         carry, kept = lax.scan(next_period, carry, rows)
     else:
         blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
         carry, kept = lax.scan(block, carry, blocks)
-    metrics = carry.total.metrics(change, periods, period, carry.oscillation.limit_cycle(periods, period))
+    run = Run(periods, period, Course.of(carry.oscillation.limit_cycle(periods, period), change))
+    metrics = values_of(Metrics, carry.total, run)
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
-    return Streamed(metrics, carry.total.angle_at_end(periods), carry.loop[0], kept)
+    return Streamed(metrics, angle_at_end(carry.total, run), carry.loop[0], kept)

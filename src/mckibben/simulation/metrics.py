@@ -3,58 +3,73 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
+from mckibben.component.columns import Label, labelled
 from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import compute_once
 from mckibben.plant import JointPlant
 from mckibben.simulation.oscillation import LimitCycle, find_limit_cycle
-from mckibben.units import atm, deg, litre, percent
+from mckibben.simulation.reduction import (
+    Duration,
+    Largest,
+    LargestError,
+    RootMeanSquare,
+    Run,
+    StandardDeviation,
+    Total,
+    Totals,
+    Tracked,
+    larger,
+    metrics_of,
+    root,
+    values_of,
+)
+from mckibben.units import atm
 
 if TYPE_CHECKING:
     from mckibben.simulation.loop import Record
 
 
+@labelled
 class Trajectory(NamedTuple):
     """An episode over time; every leaf has shape (periods,), SI units.
 
     Stiffness, torque, forces and contractions are those of the plant. Torque and forces include the muscles' friction
-    and creep; ``stiffness`` is that of the force laws, or of the controller's `stiffness_amplitude` if it has one,
-    ``total_stiffness`` adds gravity's. ``angle_without_step`` is
-    the angle of the same run without the last change of the desired stiffness. ``excursion`` is the larger distance of
-    the two contractions from their domains. ``air1`` and ``air2`` are the muscles' contents as volumes at atmospheric
-    pressure [m^3], from the volumes inside their braids.
+    and creep; stiffness is that of the force laws, or of the controller's `stiffness_amplitude` if it has one.
     """
 
-    angle: Array
-    velocity: Array
-    desired_angle: Array
-    angle_without_step: Array
-    desired_stiffness: Array
-    stiffness: Array
-    total_stiffness: Array
-    stiffness_estimate: Array
-    torque: Array
-    pressure1: Array
-    pressure2: Array
-    command1: Array
-    command2: Array
-    force1: Array
-    force2: Array
-    contraction1: Array
-    contraction2: Array
-    saturated: Array
-    slack: Array
-    outside_domain: Array
-    overloaded: Array
-    excursion: Array
-    air1: Array
-    air2: Array
+    angle: Annotated[Array, Label("rad", "joint angle")]
+    velocity: Annotated[Array, Label("rad/s", "angular velocity")]
+    desired_angle: Annotated[Array, Label("rad", "desired joint angle")]
+    angle_without_step: Annotated[
+        Array, Label("rad", "joint angle of the same run without the last change of the desired stiffness")
+    ]
+    desired_stiffness: Annotated[Array, Label("N*m/rad", "desired joint stiffness")]
+    stiffness: Annotated[Array, Label("N*m/rad", "isobaric joint stiffness of the plant's muscles")]
+    total_stiffness: Annotated[Array, Label("N*m/rad", "joint stiffness of the plant's muscles and gravity")]
+    stiffness_estimate: Annotated[Array, Label("N*m/rad", "controller's estimate of the joint stiffness")]
+    torque: Annotated[Array, Label("N*m", "torque of the muscles")]
+    pressure1: Annotated[Array, Label("Pa", "gauge pressure in muscle 1")]
+    pressure2: Annotated[Array, Label("Pa", "gauge pressure in muscle 2")]
+    command1: Annotated[Array, Label("Pa", "commanded pressure of muscle 1")]
+    command2: Annotated[Array, Label("Pa", "commanded pressure of muscle 2")]
+    force1: Annotated[Array, Label("N", "tension of muscle 1")]
+    force2: Annotated[Array, Label("N", "tension of muscle 2")]
+    contraction1: Annotated[Array, Label("1", "contraction of muscle 1")]
+    contraction2: Annotated[Array, Label("1", "contraction of muscle 2")]
+    saturated: Annotated[Array, Label("1", "a command is at a pressure limit")]
+    slack: Annotated[Array, Label("1", "a muscle is slack")]
+    outside_domain: Annotated[Array, Label("1", "a muscle's contraction or pressure is outside its domain")]
+    overloaded: Annotated[Array, Label("1", "a muscle's tension is above its rating")]
+    excursion: Annotated[Array, Label("1", "distance of a contraction from its domain")]
+    air1: Annotated[Array, Label("m^3", "air in muscle 1, as a volume at atmospheric pressure")]
+    air2: Annotated[Array, Label("m^3", "air in muscle 2, as a volume at atmospheric pressure")]
 
 
 def trajectory(
@@ -126,77 +141,121 @@ _SETTLED = 10  # the last 1/10 of the time since the change has to be inside the
 _BAND_FLOOR = 1e-3  # least half width of the band, as a fraction of the setpoint
 
 
-class Metrics(NamedTuple):
-    """Scalars in SI; errors are those of the plant's true angle and stiffness from the setpoints.
+class SettlingTime(Largest):
+    """Time from the last change of the setpoint until a quantity is within the settling band for good [s].
 
-    Attributes
-    ----------
-    angle_rmse, angle_max, stiffness_rmse, stiffness_max
-        Root mean square and largest absolute error of angle [rad] and stiffness [N*m/rad].
-    stiffness_ripple
-        Root mean square of the stiffness error about its mean over the run [N*m/rad]: at a constant setpoint, the
-        effect of motion on the stiffness, without the constant error of a wrong force law.
-    stiffness_settling
-        Time from the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
-        enters the settling band for good [s]. NaN if it is not inside for at least the last tenth of the time since the
-        change (a limit cycle, or an entry just before the end), or if the setpoint ends with a ramp or changes until
-        the very end.
-    coupling
-        Largest deviation of the angle from that of the same run without the last change of the desired stiffness [rad];
-        NaN if the desired stiffness never changes, ends with a ramp or changes until the very end.
-    estimate_rmse
-        Root mean square error of the controller's stiffness estimate [N*m/rad]; NaN if it has none.
-    time_saturated, time_slack, time_outside_domain, time_overloaded
-        Time with a command at a pressure limit, a muscle slack, outside its domain, above its rated force [s].
-    excursion_max, force_max
-        Largest distance of a contraction from its domain [-], and largest tension [N].
-    oscillation_amplitude, oscillation_period
-        Mean amplitude [rad] and period [s] of a limit cycle of the angle (`mckibben.simulation.oscillation`); 0 and NaN
-        if there is none.
-    air
-        Sum of the rises of the muscles' contents at room temperature, as a volume at atmospheric pressure [m^3]; what
-        is let out is lost. NaN where the volumes are not known.
+    The quantity is the number of the control period, counted from 1, where it is outside, and 0 where it is inside.
     """
 
-    angle_rmse: Array
-    angle_max: Array
-    stiffness_rmse: Array
-    stiffness_max: Array
-    stiffness_ripple: Array
-    stiffness_settling: Array
-    coupling: Array
-    estimate_rmse: Array
-    time_saturated: Array
-    time_slack: Array
-    time_outside_domain: Array
-    time_overloaded: Array
-    excursion_max: Array
-    force_max: Array
-    air: Array
-    oscillation_amplitude: Array
-    oscillation_period: Array
+    def value(self, totals: Totals, run: Any) -> Any:
+        change: Change = run.tracked.change
+        unsettled = jnp.maximum(totals.maxima[self.of] - 1, change.at - 1)
+        in_band = run.periods - 1 - unsettled  # periods at the end
+        never = (_SETTLED * in_band < run.periods - change.at) | ((change.at > 0) & ~change.ends)
+        return jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * run.period)
 
 
+class LargestAfterChange(Largest):
+    """Largest value of a quantity since the last change of the setpoint; NaN without one."""
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        return jnp.where(run.tracked.change.ends, totals.maxima[self.of], jnp.nan)
+
+
+@labelled
+class Metrics(NamedTuple):
+    """Scalars in SI; errors are those of the plant's true angle and stiffness from the setpoints."""
+
+    angle_rmse: Annotated[
+        Array, RootMeanSquare("rad", "root mean square error of the angle", of="angle_error", shown="deg")
+    ]
+    angle_max: Annotated[Array, LargestError("rad", "largest error of the angle", of="angle_error", shown="deg")]
+    stiffness_rmse: Annotated[
+        Array, RootMeanSquare("N*m/rad", "root mean square error of the stiffness", of="stiffness_error")
+    ]
+    stiffness_max: Annotated[Array, LargestError("N*m/rad", "largest error of the stiffness", of="stiffness_error")]
+    stiffness_ripple: Annotated[
+        Array,
+        StandardDeviation(
+            "N*m/rad",
+            "root mean square of the stiffness error about its mean",
+            of="stiffness_error",
+            note="at a constant setpoint, the effect of motion, without the constant error of a wrong force law",
+        ),
+    ]
+    stiffness_settling: Annotated[
+        Array,
+        SettlingTime(
+            "s",
+            "settling time of the stiffness",
+            of="unsettled",
+            note="from the last change of the desired stiffness, or from the start if it never changes; NaN if the "
+            "stiffness is not in the settling band for at least the last tenth of the time since the change (a limit "
+            "cycle, or an entry just before the end), or if the setpoint ends with a ramp or changes until the "
+            "very end",
+        ),
+    ]
+    coupling: Annotated[
+        Array,
+        LargestAfterChange(
+            "rad",
+            "largest change of the angle by the last change of the desired stiffness",
+            of="coupling",
+            shown="deg",
+            note="from the same run without that change; NaN if the desired stiffness never changes, ends with a ramp "
+            "or changes until the very end",
+        ),
+    ]
+    estimate_rmse: Annotated[
+        Array,
+        RootMeanSquare(
+            "N*m/rad",
+            "root mean square error of the estimated stiffness",
+            of="estimate_error",
+            note="NaN if the controller has no estimate",
+        ),
+    ]
+    time_saturated: Annotated[Array, Duration("s", "time with a command at a pressure limit", of="saturated")]
+    time_slack: Annotated[Array, Duration("s", "time with a muscle slack", of="slack")]
+    time_outside_domain: Annotated[Array, Duration("s", "time with a muscle outside its domain", of="outside_domain")]
+    time_overloaded: Annotated[Array, Duration("s", "time with a muscle above its rated force", of="overloaded")]
+    excursion_max: Annotated[
+        Array, Largest("1", "largest distance of a contraction from its domain", of="excursion", shown="%")
+    ]
+    force_max: Annotated[Array, Largest("N", "largest tension", of="force")]
+    air: Annotated[
+        Array,
+        Total(
+            "m^3",
+            "air consumption, as a volume at atmospheric pressure",
+            of="inflow",
+            shown="L",
+            note="sum of the rises of the muscles' contents at room temperature, as what is let out is lost; NaN where "
+            "the volumes are not known",
+        ),
+    ]
+    oscillation_amplitude: Annotated[
+        Array,
+        Tracked(
+            "rad",
+            "amplitude of a limit cycle of the angle",
+            of="amplitude",
+            shown="deg",
+            note="0 without one (`mckibben.simulation.oscillation`)",
+        ),
+    ]
+    oscillation_period: Annotated[
+        Array, Tracked("s", "period of a limit cycle of the angle", of="cycle_period", note="NaN without one")
+    ]
+
+
+_SUFFIXES = {"N*m/rad": "", "%": "_percent"}
 METRICS: dict[str, tuple[str, str, float]] = {
-    "angle_rmse_deg": ("angle_rmse", "deg", deg),
-    "angle_max_deg": ("angle_max", "deg", deg),
-    "stiffness_rmse": ("stiffness_rmse", "N*m/rad", 1.0),
-    "stiffness_max": ("stiffness_max", "N*m/rad", 1.0),
-    "stiffness_ripple": ("stiffness_ripple", "N*m/rad", 1.0),
-    "stiffness_settling_s": ("stiffness_settling", "s", 1.0),
-    "coupling_deg": ("coupling", "deg", deg),
-    "estimate_rmse": ("estimate_rmse", "N*m/rad", 1.0),
-    "time_saturated_s": ("time_saturated", "s", 1.0),
-    "time_slack_s": ("time_slack", "s", 1.0),
-    "time_outside_domain_s": ("time_outside_domain", "s", 1.0),
-    "time_overloaded_s": ("time_overloaded", "s", 1.0),
-    "excursion_max_percent": ("excursion_max", "%", percent),
-    "force_max_N": ("force_max", "N", 1.0),
-    "air_L": ("air", "L", litre),
-    "oscillation_amplitude_deg": ("oscillation_amplitude", "deg", deg),
-    "oscillation_period_s": ("oscillation_period", "s", 1.0),
+    f"{name}{_SUFFIXES.get(shown, f'_{shown}')}": (name, shown, size)
+    for name, label in metrics_of(Metrics).items()
+    for shown, size in [label.displayed]
 }
-"""Field of `Metrics`, unit and its factor to SI, by the name in results."""
+"""Field of `Metrics`, shown unit and its factor to SI, by the name in results."""
 
 
 def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
@@ -219,15 +278,16 @@ def measure_since(
     zero = jnp.zeros_like(moved.stiffness[0])
 
     def following(so_far: Any, at: tuple[Array, Trajectory]) -> tuple[Any, None]:
-        total, air = so_far
+        totals, air = so_far
         index, now = at
         before = [jnp.where(index == 0, new, old) for new, old in zip((now.air1, now.air2), air, strict=True)]
-        added = MetricAccumulator.of(now, index, periods, change, at_change, before, settling_part)
-        return (total.merge(added), (now.air1, now.air2)), None
+        sample = MetricSample.of(now, index, periods, change, at_change, before, settling_part)
+        return (totals.merge(sample.totals()), (now.air1, now.air2)), None
 
-    start = MetricAccumulator.empty(zero), (zero, zero)
-    (total, _), _ = lax.scan(following, start, (jnp.arange(periods), moved))
-    return total.metrics(change, periods, period, find_limit_cycle(moved.angle, moved.desired_angle, period))
+    start = MetricSample.empty(zero).totals().empty(), (zero, zero)
+    (totals, _), _ = lax.scan(following, start, (jnp.arange(periods), moved))
+    course = Course.of(find_limit_cycle(moved.angle, moved.desired_angle, period), change)
+    return values_of(Metrics, totals, Run(periods, period, course))
 
 
 class Change(NamedTuple):
@@ -253,43 +313,39 @@ def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
     return Change(index, desired[xp.maximum(index - 1, 0)], desired[-1], ends)
 
 
-class Sums(NamedTuple):
-    """Sums over control periods: errors, squared errors, counts and air."""
+class Course(NamedTuple):
+    """Limit cycle of a run [rad], [s], and the last change of its desired stiffness."""
 
-    angle: Array
-    angle_at_end: Array
-    stiffness: Array
-    stiffness_bias: Array
-    estimate: Array
+    amplitude: Array
+    cycle_period: Array
+    change: Change
+
+    @classmethod
+    def of(cls, cycle: LimitCycle, change: Change) -> Course:
+        return cls(cycle.amplitude, cycle.period, change)
+
+
+class MetricSample(NamedTuple):
+    """Quantities of a control period that metrics are made of; flags are 0 or 1."""
+
+    angle_error: Array  # [rad]
+    angle_error_at_end: Array  # [rad], 0 before the end of the run
+    stiffness_error: Array  # [N*m/rad]
+    estimate_error: Array  # [N*m/rad]
+    unsettled: Array  # number of the period from 1, if the stiffness is outside its band; else 0
+    coupling: Array  # [rad], 0 before the change
     saturated: Array
     slack: Array
     outside_domain: Array
     overloaded: Array
-    air: Array
-
-
-class Peaks(NamedTuple):
-    """Maxima over control periods."""
-
-    angle: Array
-    stiffness: Array
-    coupling: Array
-    excursion: Array
-    force: Array
-
-
-class MetricAccumulator(NamedTuple):
-    """Sums and maxima from which the metrics follow; of one control period, of some, or of all."""
-
-    sums: Sums
-    peaks: Peaks
-    unsettled: Array  # the last period with the stiffness outside its band; -1 if there is none
+    excursion: Array  # [-]
+    force: Array  # [N]
+    inflow: Array  # [m^3]
 
     @classmethod
-    def empty(cls, like: Array) -> MetricAccumulator:
-        """Accumulator before the first period, with the float type of `like`."""
-        zero = jnp.zeros_like(like)
-        return cls(Sums(*[zero] * len(Sums._fields)), Peaks(*[zero] * len(Peaks._fields)), jnp.asarray(-1))
+    def empty(cls, like: Array) -> MetricSample:
+        """Sample of zeros, with the float type of `like`."""
+        return cls(*[jnp.zeros_like(like)] * len(cls._fields))
 
     @classmethod
     def of(
@@ -301,83 +357,50 @@ class MetricAccumulator(NamedTuple):
         stiffness_at_change: ArrayLike,
         air_before: Sequence[ArrayLike],
         settling_part: ArrayLike,
-    ) -> MetricAccumulator:
-        """Accumulators of single control periods, elementwise: scalars or shape (periods,)."""
+    ) -> MetricSample:
+        """Samples of single control periods, elementwise: scalars or shape (periods,)."""
+        index = jnp.asarray(index)
         angle_error = jnp.asarray(moved.angle) - moved.desired_angle
         stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
-        estimate_error = jnp.asarray(moved.stiffness_estimate) - moved.stiffness
-        since = jnp.asarray(index) >= change.at
+        since = index >= change.at
         settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change, settling_part)
         coupling = jnp.abs(jnp.asarray(moved.angle) - moved.angle_without_step)
-        air = _larger(moved.air1 - air_before[0], 0.0) + _larger(moved.air2 - air_before[1], 0.0)
 
-        def count(flag: Array) -> Array:
+        def number(flag: Any) -> Array:
             return jnp.asarray(flag).astype(stiffness_error.dtype)
 
-        sums = Sums(
-            angle=jnp.square(angle_error),
-            angle_at_end=jnp.where(jnp.asarray(index) >= first_of_end(periods), jnp.square(angle_error), 0.0),
-            stiffness=jnp.square(stiffness_error),
-            stiffness_bias=stiffness_error,
-            estimate=jnp.square(estimate_error),
-            saturated=count(moved.saturated),
-            slack=count(moved.slack),
-            outside_domain=count(moved.outside_domain),
-            overloaded=count(moved.overloaded),
-            air=air,
-        )
-        peaks = Peaks(
-            angle=jnp.abs(angle_error),
-            stiffness=jnp.abs(stiffness_error),
+        return cls(
+            angle_error=angle_error,
+            angle_error_at_end=jnp.where(index >= first_of_end(periods), angle_error, 0.0),
+            stiffness_error=stiffness_error,
+            estimate_error=jnp.asarray(moved.stiffness_estimate) - moved.stiffness,
+            unsettled=number(jnp.where(since & ~settled, index + 1, 0)),
             coupling=jnp.where(since, coupling, 0.0),
+            saturated=number(moved.saturated),
+            slack=number(moved.slack),
+            outside_domain=number(moved.outside_domain),
+            overloaded=number(moved.overloaded),
             excursion=jnp.asarray(moved.excursion),
-            force=_larger(moved.force1, moved.force2),
-        )
-        return cls(sums, peaks, jnp.where(since & ~settled, index, -1))
-
-    def merge(self, other: MetricAccumulator) -> MetricAccumulator:
-        """Accumulator of the periods of both."""
-        return MetricAccumulator(
-            Sums(*(a + b for a, b in zip(self.sums, other.sums, strict=True))),
-            Peaks(*(_larger(a, b) for a, b in zip(self.peaks, other.peaks, strict=True))),
-            jnp.maximum(self.unsettled, other.unsettled),
+            force=larger(moved.force1, moved.force2),
+            inflow=larger(moved.air1 - air_before[0], 0.0) + larger(moved.air2 - air_before[1], 0.0),
         )
 
-    def angle_at_end(self, periods: int) -> Array:
-        """Root mean square error of the angle [rad] over the end of a run of so many control periods."""
-        return _root(self.sums.angle_at_end / (periods - first_of_end(periods)))
+    def totals(self) -> Totals:
+        """Terms of the metrics, and of `angle_at_end`."""
+        return Totals.of((*metrics_of(Metrics).values(), _ANGLE_AT_END), self)
 
-    def metrics(self, change: Change, periods: int, period: ArrayLike, cycle: LimitCycle) -> Metrics:
-        """The metrics of a whole run of so many control periods [s]."""
-        sums, peaks = self.sums, self.peaks
-        unsettled = jnp.maximum(self.unsettled, change.at - 1)
-        about_mean = sums.stiffness / periods - jnp.square(sums.stiffness_bias / periods)
-        in_band = periods - 1 - unsettled  # periods at the end
-        never = (_SETTLED * in_band < periods - change.at) | ((change.at > 0) & ~change.ends)
-        return Metrics(
-            angle_rmse=_root(sums.angle / periods),
-            angle_max=peaks.angle,
-            stiffness_rmse=_root(sums.stiffness / periods),
-            stiffness_max=peaks.stiffness,
-            stiffness_ripple=_root(jnp.where(about_mean < 0, 0.0, about_mean)),  # rounding may take it below
-            stiffness_settling=jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * period),
-            coupling=jnp.where(change.ends, peaks.coupling, jnp.nan),
-            estimate_rmse=_root(sums.estimate / periods),
-            time_saturated=sums.saturated * period,
-            time_slack=sums.slack * period,
-            time_outside_domain=sums.outside_domain * period,
-            time_overloaded=sums.overloaded * period,
-            excursion_max=peaks.excursion,
-            force_max=peaks.force,
-            air=sums.air,
-            oscillation_amplitude=cycle.amplitude,
-            oscillation_period=cycle.period,
-        )
+
+_ANGLE_AT_END = RootMeanSquare("rad", "root mean square error of the angle at the end", of="angle_error_at_end")
+
+
+def angle_at_end(totals: Totals, run: Run) -> Array:
+    """Root mean square error of the angle [rad] over the end of a run."""
+    return _ANGLE_AT_END.value(totals, run._replace(periods=run.periods - first_of_end(run.periods)))
 
 
 def rms(error: ArrayLike) -> Array:
     """The root mean square; its derivative at zero error is 0."""
-    return _root(jnp.mean(jnp.square(jnp.asarray(error))))
+    return root(jnp.mean(jnp.square(jnp.asarray(error))))
 
 
 def settling_band(desired_stiffness: ArrayLike, stiffness: ArrayLike, part: float) -> Array:
@@ -389,14 +412,3 @@ def settling_band(desired_stiffness: ArrayLike, stiffness: ArrayLike, part: floa
 def _band(change: Change, stiffness_at_change: ArrayLike, part: ArrayLike) -> Array:
     step = jnp.abs(change.after - stiffness_at_change)
     return jnp.maximum(part * step, _BAND_FLOOR * jnp.abs(change.after))
-
-
-def _root(mean: Array) -> Array:
-    """The square root; its derivative at 0 is 0."""
-    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), mean)
-
-
-def _larger(one: ArrayLike, other: ArrayLike) -> Array:
-    """The larger of two, NaN if one of them is: XLA's own maximum does not always propagate it."""
-    one, other = jnp.asarray(one), jnp.asarray(other)
-    return jnp.where((one >= other) | jnp.isnan(one), one, other)

@@ -1,187 +1,45 @@
-"""The result of a simulated run: its columns, metrics and outcome."""
+"""The result of a simulated run of a joint: its columns, metrics and outcome."""
 
 from __future__ import annotations
 
-import enum
 import functools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike
-from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
-from mckibben.errors import FileError, Problem, SimulationError
-from mckibben.notebook import html_table
+from mckibben.component.columns import Label, attributes, declare
+from mckibben.errors import FileError, Problem
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.simulation.engine import BatchFunction, compute_with
-from mckibben.simulation.metrics import (
-    METRICS,
-    Metrics,
-    Trajectory,
-    first_of_end,
-    last_change,
-    measure_since,
-    trajectory,
-)
+from mckibben.simulation.metrics import Metrics, Trajectory, first_of_end, last_change, measure_since, trajectory
+from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
+from mckibben.simulation.table import RunResult
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from mckibben.control.base import Setpoint
     from mckibben.plant import JointPlant
     from mckibben.simulation.loop import Record
 
-
-SWUNG_OVER_AT = 90 * deg
-"""Angle error beyond which a run has diverged."""
-LEFT_REFERENCE_AT = 5 * deg
-"""RMS angle error at the end of a run beyond which it has diverged, unless the reference moves by more."""
-
-
-class Outcome(enum.Enum):
-    """Outcome of a run; the worst that applies."""
-
-    COMPLETED = "completed"
-    SATURATED = "completed, with a command at a pressure limit part of the time"
-    LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: the law is extrapolated there"
-    SWUNG_OVER = "diverged: the angle error exceeded 90 deg"
-    DIVERGED = "diverged: the state is not finite"
-    NO_START = "not run: no pressures within limits hold the joint at the start"
-    LEFT_REFERENCE = (
-        "diverged: over the last tenth of the run the RMS angle error exceeded 5 deg and the range of the reference"
-    )
-    LIMIT_CYCLE = "completed, in a limit cycle: the angle oscillates faster than its reference"
-
-    @property
-    def diverged(self) -> bool:
-        """Whether the run left its reference for good.
-
-        Its state is not finite, its angle error exceeded 90 deg, or over the last tenth of the run the RMS angle error
-        exceeds 5 deg and the span of the reference, highest minus lowest angle: a joint that stands still within that
-        span cannot reach this error, however slow its controller.
-        """
-        return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.LEFT_REFERENCE)
-
-    @property
-    def failed(self) -> bool:
-        """Whether the run has no usable end: diverged, or not started."""
-        return self.diverged or self is Outcome.NO_START
-
-    @property
-    def usable(self) -> bool:
-        """Whether the run did not fail, and did not end in a limit cycle."""
-        return not self.failed and self is not Outcome.LIMIT_CYCLE
-
-
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
 """Columns of the attainable stiffness."""
 
-OUTCOMES = tuple(Outcome)
-"""In the order of the codes of `outcomes`."""
-
-
-def outcomes(
-    *,
-    angle_max: ArrayLike,
-    left_domain: ArrayLike,
-    saturated: ArrayLike,
-    oscillates: ArrayLike = False,
-    angle_at_end: ArrayLike = 0.0,
-    span: ArrayLike = 0.0,
-    started: ArrayLike = True,
-) -> NDArray[np.int8]:
-    """Index of each run's outcome in `OUTCOMES`, from angle errors [rad] and the span [rad] of the reference angle."""
-    angle_max = np.asarray(angle_max)
-    worst_first = [
-        (~np.asarray(started, bool), Outcome.NO_START),
-        (~np.isfinite(angle_max), Outcome.DIVERGED),
-        (angle_max > SWUNG_OVER_AT, Outcome.SWUNG_OVER),
-        (np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT), Outcome.LEFT_REFERENCE),
-        (np.asarray(oscillates, bool), Outcome.LIMIT_CYCLE),
-        (np.asarray(left_domain, bool), Outcome.LEFT_DOMAIN),
-        (np.asarray(saturated, bool), Outcome.SATURATED),
-    ]
-    conditions = np.broadcast_arrays(*(condition for condition, _ in worst_first))
-    codes = [OUTCOMES.index(outcome) for _, outcome in worst_first]
-    return np.select(conditions, codes, OUTCOMES.index(Outcome.COMPLETED)).astype(np.int8)
-
-
-_ANGLE, _STIFFNESS, _PRESSURE = "rad", "N*m/rad", "Pa"
-UNITS = {
-    "angle": (_ANGLE, "joint angle"),
-    "velocity": ("rad/s", "angular velocity"),
-    "desired_angle": (_ANGLE, "desired joint angle"),
-    "angle_without_step": (_ANGLE, "joint angle of the same run without the last change of the desired stiffness"),
-    "desired_stiffness": (_STIFFNESS, "desired joint stiffness"),
-    "stiffness": (_STIFFNESS, "isobaric joint stiffness of the plant's muscles"),
-    "total_stiffness": (_STIFFNESS, "joint stiffness of the plant's muscles and gravity"),
-    "stiffness_estimate": (_STIFFNESS, "controller's estimate of the joint stiffness"),
-    "torque": ("N*m", "torque of the muscles"),
-    "friction_torque": ("N*m", "torque of the muscles' friction"),
-    "joint_friction_torque": ("N*m", "torque of the joint's own friction"),
-    "creep_torque": ("N*m", "torque of the muscles' creep"),
-    "friction_compensation": ("N*m", "friction torque compensated by the controller"),
-    "velocity_estimate": ("rad/s", "controller's estimate of the angular velocity"),
-    "disturbance_estimate": ("N*m", "controller's estimate of the disturbance torque"),
-    "strength1_estimate": ("1", "controller's estimate of the strength of muscle 1 relative to its law"),
-    "strength2_estimate": ("1", "controller's estimate of the strength of muscle 2 relative to its law"),
-    "valve_time_constant_estimate": ("s", "controller's estimate of the time constant of the valves"),
-    "pressure1": (_PRESSURE, "gauge pressure in muscle 1"),
-    "pressure2": (_PRESSURE, "gauge pressure in muscle 2"),
-    "command1": (_PRESSURE, "commanded pressure of muscle 1"),
-    "command2": (_PRESSURE, "commanded pressure of muscle 2"),
-    "opening1": ("1", "opening of the valve of muscle 1, to the supply or where negative to the exhaust"),
-    "opening2": ("1", "opening of the valve of muscle 2, to the supply or where negative to the exhaust"),
-    "outlet1": (_PRESSURE, "gauge pressure between valve and tube of muscle 1"),
-    "outlet2": (_PRESSURE, "gauge pressure between valve and tube of muscle 2"),
-    "reservoir": (_PRESSURE, "gauge pressure at the inlets of the valves"),
-    "force1": ("N", "tension of muscle 1"),
-    "force2": ("N", "tension of muscle 2"),
-    "contraction1": ("1", "contraction of muscle 1"),
-    "contraction2": ("1", "contraction of muscle 2"),
-    "saturated": ("1", "a command is at a pressure limit"),
-    "slack": ("1", "a muscle is slack"),
-    "outside_domain": ("1", "a muscle's contraction or pressure is outside its domain"),
-    "overloaded": ("1", "a muscle's tension is above its rating"),
-    "air1": ("m^3", "air in muscle 1, as a volume at atmospheric pressure"),
-    "air2": ("m^3", "air in muscle 2, as a volume at atmospheric pressure"),
-    "excursion": ("1", "distance of a contraction from its domain"),
-    "angle_rmse": (_ANGLE, "root mean square error of the angle"),
-    "angle_max": (_ANGLE, "largest error of the angle"),
-    "stiffness_rmse": (_STIFFNESS, "root mean square error of the stiffness"),
-    "stiffness_max": (_STIFFNESS, "largest error of the stiffness"),
-    "stiffness_settling": ("s", "settling time of the stiffness"),
-    "coupling": (_ANGLE, "largest change of the angle by the last change of the desired stiffness"),
-    "estimate_rmse": (_STIFFNESS, "root mean square error of the estimated stiffness"),
-    "time_saturated": ("s", "time with a command at a pressure limit"),
-    "time_slack": ("s", "time with a muscle slack"),
-    "time_outside_domain": ("s", "time with a muscle outside its domain"),
-    "time_overloaded": ("s", "time with a muscle above its rated force"),
-    "oscillation_amplitude": (_ANGLE, "amplitude of a limit cycle of the angle"),
-    "oscillation_period": ("s", "period of a limit cycle of the angle"),
-    "excursion_max": ("1", "largest distance of a contraction from its domain"),
-    "force_max": ("N", "largest tension"),
-    "air": ("m^3", "air consumption, as a volume at atmospheric pressure"),
-    "stiffness_ripple": (_STIFFNESS, "root mean square of the stiffness error about its mean"),
-    "position_kp": ("Pa/rad", "proportional gain of the position loop"),
-    "position_ki": ("Pa/(rad*s)", "integral gain of the position loop"),
-    "position_kd": ("Pa*s/rad", "derivative gain of the position loop"),
-    "stiffness_kp": ("Pa/(N*m/rad)", "proportional gain of the stiffness loop"),
-    "stiffness_ki": ("Pa/(N*m*s/rad)", "integral gain of the stiffness loop"),
-    "stiffness_kd": ("Pa*s/(N*m/rad)", "derivative gain of the stiffness loop"),
-    "feedforward_differential": (_PRESSURE, "feedforward differential pressure"),
-    "feedforward_cocontraction": (_PRESSURE, "feedforward co-contraction"),
-    "inverse_error_differential": (_PRESSURE, "error of the learned inverse in differential pressure"),
-    "inverse_error_cocontraction": (_PRESSURE, "error of the learned inverse in co-contraction"),
-    "lowest_stiffness": (_STIFFNESS, "lowest attainable stiffness at the desired angle"),
-    "highest_stiffness": (_STIFFNESS, "highest attainable stiffness at the desired angle"),
-}
+declare(
+    __name__,
+    {
+        "lowest_stiffness": Label("N*m/rad", "lowest attainable stiffness at the desired angle"),
+        "highest_stiffness": Label("N*m/rad", "highest attainable stiffness at the desired angle"),
+        "friction_torque": Label("N*m", "torque of the muscles' friction"),
+        "joint_friction_torque": Label("N*m", "torque of the joint's own friction"),
+        "creep_torque": Label("N*m", "torque of the muscles' creep"),
+    },
+)
 
 
 def _trajectory_at(shared: tuple[JointPlant, ArrayLike | None], lane: tuple[Setpoint, Record, Array]) -> Trajectory:
@@ -224,45 +82,15 @@ def _native_metrics(parts: Any, _: None) -> Metrics:
 _metrics_by_xla = compiled(measure_since)
 
 
-class Columns(Mapping[str, np.ndarray]):
-    """Arrays by name; some are computed when they are first asked for."""
-
-    def __init__(
-        self,
-        names: Iterable[str],
-        known: Mapping[str, Any],
-        computed: Iterable[tuple[Iterable[str], Callable[[], Mapping[str, Any]]]] = (),
-    ) -> None:
-        self._names = tuple(dict.fromkeys(names))
-        self._known = dict(known)
-        self._computed = {name: compute for group, compute in computed for name in group}
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        if name not in self._known and name in self._computed:
-            self._known = dict(self._computed[name]()) | self._known
-        value = self._known[name] = np.asarray(self._known[name])
-        return value
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._names
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Columns, (self._names, dict(self))
-
-
-class Result:
+class Result(RunResult):
     """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
 
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty, and `engine` that which computed it, "native" or "xla", or empty.
+    `scenario` the text of the scenario, or empty, and `engine` the one that computed it, "native" or "xla", or empty.
     """
+
+    kind = Metrics
 
     def __init__(
         self,
@@ -272,10 +100,7 @@ class Result:
         scenario: str = "",
         engine: str = "",
     ) -> None:
-        self.columns = columns
-        self.control_period = control_period
-        self.scenario = scenario
-        self.engine = engine
+        super().__init__(columns, control_period, scenario, engine)
         if outcome is not None:
             self.outcome = outcome
 
@@ -299,39 +124,16 @@ class Result:
         """Outcome of the run."""
         return _outcome(self.columns, lambda: self.metrics["oscillation_amplitude"] > 0)
 
-    @functools.cached_property
-    def metrics(self) -> dict[str, float]:
-        """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
+    def _measure(self) -> Metrics:
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        return {name: float(value) for name, value in compute_metrics(moved, self.control_period)._asdict().items()}
-
-    @property
-    def times(self) -> np.ndarray:
-        """Start of each control period [s], shape (periods,)."""
-        return np.arange(self["angle"].size) * self.control_period
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        if name == "time":
-            return self.times
-        if name not in self.columns:
-            known = ", ".join(self.columns)
-            raise SimulationError(f"there is no column {name!r}", value=name, remedy=f"there are {known}")
-        return self.columns[name]
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.columns
+        return compute_metrics(moved, self.control_period)
 
     def __repr__(self) -> str:
         errors = [
             f"{axis} RMSE {float(np.sqrt(np.mean((self[axis] - self['desired_' + axis]) ** 2))) / size:.3g} {unit}"
             for axis, size, unit in (("angle", deg, "deg"), ("stiffness", 1.0, "N*m/rad"))
         ]
-        duration = self["angle"].size * self.control_period
-        return f"<Result: {duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}>"
-
-    def _repr_html_(self) -> str:
-        rows = [(UNITS[name][1], f"{self.metrics[name] / size:.4g}", unit) for name, unit, size in METRICS.values()]
-        return html_table(self.describe(), ("metric", "value", "unit"), rows)
+        return f"<Result: {self.duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}>"
 
     def describe(self) -> str:
         """The outcome as a sentence, with the time saturated, slack or outside the domain."""
@@ -358,32 +160,16 @@ class Result:
         ]
         return f"{sentence} ({'; '.join(spans)})" if spans else sentence
 
-    def to_xarray(self) -> xr.Dataset:
-        """Columns along ``time`` [s], with ``units`` and ``long_name``; period, scenario and outcome as attributes."""
-        import xarray as xr  # 0.15 s
-
-        return xr.Dataset(variables(self.columns, "time"), coords={"time": self._time}, attrs=self._attributes)
-
-    @property
-    def _time(self) -> tuple[str, np.ndarray, dict[str, str]]:
-        return "time", self.times, {"units": "s", "long_name": "time"}
-
-    @property
     def _attributes(self) -> dict[str, Any]:
-        return {
-            "control_period": self.control_period,
-            "scenario": self.scenario,
-            "outcome": self.outcome.name,
-            "engine": self.engine,
-        }
+        return super()._attributes() | {"outcome": self.outcome.name}
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write to a NetCDF file, atomically and with a checksum."""
         from mckibben.dataset.netcdf import write_variables
 
-        columns = {**variables(self.columns, "time"), "time": self._time}
-        each = {name: ((dimension,), values, marks) for name, (dimension, values, marks) in columns.items()}
-        write_variables(each, self._attributes, Path(path))
+        columns = {name: (("time",), self[name], attributes(name)) for name in self.columns}
+        time = ("time",), self.times, {"units": "s", "long_name": "time"}
+        write_variables({**columns, "time": time}, self._attributes(), Path(path))
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
@@ -425,27 +211,6 @@ def _outside(columns: Mapping[str, np.ndarray]) -> str:
         else f"pressure {pressures.min():.3g}..{pressures.max():.3g} bar"
     )
     return f"outside the domain ({how_far})"
-
-
-def attributes(name: str, known: Mapping[str, tuple[str, str]] = UNITS) -> dict[str, str]:
-    """Unit and meaning of a variable as NetCDF attributes."""
-    units, meaning = known.get(name, ("", name.replace("_", " ")))
-    return {"units": units, "long_name": meaning} if units else {"long_name": meaning}
-
-
-def variables(
-    columns: Mapping[str, Any],
-    along: str,
-    parts: Callable[[str], str] = str,
-    known: Mapping[str, tuple[str, str]] = UNITS,
-) -> dict[str, Any]:
-    """Variables of a dataset along a dimension; tuples have first the dimension that `parts` gives for their name."""
-    found = {}
-    for name, column in columns.items():
-        several = isinstance(column, tuple)
-        dims = (parts(name), along) if several else along
-        found[name] = (dims, np.stack(column) if several else column, attributes(name, known))
-    return found
 
 
 def _outcome(columns: Mapping[str, np.ndarray], oscillates: Callable[[], bool]) -> Outcome:

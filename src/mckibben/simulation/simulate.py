@@ -35,7 +35,8 @@ from mckibben.simulation.problem import (
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import BAND, Columns, Result, compute_trajectory
+from mckibben.simulation.result import BAND, Result, compute_trajectory
+from mckibben.simulation.table import Columns
 from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
@@ -80,14 +81,14 @@ class Feasibility:
         if unheld.any():
             first = np.flatnonzero(unheld)[0]
             sentences.append(
-                f"no pressures within limits hold the desired angle {_when(self.times, unheld)}, "
+                f"no pressures within limits hold the desired angle {time_span(self.times, unheld)}, "
                 f"first at {self.times[first]:.3g} s ({self.desired_angle[first] / deg:.3g} deg)"
             )
         short = np.nan_to_num(missing) > 0
         if short.any():
             worst = int(np.nanargmax(missing))
             sentences.append(
-                f"the desired stiffness is not attainable {_when(self.times, short)}, by up to "
+                f"the desired stiffness is not attainable {time_span(self.times, short)}, by up to "
                 f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (desired "
                 f"{self.desired_stiffness[worst]:.4g}, attainable "
                 f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
@@ -145,9 +146,11 @@ def _band(
     return _bands(engine, numeric((plant, amplitude, tension)), _padded(angles))[0]
 
 
-def _when(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
-    where = np.flatnonzero(mask)
-    return f"for {mask.mean():.0%} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
+def time_span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
+    """Return the share of a run in which a mask is true, and the times [s] of its ends, as text."""
+    where, share = np.flatnonzero(mask), mask.mean()
+    text = f"{share:.0%}" if share >= 0.005 else "under 1%"
+    return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
 
 
 class CheckedRun(NamedTuple):
@@ -304,7 +307,8 @@ def _episode_result(
     period = np.asarray(control_period, setpoints.angle.dtype)
 
     def run(setpoints: Setpoint) -> tuple[Record, str]:
-        return run_alone(engine, plant, controller, setpoints, start, period, substeps)
+        (_, record), used = run_alone(engine, plant, controller, setpoints, start, period, substeps)
+        return record, used
 
     record, used = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)

@@ -308,19 +308,17 @@ class NiRig(NiBackend, MovingBackend):
     10 ms. After a `stop` during a move the count has that uncertainty.
 
     A 62xx needs both of its counters for a finite train, ctr1 along with ctr0.
+
+    Parameters
+    ----------
+    wiring, card
+        As for `NiBackend`.
+    drive
+        Motor, reducer and lead screw; default: the paper's.
     """
 
-    def __init__(
-        self,
-        wiring: Terminals | None = None,
-        *,
-        rate: float = 1000.0,
-        patience: float = 1.0,
-        server: str = "",
-        calibrations: Mapping[str, Calibration] | None = None,
-        drive: Drive | None = None,
-    ) -> None:
-        super().__init__(wiring, rate=rate, patience=patience, server=server, calibrations=calibrations)
+    def __init__(self, wiring: Terminals | None = None, *, drive: Drive | None = None, **card: Any) -> None:
+        super().__init__(wiring, **card)
         self._drive = drive
         if not self.wiring.counter:
             raise RangeError("a stretching device needs a counter for its pulses", remedy="give the counter")

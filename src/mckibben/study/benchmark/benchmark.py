@@ -20,7 +20,7 @@ from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
 from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
-from mckibben.simulation.result import OUTCOMES
+from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.statistics import (

@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.component.columns import attributes
 from mckibben.dataset.schema import load_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
-from mckibben.simulation.result import OUTCOMES, attributes
+from mckibben.simulation.outcome import OUTCOMES
+from mckibben.simulation.table import RunTable, outcome_variable
 from mckibben.storage.files import append_seal, atomic_write
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan, digest_of_model
@@ -34,8 +36,8 @@ PIECE = 1 << 16
 _KIND = "mckibben sweep"
 
 
-@dataclass(frozen=True, eq=False)
-class SweepResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class SweepResult(RunTable):
     """Results of a sweep; `computed` runs come from this call, the others were stored before.
 
     The table has along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their
@@ -44,7 +46,6 @@ class SweepResult:
     which no pressures hold the angle). Its attributes identify the sweep.
     """
 
-    table: xr.Dataset
     computed: int = 0
 
     @classmethod
@@ -58,13 +59,9 @@ class SweepResult:
             units = {"units": parameter.unit, "shown_units": parameter.shown}
             about = {**units, "long_name": parameter.name, "over": swept.text, "role": "input"}
             variables[swept.name] = ("run", plan.table[swept.name], about)
-        flags = {
-            "flag_values": np.arange(len(OUTCOMES), dtype=np.int8),
-            "flag_meanings": " ".join(outcome.name for outcome in OUTCOMES),
-        }
         for name in plan.task.metrics:
             variables[name] = ("run", columns[name], attributes(name))
-        variables["outcome"] = ("run", columns["outcome"], {"long_name": "outcome of the run", **flags})
+        variables |= outcome_variable(columns["outcome"])
         for name, (unit, meaning) in FEASIBILITY.items():
             variables[name] = ("run", columns[name], {"units": unit, "long_name": meaning})
         manifest = plan.manifest
@@ -92,11 +89,6 @@ class SweepResult:
         return html_table(repr(self), ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", ""), rows)
 
     @property
-    def count(self) -> int:
-        """Number of runs."""
-        return self.table.sizes["run"]
-
-    @property
     def first(self) -> int:
         """Number of the first run: of a part, in the whole sweep."""
         return int(self.table.attrs.get("first_run", 0))
@@ -110,16 +102,6 @@ class SweepResult:
     def metrics(self) -> tuple[str, ...]:
         """Names of the computed metrics."""
         return tuple(name for name in Metrics._fields if name in self.table)
-
-    @property
-    def outcomes(self) -> list[Outcome]:
-        """Outcome of each run."""
-        return [OUTCOMES[code] for code in self.table["outcome"].to_numpy()]
-
-    @property
-    def failed(self) -> NDArray[np.bool_]:
-        """Mask of the runs that diverged or could not start."""
-        return np.array([outcome.failed for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
         """Scenario of one run, numbered from 0; the controller's model is explicit if the plant varied.

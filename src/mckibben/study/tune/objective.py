@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.columns import attributes
 from mckibben.control import RandomSteps, Samples, Step
 from mckibben.errors import ParameterError, UnitError, suggest
 from mckibben.numerics.batching import cores, named_leaves
@@ -27,7 +28,6 @@ from mckibben.scenario import (
 )
 from mckibben.simulation import Metrics, differentiate
 from mckibben.simulation.problem import SimulationProblem, check_frequencies, split_problem
-from mckibben.simulation.result import attributes
 from mckibben.study.parameters import SweptParameter, Table
 from mckibben.study.tune.search import SearchSpace, Vector, is_gain
 from mckibben.units import quantity

@@ -1,4 +1,4 @@
-"""Export of a controller as C99."""
+"""Export of a controller as C99 and as JavaScript."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from string import Template
 
 import mckibben
 from mckibben.codegen.c import comment_text, write_c
-from mckibben.export.controller import controller_module
+from mckibben.codegen.javascript import write_js
+from mckibben.export.controller import controller_functions, controller_module, controller_program
 from mckibben.export.targets import Exported
 from mckibben.scenario import Scenario
 
@@ -54,6 +55,21 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
         f"sketch/{name}/{name}.c": sources.source,
     }
     return Exported(files, made.left_out)
+
+
+def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:
+    """The controller of a scenario as a script for pages and Node."""
+    module, left_out = controller_program(controller_functions(scenario), name)
+    period = f"{scenario.control_period * 1e3:g} ms"
+    comment = (
+        f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
+        f"  const self = {name}.defaults();\n"
+        f"  {name}.init(self, measurement); // once, from the first measurement\n"
+        f"  const {{commands}} = {name}.step(self, setpoint, measurement); // every {period}\n"
+        "measurement: {angle, pressures_0, pressures_1}, setpoint: {angle, stiffness}; rad, Pa (gauge), N*m/rad.\n"
+        f"After changing self.parameters call {name}.prepare(self)."
+    )
+    return Exported({f"{name}.js": write_js(module, comment), "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
 
 
 def filled(template: str, values: dict[str, str]) -> str:

@@ -1,0 +1,106 @@
+"""Columns of results: unit and meaning, declared where a column is made."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, ClassVar, TypeVar, get_type_hints
+
+from mckibben.errors import ParameterError
+from mckibben.units import factor
+
+K = TypeVar("K", bound=type)
+
+
+@dataclass(frozen=True)
+class Label:
+    """Unit and meaning of a column.
+
+    Parameters
+    ----------
+    unit, meaning
+        SI unit, "1" for none, and description.
+    shown
+        Unit in tables and files of results, by default the SI unit.
+    along
+        Further dimension of a column with several rows, such as "joint".
+    note
+        Explanation for the docstring.
+    """
+
+    unit: str
+    meaning: str
+    _: KW_ONLY
+    shown: str = ""
+    along: str = ""
+    note: str = ""
+
+    @property
+    def displayed(self) -> tuple[str, float]:
+        """Unit in tables and files of results, and its factor to SI."""
+        return (self.shown, factor(self.shown, self.unit)) if self.shown else (self.unit, 1.0)
+
+
+_LABELS: dict[str, Label] = {}
+_OWNERS: dict[str, str] = {}
+
+
+def declare(owner: str, labels: Mapping[str, Label]) -> None:
+    """Declare the columns that a class or module makes; `ParameterError` if another gives one a different unit."""
+    for name, label in labels.items():
+        known, by = _LABELS.get(name, label), _OWNERS.get(name, owner)
+        if known.unit != label.unit and by != owner:
+            raise ParameterError(
+                f"{owner} has the column {name!r} in {label.unit}, {by} in {known.unit}",
+                field="telemetry_labels",
+                value=name,
+                unit=label.unit,
+                remedy="give it another name",
+            )
+        _LABELS[name], _OWNERS[name] = label, owner
+
+
+def labels_of(kind: type) -> dict[str, Label]:
+    """Return the labels of the fields of a class, such as ``angle: Annotated[Array, Label("rad", "joint angle")]``."""
+    hints = get_type_hints(kind, vars(sys.modules[kind.__module__]), include_extras=True)
+    marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {name: mark for name, found in marks.items() for mark in found if isinstance(mark, Label)}
+
+
+def labelled(kind: K) -> K:
+    """Declare the columns of a class with labelled fields, and list them in its docstring; a class decorator."""
+    labels = labels_of(kind)
+    declare(_owner(kind), labels)
+    lines = []
+    for name, label in labels.items():
+        text = f"{label.meaning[0].upper()}{label.meaning[1:]} [{label.unit}]{label.note and f'; {label.note}'}."
+        lines += [name, *textwrap.wrap(text, 110, initial_indent="    ", subsequent_indent="    ")]
+    kind.__doc__ = f"{kind.__doc__}\n\nAttributes\n----------\n" + "\n".join(lines) + "\n"
+    return kind
+
+
+class Labelled:
+    """Base of components with telemetry."""
+
+    __slots__ = ()
+
+    telemetry_labels: ClassVar[Mapping[str, Label]] = {}
+    """Unit and meaning of the columns of the telemetry."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        declare(_owner(cls), vars(cls).get("telemetry_labels", {}))
+
+
+def _owner(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def attributes(name: str) -> dict[str, str]:
+    """Return unit and meaning of a column as NetCDF attributes; of an unknown one, its name alone."""
+    label = _LABELS.get(name)
+    if label is None:
+        return {"long_name": name.replace("_", " ")}
+    return {"units": label.unit, "long_name": label.meaning}

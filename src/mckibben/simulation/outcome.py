@@ -1,0 +1,81 @@
+"""Outcome of a simulated run."""
+
+from __future__ import annotations
+
+import enum
+
+import numpy as np
+from jaxtyping import ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.units import deg
+
+SWUNG_OVER_AT = 90 * deg
+"""Angle error beyond which a run has diverged."""
+LEFT_REFERENCE_AT = 5 * deg
+"""RMS angle error at the end of a run beyond which it has diverged, unless the reference moves by more."""
+
+
+class Outcome(enum.Enum):
+    """Outcome of a run; the worst that applies."""
+
+    COMPLETED = "completed"
+    SATURATED = "completed, with a command at a pressure limit part of the time"
+    LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: the law is extrapolated there"
+    SWUNG_OVER = "diverged: the angle error exceeded 90 deg"
+    DIVERGED = "diverged: the state is not finite"
+    NO_START = "not run: no pressures within limits hold the joint at the start"
+    LEFT_REFERENCE = (
+        "diverged: over the last tenth of the run the RMS angle error exceeded 5 deg and the range of the reference"
+    )
+    LIMIT_CYCLE = "completed, in a limit cycle: the angle oscillates faster than its reference"
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the run left its reference for good.
+
+        Its state is not finite, its angle error exceeded 90 deg, or over the last tenth of the run the RMS angle error
+        exceeds 5 deg and the span of the reference, highest minus lowest angle: a joint that stands still within that
+        span cannot reach this error, however slow its controller.
+        """
+        return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.LEFT_REFERENCE)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run has no usable end: diverged, or not started."""
+        return self.diverged or self is Outcome.NO_START
+
+    @property
+    def usable(self) -> bool:
+        """Whether the run did not fail, and did not end in a limit cycle."""
+        return not self.failed and self is not Outcome.LIMIT_CYCLE
+
+
+OUTCOMES = tuple(Outcome)
+"""In the order of the codes of `outcomes`."""
+
+
+def outcomes(
+    *,
+    angle_max: ArrayLike,
+    left_domain: ArrayLike,
+    saturated: ArrayLike,
+    oscillates: ArrayLike = False,
+    angle_at_end: ArrayLike = 0.0,
+    span: ArrayLike = 0.0,
+    started: ArrayLike = True,
+) -> NDArray[np.int8]:
+    """Index of each run's outcome in `OUTCOMES`, from angle errors [rad] and the span [rad] of the reference angle."""
+    angle_max = np.asarray(angle_max)
+    worst_first = [
+        (~np.asarray(started, bool), Outcome.NO_START),
+        (~np.isfinite(angle_max), Outcome.DIVERGED),
+        (angle_max > SWUNG_OVER_AT, Outcome.SWUNG_OVER),
+        (np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT), Outcome.LEFT_REFERENCE),
+        (np.asarray(oscillates, bool), Outcome.LIMIT_CYCLE),
+        (np.asarray(left_domain, bool), Outcome.LEFT_DOMAIN),
+        (np.asarray(saturated, bool), Outcome.SATURATED),
+    ]
+    conditions = np.broadcast_arrays(*(condition for condition, _ in worst_first))
+    codes = [OUTCOMES.index(outcome) for _, outcome in worst_first]
+    return np.select(conditions, codes, OUTCOMES.index(Outcome.COMPLETED)).astype(np.int8)
