@@ -68,7 +68,7 @@ def test_kinds_of_law_in_any_case(name):
 
 @pytest.mark.parametrize("name", ["", "law", "expo", "chou "])
 def test_no_other_kind_is_guessed(name):
-    with pytest.raises(NotInCatalogError, match=r"known are .*chou, .*tondu-lopez, .*exponential"):
+    with pytest.raises(NotInCatalogError, match=r"known are chou, exponential, .*tondu-lopez, "):
         law_type_named(name)
 
 
