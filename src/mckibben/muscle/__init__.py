@@ -16,8 +16,10 @@ from mckibben.muscle.spring import SpringLaw, return_spring
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
-LAWS: dict[str, type[ForceLaw]] = {law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}
-"""Force laws with parameters to identify, by the name used in files and on the command line."""
+LAWS: dict[str, type[ForceLaw]] = {
+    name: law for name, law in sorted((law.__name__, law) for law in concrete_subclasses(ForceLaw)) if law.parameters()
+}
+"""Force laws with parameters to identify, by the name used in files and on the command line, sorted."""
 
 __all__ = [
     "LAWS",
