@@ -224,6 +224,19 @@ def test_the_bound_on_the_rates_of_the_air_holds_and_is_near(name):
     assert fastest < valve.fastest_rate_in(volume) < 2.5 * fastest
 
 
+def test_the_time_constant_is_the_mean_of_filling_and_venting_by_a_small_error():
+    valve = PressureRegulator(C, 7e5, time_constant=0.02, exhaust_conductance=0.6e-8, dead_volume=3e-6, band=0.4e5)
+    volume, pressure, error = 2e-5, 3e5, 10.0
+    room = (AirVolume(jnp.asarray(volume + valve.dead_volume), jnp.asarray(0.0)),)
+    rates = [
+        float(valve.air_rate((pressure,), AirState((pressure + one,)), (pressure,), room)[0][0]) / one
+        for one in (error, -error)
+    ]
+    assert min(rates) > 0
+    wanted = 0.02 + (1 / rates[0] + 1 / rates[1]) / 2
+    assert float(valve.time_constant_at(pressure, volume)) == pytest.approx(wanted, rel=1e-6)
+
+
 def test_direct_commands_are_openings():
     valve = FlowValve(C, 7e5, spool_lag=0.002, direct=True)
     assert float(valve.clip_command(3.0, None)) == 1.0

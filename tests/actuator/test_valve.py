@@ -60,3 +60,9 @@ def test_no_command_exceeds_a_limited_rate():
     with pytest.raises(RangeError) as caught:
         FirstOrderValve(0.05, rate=0.0)
     assert caught.value.field == "rate"
+
+
+def test_an_ideal_valve_has_no_lag_and_needs_no_lead():
+    assert IdealValve().lag == 0.0
+    assert float(IdealValve().command_for(2e5, 1e6)) == 2e5
+    assert IdealValve().after_command(1e5, 3e5) == 3e5

@@ -175,6 +175,7 @@ def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, k
 
 
 def test_arguments_that_make_no_sense_are_named(knee, load):
+    assert predictive(knee, load, iterations=1).iterations == 1
     with pytest.raises(RangeError, match=r"damping is 1\.5, outside 2 to 3"):
         predictive(knee, load, damping=1.5)
     with pytest.raises(RangeError, match="iterations is 0"):

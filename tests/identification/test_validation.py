@@ -7,6 +7,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import hold_out, identify, validate
+from mckibben.identification.regression import pressure_blocks
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.units import bar, percent
 
@@ -114,3 +115,9 @@ def test_nothing_to_compare(campaign):
         validate([EQ_3], campaign).of("ExponentialLaw", pressure=7 * bar)
     with pytest.raises(RangeError, match="hold out"):
         hold_out(ExponentialLaw, campaign)
+
+
+def test_levels_with_two_points_each_are_blocks_however_close_they_are():
+    levels = np.repeat([1e5, 1.001e5, 2e5], 2)
+    points = IsobaricDataset.of(pressure=levels, contraction=np.tile([0.0, 0.1], 3), force=np.arange(6.0))
+    np.testing.assert_array_equal(pressure_blocks(points)[0], levels)

@@ -4,6 +4,8 @@ import math
 import numpy as np
 import pytest
 
+from mckibben.errors import RangeError
+
 
 def test_table_2_in_numbers(load):
     assert float(load.total_inertia) == pytest.approx(0.045, rel=1e-14)  # 0.02 + 0.5 0.01 + 0.5 0.04
@@ -56,3 +58,11 @@ def test_a_weight_at_the_place_of_the_second_mass_is_more_of_that_mass(load, han
     weighted = load.with_weight(0.3, load.distance2)
     for angle in (-0.5, 0.0, 0.4):
         assert weighted.required_torque(angle, 0.2, 3.0) == pytest.approx(heavier.required_torque(angle, 0.2, 3.0))
+
+
+def test_a_load_without_any_inertia_is_refused(load):
+    weightless = dataclasses.replace(load, mass1=0.0, mass2=0.0)
+    assert float(weightless.total_inertia) == 0.02
+    with pytest.raises(RangeError) as refused:
+        dataclasses.replace(weightless, inertia=0.0)
+    assert refused.value.field == "total_inertia"

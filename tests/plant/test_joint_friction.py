@@ -114,6 +114,10 @@ def test_derivatives_are_those_of_differences(pendulum):
     assert float(jax.jacfwd(end)(TORQUE)) == pytest.approx(float(quotient), rel=1e-4)
 
 
+def test_half_a_degree_reverses_it_by_default():
+    assert JointFriction(0.1).presliding == pytest.approx(0.5 * deg)
+
+
 @pytest.mark.parametrize(
     ("change", "field"),
     [({"torque": 0.0}, "torque"), ({"presliding": 0.0}, "presliding"), ({"elements": 0}, "elements")],

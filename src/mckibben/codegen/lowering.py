@@ -34,7 +34,10 @@ _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "rando
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
 _RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`, for library functions
-_CALLS = {"jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call"}
+_CALLS = {
+    "jit", "pjit", "closed_call", "remat", "checkpoint", "custom_vjp_call", "custom_jvp_call",
+    "call_hi_primitive", "eval_jaxpr",  # of JAX 0.12, for `custom_root`
+}  # fmt: skip
 _TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
 _LARGEST = 50_000  # elements of an array that is not in memory
 Array = Any  # an array of values, or `Stored`
@@ -173,7 +176,7 @@ class Lowering(ArrayRules):
         if name in _SAME:
             return arguments
         if name in _CALLS:
-            inner = parameters.get("jaxpr") or parameters["call_jaxpr"]
+            inner = _called(equation)
             if rule := self._rule(name, inner, arguments):
                 return [
                     self._elementwise(lambda x, n=one: self._graph.operation(n, kind, x), *arguments) for one in rule
@@ -395,6 +398,16 @@ def _inner(equation: Any) -> Iterator[Any]:
                 yield inner
 
 
+def _called(equation: Any) -> Any:
+    """Jaxpr of the function that an equation calls."""
+    parameters = equation.params
+    if "_prim" in parameters:
+        called = parameters["_prim"]
+        given = [jax.ShapeDtypeStruct(one.aval.shape, one.aval.dtype) for one in equation.invars]
+        return jax.make_jaxpr(lambda *leaves: called.expand(*jax.tree.unflatten(called.in_tree, leaves)))(*given)
+    return parameters.get("jaxpr") or parameters["call_jaxpr"]
+
+
 def _source(equation: Any) -> str:
     """Source location of an equation."""
     traceback = equation.source_info.traceback
@@ -434,7 +447,7 @@ def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
         given, parameters = list(map(read, equation.invars)), equation.params
         results = [any(given)] * len(equation.outvars)
         if equation.primitive.name in _CALLS:
-            inner = parameters.get("jaxpr") or parameters["call_jaxpr"]
+            inner = _called(equation)
             results = _varying(getattr(inner, "jaxpr", inner), given)
         elif equation.primitive.name == "scan":
             begin, carries = _scan_sizes(parameters)
