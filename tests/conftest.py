@@ -290,6 +290,15 @@ class CudaOnProcessor:
 
 
 @pytest.fixture(scope="session")
+def nvrtc():
+    """The compiler of CUDA, which needs no GPU."""
+    try:
+        return cuda.nvrtc()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
 def cuda_driver(tmp_path_factory):
     if not (shutil.which("c++") and sys.platform == "linux"):
         pytest.skip("there is no C++ compiler")
@@ -302,6 +311,7 @@ def cuda_here(cuda_driver, monkeypatch):
     monkeypatch.setattr(cuda, "nvrtc", lambda: cuda_driver.compiler)
     monkeypatch.setattr(cuda, "driver_library", lambda: cuda_driver.driver)
     cuda.device.cache_clear()
+    cuda_driver.compiler.sources.clear()
     cuda_driver.set(version=12080, devices=1, capability=90, failing="", status=0)
     yield cuda_driver
     cuda.device.cache_clear()
@@ -309,15 +319,17 @@ def cuda_here(cuda_driver, monkeypatch):
 
 @pytest.fixture(params=["processor", "GPU"])
 def cuda_device(request, monkeypatch):
-    """The engine "cuda" on this processor, and on a GPU where there is one."""
+    """The engine "cuda" on this processor, which compiles anew, and on a GPU where there is one; its compiler."""
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     for one in (batch._run, leg_runs._run):
         monkeypatch.setattr(one._cuda, "_known", {})
     if request.param == "processor":
-        return request.getfixturevalue("cuda_here")
+        return request.getfixturevalue("cuda_here").compiler
     try:
-        return cuda.device()
+        cuda.device()
     except DeviceError as error:
         pytest.skip(str(error))
+    return None
 
 
 def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="native"):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from mckibben.actuator.second_order_valve import _SERIES, _decaying
 from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, PressureRegulator, SecondOrderValve, SwitchingValves
 from mckibben.report.tables import SETTINGS, plant_of
 
@@ -52,6 +53,15 @@ def test_the_second_order_response_is_the_matrix_exponential(valve, elapsed):
     wanted = expm(system * elapsed) @ [2e5 - 4e5, 3e6] + [4e5, 0.0]
     found = valve.after(2e5, 3e6, 4e5, elapsed)
     np.testing.assert_allclose(np.array(found), wanted, rtol=1e-10, atol=1e-3)
+
+
+@pytest.mark.parametrize("damping", [0.99, 1.01])
+@pytest.mark.parametrize("share", [0.8, 0.999, 1.001, 1.3])
+def test_near_critical_damping_the_series_is_as_exact_as_the_functions_it_replaces(damping, share):
+    phase = (share * _SERIES / abs(damping**2 - 1)) ** 0.5
+    root = np.emath.sqrt(damping**2 - 1)
+    exact = np.exp(-damping * phase) * np.array([np.cosh(root * phase), np.sinh(root * phase) / root])
+    np.testing.assert_allclose(_decaying(damping, jnp.asarray(phase)), exact.real, rtol=3e-13)
 
 
 @pytest.mark.parametrize("valve", SECOND, ids=repr)

@@ -5,9 +5,12 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from mckibben.actuator.air_valve import AirState
+from mckibben.actuator.base import AirVolume
 from mckibben.errors import RangeError
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow, pressure_rate
 from mckibben.numerics.calculus import rk4
@@ -191,6 +194,35 @@ def test_commands_lead_the_pressure_by_what_the_loop_needs_and_none_does_beyond_
     beyond = plant.init_state(0.1, (7.5e5, 4e5))  # above the supply
     assert not math.isfinite(plant.commands_for(beyond, (0.0, 0.0))[0])
     assert float(plant.clip_commands((7.5e5, 0.0))[0]) == 7e5
+
+
+STIFF = {
+    "loop of a regulator": PressureRegulator(C, 7e5, time_constant=0.05, band=0.1e5),
+    "lag of a regulator": PressureRegulator(C, 7e5, time_constant=0.002, band=5e5, exhaust_conductance=0.6e-8),
+    "loop of a spool": FlowValve(C, 7e5, band=0.1e5, spool_lag=0.002, dead_volume=3e-6),
+    "spool": FlowValve(C, 7e5, band=5e5, spool_lag=0.001, direct=True),
+    "reservoir": PressureRegulator(C, 7e5, time_constant=0.05, reservoir_volume=2e-6, line_conductance=2e-8),
+}
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_the_bound_on_the_rates_of_the_air_holds_and_is_near(name):
+    valve, volume = STIFF[name], 2e-5
+    room = AirVolume(jnp.asarray(volume + valve.dead_volume), jnp.asarray(0.0))
+    has_reservoir = valve.reservoir_volume is not None
+
+    def rates(x, command):
+        (rate,), moved = valve.air_rate((x[0],), AirState((x[1],), x[2] if has_reservoir else ()), (command,), (room,))
+        return jnp.stack([rate, moved.valves[0], moved.reservoir if has_reservoir else 0.0 * x[2]])
+
+    errors = float(valve.band) * np.array([-1.5, -0.9, -0.1, 0.1, 0.9, 1.5])
+    pressure, error, inlet = np.meshgrid([20.0, 1e5, 4e5, 7e5 - 20], errors, [6.1e5, 7e5 - 20], indexing="ij")
+    state = pressure + error if isinstance(valve, PressureRegulator) else np.clip(error / valve.band, -1, 1)
+    points = np.stack([pressure, state, inlet], axis=-1).reshape(-1, 3)
+    command = np.clip(error / valve.band, -1, 1) if valve.direct else pressure + error
+    jacobians = jax.jit(jax.vmap(jax.jacfwd(rates)))(points, command.ravel())
+    fastest = np.abs(np.linalg.eigvals(np.asarray(jacobians))).max()
+    assert fastest < valve.fastest_rate_in(volume) < 2.5 * fastest
 
 
 def test_direct_commands_are_openings():

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import signal
 
 from mckibben import catalog
 from mckibben.calibration import JointCalibration, JointPrior, JointRecording, calibrate_joint
-from mckibben.calibration.equations import halves_of, parameters, problem_of
+from mckibben.calibration.equations import halves_of, local_cubic, parameters, problem_of
 from mckibben.calibration.experiment import with_fits
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
@@ -240,3 +241,12 @@ def test_scaled_arms_keep_the_length_at_their_angle():
     assert scaled.path_lengths(0.1)[0] == pytest.approx(float(geometry.path_lengths(0.1)[0]))
     arms, before = scaled.moment_arms(0.3), geometry.moment_arms(0.3)
     assert [float(a / b) for a, b in zip(arms, before, strict=True)] == pytest.approx([0.98, 0.98])
+
+
+@pytest.mark.parametrize("width", [5, 13, 25])
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_local_cubics_are_those_of_savitzky_and_golay(width, derivative):
+    values = np.random.default_rng(0).normal(size=100)
+    expected = signal.savgol_filter(values, width, 3, deriv=derivative, delta=2e-3)
+    found = local_cubic(values, width, derivative, 2e-3)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())

@@ -44,6 +44,30 @@ def test_help_is_had_without_heavy_imports(arguments):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("command", ["laws", "specimens"])
+def test_a_listing_is_the_same_from_the_cache_and_needs_no_jax(command, tmp_path):
+    code = (
+        f"import sys; sys.argv = ['mckibben', '{command}', '--json']\n"
+        "from mckibben.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        "print([m for m in ('jax', 'equinox', 'numpy') if m in sys.modules], file=sys.stderr)\n"
+    )
+    kept = {**os.environ, "MCKIBBEN_PROGRAMS_DIR": str(tmp_path)}
+
+    def listed():
+        return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=kept)
+
+    first, again = listed(), listed()
+    assert json.loads(first.stdout) == json.loads(again.stdout) and len(first.stdout) > 500
+    assert "jax" in first.stderr
+    assert again.stderr.strip() == "[]"
+    for file in tmp_path.glob("*.program"):
+        file.write_bytes(b"damaged" * 10)
+    assert listed().stdout == first.stdout
+
+
+@pytest.mark.slow
 def test_help_names_every_command_and_the_exit_codes(cli):
     text = cli("--help").out
     for command in ("reproduce", "identify", "validate", "simulate", "laws", "specimens"):

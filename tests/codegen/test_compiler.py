@@ -14,9 +14,9 @@ import pytest
 from mckibben.codegen import native
 from mckibben.codegen.native import compiler
 from mckibben.errors import CompilerError, McKibbenWarning
-from mckibben.numerics import program_cache
 from mckibben.realtime.compiled_step import compile_flat
 from mckibben.simulation.engine import BatchFunction, compute_with
+from mckibben.storage import private
 
 REAL = compiler()
 pytestmark = pytest.mark.skipif(REAL is None, reason="there is no C compiler")
@@ -183,16 +183,16 @@ def test_a_compiler_of_cc_that_is_not_found_is_reported(programs, monkeypatch):
 
 def replaced(file, library):
     """Write another library into a stored program, with a valid checksum."""
-    _, leaves, tree = pickle.loads(program_cache._read(file))
-    program_cache._write(file, pickle.dumps((library, leaves, tree)))
+    _, leaves, tree = pickle.loads(private.read_private(file))
+    private.write_private(file, pickle.dumps((library, leaves, tree)))
 
 
 @pytest.mark.parametrize(
     "damage",
     [
         lambda file: replaced(file, b"garbage"),
-        lambda file: program_cache._write(file, b"no pickle"),
-        lambda file: program_cache._write(file, pickle.dumps("another content")),
+        lambda file: private.write_private(file, b"no pickle"),
+        lambda file: private.write_private(file, pickle.dumps("another content")),
         lambda file: file.write_bytes(file.read_bytes()[:-1]),
         lambda file: file.write_bytes(b""),
     ],
@@ -202,13 +202,13 @@ def test_a_broken_file_of_the_cache_is_replaced(programs, use, damage):
     started = use('exec $REAL "$@"')
     BatchFunction(double)("native", None, LANES)
     (file,) = programs.iterdir()
-    good = program_cache._read(file)
+    good = private.read_private(file)
     damage(file)
     values, engine = BatchFunction(double)("native", None, LANES)
     np.testing.assert_array_equal(values, 2 * LANES)
     assert (engine, started()) == ("native", 2)
     assert [*programs.iterdir()] == [file]
-    assert pickle.loads(program_cache._read(file))[1:] == pickle.loads(good)[1:]
+    assert pickle.loads(private.read_private(file))[1:] == pickle.loads(good)[1:]
     BatchFunction(double)("native", None, LANES)
     assert started() == 2
 

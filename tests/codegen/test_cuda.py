@@ -10,24 +10,15 @@ import pytest
 from jax import lax
 
 from mckibben.codegen import cuda
-from mckibben.codegen.cuda import CudaFunction, driver_library, nvrtc
+from mckibben.codegen.cuda import CudaFunction, driver_library
 from mckibben.codegen.native import Split
 from mckibben.errors import CompilerError, DeviceError, ParameterError
-from mckibben.simulation.engine import check_engine
+from mckibben.simulation.engine import check_engine, chunk_size
 
+PARTS = {"nvrtc": cuda.nvrtc.__wrapped__, "driver_library": driver_library}
 RUNS = 200  # two blocks of threads
 X = np.random.default_rng(2).normal(size=RUNS)
 ARCHITECTURE = 90
-
-
-def has_nvrtc():
-    try:
-        return bool(nvrtc())
-    except DeviceError:
-        return False
-
-
-needs_nvrtc = pytest.mark.skipif(not has_nvrtc(), reason="there is no NVRTC (extra gpu)")
 
 
 def operations(shared, x):
@@ -107,16 +98,13 @@ def test_in_32_bits_only_numbers_of_all_runs_have_64(cuda_here):
     assert not np.array_equal(ours[0], theirs[0])
 
 
-@needs_nvrtc
 @each_function
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.slow
-def test_nvrtc_compiles_them(function, given, single, tmp_path):
-    if single and function is draws:
-        pytest.skip("numbers of 64 bits are not drawn in 32")
+def test_nvrtc_compiles_them(nvrtc, function, given, single, tmp_path):
     shared, lanes = jax.tree.map(np.asarray, given[0]), given[1]
     written = CudaFunction(function).written(Split.of(shared), Split.of(lanes, lanes=True), single=single)
-    program = nvrtc().compile(written.source, ARCHITECTURE)
+    program = nvrtc.compile(written.source, ARCHITECTURE)
     assert program.image.startswith(b"\x7fELF") and program.registers > 0
     assert ".entry run" in program.ptx
     if (assembler := shutil.which("ptxas")) is not None:
@@ -125,21 +113,19 @@ def test_nvrtc_compiles_them(function, given, single, tmp_path):
         assert "registers" in subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stderr
 
 
-@needs_nvrtc
 @pytest.mark.slow
-def test_a_device_newer_than_nvrtc_gets_ptx_and_an_older_one_an_error():
+def test_a_device_newer_than_nvrtc_gets_ptx_and_an_older_one_an_error(nvrtc):
     written = CudaFunction(loops).written(Split.of(np.asarray(0.3)), Split.of(X, lanes=True), single=True)
-    newer = nvrtc().compile(written.source, 990)
+    newer = nvrtc.compile(written.source, 990)
     assert newer.image == newer.ptx.encode() and newer.image.endswith(b"\0")
     with pytest.raises(DeviceError) as caught:
-        nvrtc().compile(written.source, 20)
-    assert caught.value.value == 20 and caught.value.lower == min(nvrtc().architectures)
+        nvrtc.compile(written.source, 20)
+    assert caught.value.value == 20 and caught.value.lower == min(nvrtc.architectures)
 
 
-@needs_nvrtc
-def test_what_nvrtc_does_not_compile_is_an_error():
+def test_what_nvrtc_does_not_compile_is_an_error(nvrtc):
     with pytest.raises(CompilerError) as caught:
-        nvrtc().compile('extern "C" __global__ void run() { unknown(); }', ARCHITECTURE)
+        nvrtc.compile('extern "C" __global__ void run() { unknown(); }', ARCHITECTURE)
     assert "unknown" in caught.value.message
 
 
@@ -159,7 +145,7 @@ def no_library(path):
 
 @pytest.mark.parametrize("part, named", [("nvrtc", "mckibben[gpu]"), ("driver_library", "libcuda")])
 def test_without_compiler_or_driver_it_is_named(cuda_here, monkeypatch, part, named):
-    monkeypatch.setattr(cuda, part, {"nvrtc": nvrtc.__wrapped__, "driver_library": driver_library}[part])
+    monkeypatch.setattr(cuda, part, PARTS[part])
     monkeypatch.setattr(cuda.ctypes, "CDLL", no_library)
     assert named in str(missing_part())
 
@@ -185,6 +171,14 @@ def test_it_computes_batches_only_and_is_never_chosen(cuda_here):
     with pytest.raises(ParameterError) as caught:
         check_engine("cuda")
     assert caught.value.field == "engine"
+
+
+@pytest.mark.parametrize(
+    "count, numbers, size",
+    [(100, 1, 112), (65_536, 0, 65_536), (70_000, 1, 35_008), (65_536, 2 * 10_000, 13_120), (100, 10**9, 16)],
+)
+def test_chunks_are_even_and_fit_the_memory(cuda_here, count, numbers, size):
+    assert chunk_size(None, count, 2, "cuda", numbers=numbers) == size
 
 
 @pytest.mark.slow

@@ -46,6 +46,10 @@ def shapes(x):
         jnp.concatenate([padded, jnp.flip(a)]).reshape(3, 3),
         jnp.all(b > -1.0) | jnp.any(a > 2.0),
         jnp.arange(3) * x,
+        jnp.stack([jnp.argmin(jnp.abs(b - x), axis=1), jnp.argmax(b, axis=0)]),
+        a[jnp.argmin(a)],
+        lax.dynamic_slice(b, ((10 * x).astype(int), jnp.asarray(1)), (2, 2)),
+        jnp.argmin(jnp.array([1.0, jnp.nan, 0.0]) * x),
     )
 
 

@@ -3,7 +3,9 @@
 import ast
 import dataclasses
 import doctest
+import functools
 import importlib
+import inspect
 import json
 import pkgutil
 import subprocess
@@ -21,15 +23,19 @@ from jax import lax
 
 import mckibben
 from mckibben import catalog, control, joint, leg, muscle, plant
-from mckibben.codegen.native import compiler
+from mckibben.codegen.cuda import CudaFunction
+from mckibben.codegen.native import Split, compiler
 from mckibben.component.base import Component
 from mckibben.component.classes import concrete_subclasses
-from mckibben.contract import check_class, check_extension
-from mckibben.contract.probes import plant_scope
+from mckibben.contract import check_class, check_extension, checks
+from mckibben.contract.probes import PERIOD, plant_scope, probes_of
 from mckibben.control import Controller, Reference, Setpoint, Signal, Sine
+from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.joint import PendulumLoad
 from mckibben.muscle import Domain, ForceLaw, MaxwellSlip
+from mckibben.numerics.batching import cast
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import Disturbance, FirstOrderValve, Valve
 from mckibben.study.rig.document import MountedMuscle
 from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
@@ -146,17 +152,9 @@ EXAMPLES = [
     MountedMuscle(SPECIMEN, CHOU, friction=SLIP),
 ]
 INSTANCES = {type(one).__name__: one for one in EXAMPLES}
-SLOW = {
-    name
-    for name, kind in CLASSES.items()
-    if issubclass(kind, control.Controller | leg.LegController | ForceLaw)
-    and kind not in (leg.PressureSchedule, muscle.ChouLaw)
-} | {"BackpropPID", "SeriesSpring", "SecondOrderValve"}
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name in SLOW)) for name, kind in CLASSES.items()]
-)
+@pytest.mark.parametrize("kind", CLASSES.values(), ids=CLASSES)
 @pytest.mark.slow
 def test_every_built_in_class_keeps_it(kind, tmp_path):
     samples = tmp_path / "samples.csv"
@@ -165,6 +163,34 @@ def test_every_built_in_class_keeps_it(kind, tmp_path):
     findings = check_class(kind, instances=[instances[kind.__name__]] if kind.__name__ in instances else [])
     assert [one for one in findings if one.passed is False] == []
     assert {"units"} <= {one.check for one in findings}
+
+
+EMITTED = {
+    name: kind for name, kind in CLASSES.items() if not inspect.isabstract(kind) and kind is not control.SamplesFile
+}
+
+
+@pytest.mark.parametrize("kind", EMITTED.values(), ids=EMITTED)
+@pytest.mark.slow
+def test_every_built_in_class_is_compiled_for_cuda_and_has_the_same_numbers(kind, cuda_here, nvrtc):
+    component = INSTANCES.get(kind.__name__) or checks._made(kind, {})
+    probes = probes_of(component)
+    if isinstance(component, DiscreteTimeSystem):
+        component = component.with_period(PERIOD)
+    for probe in probes.functions if probes.emitted else ():
+        lanes = tuple(checks._samples(probe.ranges).T.copy())
+        function = CudaFunction(lambda shared, lane, probe=probe: probe.function(shared, *lane))
+        found = function(numeric(component), lanes)
+        expected = jax.vmap(functools.partial(probe.function, numeric(component)))(*lanes)
+        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            other = np.moveaxis(other, 0, -1)
+            scale = np.nanmax(np.abs(other), initial=1e-9, where=np.isfinite(other))
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * scale)
+        shared = Split.of(numeric(cast(component, np.float32)))
+        given = Split.of(tuple(x.astype(np.float32) for x in lanes), lanes=True)
+        in_32_bits = function.written(shared, given, single=True)
+        for source in (cuda_here.compiler.sources[-1], in_32_bits.source):
+            assert ".entry run" in nvrtc.compile(source, 90).ptx
 
 
 class _Valve(Valve):

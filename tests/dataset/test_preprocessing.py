@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
+from mckibben.dataset import preprocessing
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import group_pressures, half_sample_mode, nominal_pressures, passes, slack_force
 from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
@@ -265,3 +266,31 @@ def test_four_rows_in_the_same_order_are_copies(pasted, count):
     told = check_points(*np.vstack([rows, rows[pasted]]).T, 0.0, LENGTH).warnings
     repeats = [one for one in told if "repeat others" in one]
     assert [int(one.split()[0]) for one in repeats] == ([count] if count else [])
+
+
+def runs_row_by_row(values):
+    """Reversals by more than a tenth of the range, in a loop over the rows."""
+    threshold, start, extreme, rising, found = 0.1 * np.ptp(values), 0, 0, None, []
+    for i, value in enumerate(values):
+        if rising is None:
+            if abs(value - values[0]) > threshold:
+                rising, extreme = value > values[0], i
+        elif value > values[extreme] if rising else value < values[extreme]:
+            extreme = i
+        elif abs(value - values[extreme]) > threshold:
+            found.append((slice(start, extreme + 1), "unloading" if rising else "loading"))
+            start, extreme, rising = extreme + 1, i, not rising
+    return [*found, (slice(start, len(values)), "unloading" if rising else "loading")]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_reversals_are_those_of_a_loop_over_the_rows(seed):
+    random = np.random.default_rng(seed)
+    rows = np.arange(3000)
+    for values in (
+        np.cumsum(random.normal(size=3000)),
+        np.sin(rows / random.uniform(2, 300)) + 0.03 * random.normal(size=3000),
+        np.round(np.cumsum(random.normal(size=3000))),  # with ties
+        random.normal(size=300),
+    ):
+        assert list(preprocessing._runs(values)) == runs_row_by_row(values)

@@ -1,6 +1,8 @@
 import dataclasses
 import subprocess
 import sys
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from hypothesis import strategies as st
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import identify, read_law
+from mckibben.identification import identify, least_squares, read_law
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, SarosiLaw
@@ -391,3 +393,15 @@ def test_a_single_wrong_number_is_named():
     wrong = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=force)
     (text,) = [text for text in identify(ExponentialLaw, wrong).warnings if "far from" in text]
     assert f"{force[30]:.4g} N" in text and f"{data.contraction[30] / percent:.4g} %" in text
+
+
+def test_a_step_that_raises_the_cost_is_halved_until_it_does_not(monkeypatch):
+    def at(position):
+        cost = float((position[0] - 0.3) ** 2)
+        return SimpleNamespace(position=position, values=np.zeros(0), following=np.zeros((0, 1)), cost=cost)
+
+    monkeypatch.setattr(least_squares, "project", lambda problem, position, guess: at(position))
+    search = partial(least_squares._line_search, SimpleNamespace(linear=0), drift=np.zeros((0, 1)))
+    assert search(at(np.array([0.2])), np.array([0.7])).position == pytest.approx([0.375])  # after 0.9 and 0.55
+    assert search(at(np.array([0.2])), np.array([0.05])).position == pytest.approx([0.25])
+    assert search(at(np.array([0.3])), np.array([0.5])) is None

@@ -12,7 +12,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification import Bootstrap, Fit, Grouping, bootstrap, identify, profile
-from mckibben.identification.uncertainty import ClusterRobustErrors, group_labels
+from mckibben.identification.uncertainty import ClusterRobustErrors, group_labels, scatter_growth
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, ReynoldsLaw, forces
 from mckibben.units import bar, deg, mm, percent
 
@@ -487,6 +487,18 @@ def test_draws_that_determine_nothing_are_refused():
 def test_a_fit_stays_a_value(fit):
     with pytest.raises(dataclasses.FrozenInstanceError):
         fit.regression.points = None
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_a_growth_of_the_scatter_is_found_in_any_unit_and_none_where_there_is_none(unit):
+    """Of a standard deviation that rises from 1 to 3 units of force."""
+    force = np.linspace(0.0, 600.0, 200)
+    noise = unit * np.random.default_rng(3).normal(size=200)
+    found = scatter_growth(force, noise * np.sqrt(1 + 8 * (force / 600) ** 2))
+    assert found * 600**2 == pytest.approx(8.0, rel=0.5)
+    assert found == pytest.approx(scatter_growth(force, noise / unit * np.sqrt(1 + 8 * (force / 600) ** 2)), rel=1e-3)
+    assert scatter_growth(force, noise) == 0.0
+    assert scatter_growth(force, noise * np.sqrt(9 - 8 * (force / 600) ** 2)) == 0.0
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import runpy
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -54,13 +55,17 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
 
 
 @pytest.mark.slow
-def test_legs_on_cuda_are_those_of_the_c_compiler(plant: LegPlant, start: LegStart, cuda_device: object) -> None:
+def test_legs_on_cuda_are_those_of_the_c_compiler(
+    plant: LegPlant, start: LegStart, cuda_device: Any, nvrtc: Any
+) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     over = {"start.upward_speed": np.linspace(-1.4, -0.5, 5)}
     tables = [simulate_legs(plant, schedule, start, over=over, engine=engine, **STEP) for engine in ("native", "cuda")]
     assert tables[1].attrs["engine"] == "cuda"
     for name in tables[0]:
         assert np.allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, equal_nan=True), name
+    if cuda_device is not None:
+        assert 0 < nvrtc.compile(cuda_device.sources[0], 90).registers <= 255
 
 
 @pytest.mark.slow

@@ -27,6 +27,14 @@ class TestHunt:
         pressures = law.pressure_for(np.array([200.0, 280.0, 290.0, 400.0]), 0.08)
         np.testing.assert_array_equal(np.isnan(pressures), [False, False, True, True])
 
+    def test_uncontracted_it_has_no_pole_and_is_a_line(self):
+        """Also beyond the force at which eps_max - c4 F changes its sign, 665 N."""
+        p0, c1, c2, _ = self.LAWS[2]
+        pressure = np.array([0.0, 3e5, 6e5, 12e5])
+        line = (pressure - p0 + c2 * np.tan(2.0265 * 0.461)) / c1
+        assert line[-1] > 0.22 / 3.31e-4
+        np.testing.assert_allclose(forces(HuntLaw(*self.LAWS[2]), 0.0, pressure), line, rtol=1e-12)
+
     def test_a_muscle_of_it_may_not_be_stretched(self):
         muscle = Muscle(catalog.specimen("DMSP-10-250"), HuntLaw(*self.LAWS[0]))
         assert float(muscle.domain.contraction_min) == 0.0

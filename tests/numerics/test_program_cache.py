@@ -154,7 +154,7 @@ def test_functions_of_one_name_are_not_taken_for_each_other(folder):
 
 
 def test_while_the_source_is_edited_nothing_is_written(folder, monkeypatch):
-    monkeypatch.setattr(program_cache, "_source_files", lambda: program_cache._SOURCE[:-1])
+    monkeypatch.setattr(program_cache, "source_files", lambda: program_cache.SOURCES[:-1])
     assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
     assert list(folder.iterdir()) == []
 
@@ -189,9 +189,9 @@ def test_a_folder_that_others_can_write_or_a_link_is_not_used(folder, tmp_path, 
 def test_what_belongs_to_another_user_is_not_private():
     own = os.stat_result((0o100600, 0, 0, 1, os.getuid(), 0, 1, 0, 0, 0))
     other = os.stat_result((0o100600, 0, 0, 1, os.getuid() + 1, 0, 1, 0, 0, 0))
-    assert program_cache._is_private(own, stat.S_ISREG)
-    assert not program_cache._is_private(other, stat.S_ISREG)
-    assert not program_cache._is_private(own, stat.S_ISDIR)
+    assert program_cache.is_private(own, stat.S_ISREG)
+    assert not program_cache.is_private(other, stat.S_ISREG)
+    assert not program_cache.is_private(own, stat.S_ISDIR)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Runs and batches through emitted C against XLA's, over plants, controllers, sensors and disturbances."""
 
+import importlib
 import subprocess
 import sys
 
@@ -11,6 +12,10 @@ from mckibben.codegen import native
 from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
+from mckibben.simulation import problem
+from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, native_episode
+
+SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"
@@ -125,7 +130,7 @@ def test_batches_in_32_bits_are_near_those_in_64(scenario, in_64_bits):
 
 
 @pytest.mark.slow
-def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device):
+def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device, nvrtc):
     found, near = batch(scenario, engine="cuda"), batch(scenario, engine="cuda", precision=32)
     assert [one.table.attrs["engine"] for one in (found, near)] == ["cuda", "cuda"]
     noisy = scenario.sensors is not None  # noise is of 32 bits
@@ -137,6 +142,9 @@ def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device):
         np.testing.assert_allclose(found[name], expected, rtol=0, atol=tolerance, err_msg=name)
     assert near["angle"].dtype == np.float32
     assert np.median(np.abs(near["angle"] - in_64_bits["angle"]).max(axis=1)) < 5e-6
+    if cuda_device is not None:
+        assert len(cuda_device.sources) == 2
+        assert all(0 < nvrtc.compile(one, 90).registers <= 255 for one in cuda_device.sources)
 
 
 @pytest.mark.slow
@@ -158,7 +166,8 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
     monkeypatch.setattr(native, "_WARNED", [])
-    monkeypatch.setattr("mckibben.simulation.engine.native_episode._known", {})
+    for one in (SIMULATE._native_start, SIMULATE._bands._native, problem._each_sample._native, native_episode):
+        monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
 
@@ -190,3 +199,26 @@ def test_another_process_finds_the_compiled_program(tmp_path):
         for word in ("unknown", "known")
     ]
     assert printed[0].stdout == printed[1].stdout
+
+
+def test_a_batch_of_xla_has_its_runs_along_the_last_axis():
+    lanes = {"gain": np.arange(3.0), "rows": np.arange(12.0).reshape(4, 3)}
+    sums, rows = _by_xla(lambda shared, lane: (lane["rows"].sum() + shared, lane["gain"] * lane["rows"]), 2.0, lanes)
+    np.testing.assert_allclose(sums, lanes["rows"].sum(axis=0) + 2.0)
+    np.testing.assert_allclose(rows, lanes["gain"] * lanes["rows"])
+
+
+@pytest.mark.parametrize(
+    ("count", "workers", "chunk", "size"),
+    [
+        (100, 1, None, 112),  # whole vectors
+        (100, 2, None, 64),
+        (96, 2, None, 48),
+        (3, 2, None, VECTOR),
+        (100_000, 2, None, NATIVE),
+        (100, 2, 10, 10),
+        (100, 2, 100, 64),  # no core is idle
+    ],
+)
+def test_a_chunk_has_whole_vectors_and_leaves_no_core_idle(count, workers, chunk, size):
+    assert chunk_size(chunk, count, workers, "native") == size

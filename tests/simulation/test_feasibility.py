@@ -81,7 +81,8 @@ def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(print
     worst = int(short.argmax())
     low, high = scanned(paper, float(reach.desired_angle[worst]))
     assert short[worst] == pytest.approx(max(low - 72.5, 72.5 - high), abs=2e-3)
-    assert f"by up to {short[worst]:.3g} N*m/rad at {reach.times[worst]:.3g} s (wanted 72.5, attainable " in text
+    assert f"{short[worst]:.3g} N*m/rad at {reach.times[worst]:.3g} s" in text
+    assert "72.5" in text
 
 
 def test_a_short_stiffness_alone_names_no_angle(printed_plant):

@@ -233,6 +233,7 @@ def test_a_reference_that_does_not_fit_the_run_is_said_to(signal, said, plant, c
         simulate(plant, control, Reference(signal, 15.0), duration=0.1)
     texts = [str(one.message) for one in found if str(one.message).startswith("reference of the angle")]
     assert len(texts) == bool(said) and all(said in text for text in texts)
+    assert {one.filename for one in found if issubclass(one.category, McKibbenWarning)} <= {__file__}
 
 
 def test_a_minimum_tension_that_the_stiffness_does_not_allow_is_said(plant, knee, load):
@@ -245,7 +246,9 @@ def test_a_minimum_tension_that_the_stiffness_does_not_allow_is_said(plant, knee
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always")
             simulate(plant, control, reference, duration=0.02)
-        return [str(one.message) for one in found if issubclass(one.category, ReachabilityWarning)]
+        found = [one for one in found if issubclass(one.category, ReachabilityWarning)]
+        assert {one.filename for one in found} <= {__file__}
+        return [str(one.message) for one in found]
 
     assert run(1.0) == []
     (text,) = run(100.0)

@@ -14,6 +14,7 @@ import psutil
 import pytest
 import xarray as xr
 
+from mckibben.codegen import cuda
 from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, SimulationError
 from mckibben.scenario import Scenario, run_scenario, with_values
@@ -517,6 +518,25 @@ def test_what_cannot_be_held_is_told(scenario):
     assert found["infeasible_time"][2] == 1
 
 
+@pytest.mark.slow
+def test_a_sweep_on_cuda_is_continued_there_and_nowhere_else(scenario, kept, tmp_path, cuda_here):
+    stopped(scenario, tmp_path, engine="cuda")
+    before = read_manifest(tmp_path)["software"]
+    assert (before["engine"], before["device"]) == ("cuda", "this processor") and before["compiler"]
+    with pytest.raises(FileError):
+        sweep(scenario, out=tmp_path, resume=True, engine="native")
+    cuda_here.set(devices=0)
+    cuda.device.cache_clear()
+    with pytest.raises(ParameterError) as caught:
+        sweep(scenario, out=tmp_path, resume=True)
+    assert caught.value.field == "engine"
+    cuda_here.set(devices=1)
+    swept = sweep(scenario, out=tmp_path, resume=True)
+    assert 0 < swept.computed < 72
+    for name in ("angle_rmse", "stiffness_rmse"):
+        np.testing.assert_allclose(swept.table[name], kept[0].table[name], rtol=1e-9)
+
+
 def test_the_reach_is_that_of_all_where_the_controller_alone_is_varied(scenario):
     found = feasibility(scenario, {"controller.position.kp": [1e5, 2e5]}, 16)
     np.testing.assert_array_equal(found["infeasible_time"], [0, 0])
@@ -530,6 +550,7 @@ def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
     lanes, block = _sizes(1_000_000, None)
     assert (lanes, block % lanes) == (256, 0)
     assert block <= 64 * 256
+    assert _sizes(20_000, None, "cuda") == (10_000, 10_000)
     monkeypatch.setattr(plan_module.jax, "default_backend", lambda: "gpu")
     assert _sizes(20_000, None) == (10_000, 10_000)
 

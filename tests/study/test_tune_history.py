@@ -196,6 +196,17 @@ def test_a_search_is_not_continued_by_another_engine(tmp_path, monkeypatch):
     assert read_header(by_xla, "mckibben tuning history", 3)["software"]["engine"] == "xla"
 
 
+@pytest.mark.slow
+def test_a_search_on_cuda_has_the_same_trials(tmp_path, cuda_here):
+    path = tmp_path / "history.journal"
+    found, expected = (run(path, iterations=1, engine="cuda"), run(None, iterations=1, engine="native"))
+    assert found.cost == pytest.approx(expected.cost, rel=1e-9)
+    assert read_header(path, "mckibben tuning history", 3)["software"]["engine"] == "cuda"
+    with pytest.raises(ParameterError) as caught:
+        run(None, method=Method.GRADIENT, engine="cuda")
+    assert (caught.value.field, caught.value.value) == ("engine", "cuda")
+
+
 @pytest.mark.usefixtures("for_free")
 def test_a_damaged_trial_is_computed_again(tmp_path):
     path = tmp_path / "history.journal"

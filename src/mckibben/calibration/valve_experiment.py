@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from mckibben.actuator import Actuator
 from mckibben.calibration.equations import JointPrior, JointRecording
@@ -109,6 +108,8 @@ class ValveExperiment:
 
     def _stays(self, part: Scenario, model: AntagonisticJoint) -> bool:
         """Whether a joint stays within the limits in a simulation."""
+        from scipy.signal import lfilter  # 1 s
+
         plant = part.model_copy(update={"joint": model, "load": load_of(part)}).plant()
         ran = simulate(
             plant,

@@ -16,11 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array
-from scipy.signal import savgol_filter
 
 from mckibben.actuator import Actuator, AirState, AirVolume, UnequalValves
 from mckibben.actuator.base import air_volumes
-from mckibben.calibration.equations import Floats, JointPrior, JointRecording, check_recording, sampling_period
+from mckibben.calibration.equations import (
+    Floats,
+    JointPrior,
+    JointRecording,
+    check_recording,
+    local_cubic,
+    sampling_period,
+)
 from mckibben.calibration.estimation import JointEstimate, minimised, variance_of
 from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError, McKibbenWarning
@@ -317,7 +323,7 @@ def _record_of(recording: JointRecording, number: int = 0) -> _Record:
     period = sampling_period(recording)
     if not np.ptp(recording.commands, axis=0).any():
         raise IdentificationError("the commands of a recording are constant", remedy="record steps of the pressures")
-    angle = np.asarray(savgol_filter(recording.angle, max(2 * int(_WINDOW / (2 * period)) + 1, 5), 3))
+    angle = local_cubic(recording.angle, max(2 * int(_WINDOW / (2 * period)) + 1, 5))
     pressures, commands = recording.pressures.T, recording.commands.T
     return _Record(angle, (pressures[0], pressures[1]), (commands[0], commands[1]), np.float64(period), number)
 

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -40,7 +40,7 @@ from mckibben.cli.options import (
     results_folder,
     table,
 )
-from mckibben.cli.plan import envelope, margins, plan, stiffness
+from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import merge, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
@@ -48,7 +48,6 @@ from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
 
 if TYPE_CHECKING:
-    from mckibben.muscle import Specimen
     from mckibben.scenario import Scenario
     from mckibben.simulation import Result
 
@@ -161,6 +160,7 @@ def simulate(
 app.command()(envelope)
 app.command()(stiffness)
 app.command()(margins)
+app.command()(oracle)
 app.command()(plan)
 app.command()(sweep)
 app.command()(merge)
@@ -190,50 +190,65 @@ def web(
 @app.command()
 def laws(json: Json = False) -> None:
     """List the force laws and the published parameter sets."""
-    from mckibben import catalog
-    from mckibben.muscle import LAWS
 
-    published = {name: catalog.law(name) for name in catalog.names("laws")}
-    if json:
-        numbers = {name: {"equation": law.equation, "source": law.source} for name, law in LAWS.items()}
+    def build() -> dict[str, Any]:
+        from mckibben import catalog
+        from mckibben.muscle import LAWS
+
+        published = {name: catalog.law(name) for name in catalog.names("laws")}
         sets = {name: {"law": type(law).__name__, "domain": str(law.domain)} for name, law in published.items()}
-        echo(to_json({"laws": numbers, "published": sets}))
+        known = {name: {"equation": law.equation, "source": law.source} for name, law in LAWS.items()}
+        return {"laws": known, "published": sets}
+
+    found = _listing("laws", build)
+    if json:
+        echo(to_json(found))
         return
-    rows = [(name, law.equation, law.source) for name, law in LAWS.items()]
+    rows = [(name, law["equation"], law["source"]) for name, law in found["laws"].items()]
     table("Laws", ("law", "equation", "source"), rows)
-    sets = [(name, type(law).__name__, str(law.domain)) for name, law in published.items()]
+    sets = [(name, law["law"], law["domain"]) for name, law in found["published"].items()]
     table("Published parameter sets", ("name", "law", "domain"), sets)
 
 
 @app.command()
 def specimens(json: Json = False) -> None:
     """List the specimens and measured datasets of the catalog."""
-    from mckibben import catalog
 
-    def diameter(specimen: Specimen) -> float:
-        return (specimen.initial_diameter or math.nan) / mm
+    def build() -> dict[str, Any]:
+        from mckibben import catalog
 
-    known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
-    data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
-    if json:
+        known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
+        data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
         numbers = {
             name: {
                 "initial_length_mm": s.initial_length / mm,
-                "initial_diameter_mm": diameter(s),
+                "initial_diameter_mm": (s.initial_diameter or math.nan) / mm,
                 "rated_force_N": s.rated_force,
                 "domain": str(s.domain),
                 "source": catalog.cite(name),
             }
             for name, s in known.items()
         }
-        echo(to_json({"specimens": numbers, "datasets": data}))
+        return {"specimens": numbers, "datasets": data}
+
+    found = _listing("specimens", build)
+    if json:
+        echo(to_json(found))
         return
-    rows = [
-        (name, f"{s.initial_length / mm:g} x {diameter(s):g} mm", f"{s.rated_force:g} N", str(s.domain))
-        for name, s in known.items()
-    ]
+    rows = []
+    for name, s in found["specimens"].items():
+        size = f"{s['initial_length_mm']:g} x {s['initial_diameter_mm']:g} mm"
+        rows.append((name, size, f"{s['rated_force_N']:g} N", s["domain"]))
     table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
-    table("Datasets", ("name", "source"), list(data.items()))
+    table("Datasets", ("name", "source"), list(found["datasets"].items()))
+
+
+def _listing(name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Listing from the user's cache folder: building it needs JAX."""
+    from mckibben.numerics.runtime import programs_folder
+    from mckibben.storage.private import listing
+
+    return listing(programs_folder(), name, build)
 
 
 @app.callback(invoke_without_command=True)

@@ -94,11 +94,13 @@ class ArrayRules:
         return self._elementwise(convert, x)
 
     def _bitcast_convert_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
-        names = {"f8": "from_bits", "f4": "from_bits_32", "i8": "bits"}
+        reals, words = {"f8": "from_bits", "f4": "from_bits_32"}, {"i8": "bits"}
         if self._graph.single:
-            names = {"f4": "from_bits_32", "i4": "bits"}
-        name = names.get(np.dtype(parameters["new_dtype"]).str[1:])
-        if name is None or (self._graph.single and x.flat[0].uniform):
+            words = {} if x.flat[0].uniform else {"i4": "bits"}
+            if not self._graph.threads:  # which have integers of 64 bits
+                reals = {} if x.flat[0].uniform else {"f4": "from_bits_32"}
+        name = (reals | words).get(np.dtype(parameters["new_dtype"]).str[1:])
+        if name is None:
             return None
         return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
 
@@ -136,6 +138,31 @@ class ArrayRules:
 
     def _reduce_or(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return self._reduce("or", parameters["axes"], kind, x)
+
+    def _argmin(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._first_of("lt", parameters["axes"], kind, x)
+
+    def _argmax(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+        return self._first_of("gt", parameters["axes"], kind, x)
+
+    def _first_of(self, better: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
+        """Index of the first smallest or largest element along an axis; of the first NaN if there is one."""
+        operation = self._graph.operation
+
+        def preferred(x: Value, best: Value) -> Value:
+            if x.kind is not Kind.REAL:
+                return operation(better, Kind.BOOLEAN, x, best)
+            no_number, number = operation("ne", Kind.BOOLEAN, x, x), operation("eq", Kind.BOOLEAN, best, best)
+            unordered = operation("and", Kind.BOOLEAN, no_number, number)
+            return operation("or", Kind.BOOLEAN, operation(better, Kind.BOOLEAN, x, best), unordered)
+
+        best, *others = (np.asarray(one, object) for one in np.moveaxis(x, axes[0], 0))
+        index = array_of(best.shape, lambda _: self._graph.constant(0, kind))
+        for number, one in enumerate(others, 1):
+            chosen, place = self._elementwise(preferred, one, best), self._graph.constant(number, kind)
+            index = self._elementwise(lambda c, i, n=place: operation("select", kind, c, n, i), chosen, index)
+            best = self._elementwise(lambda c, new, old: operation("select", new.kind, c, new, old), chosen, one, best)
+        return index
 
     def _dot_general(self, parameters: Any, kind: Kind, shape: Any, x: Array, y: Array) -> Array | None:
         (over_x, over_y), (batch, _) = parameters["dimension_numbers"]
@@ -181,6 +208,18 @@ class ArrayRules:
         strides = parameters["strides"] or [1] * x.ndim
         ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
         return x[tuple(slice(*one) for one in ends)]
+
+    def _dynamic_slice(self, parameters: Any, kind: Kind, shape: Any, x: Array, *starts: Array) -> Array:
+        """Part of an array of few values, by a selection for each place where it may begin."""
+        operation = self._graph.operation
+        for axis, (start, size) in enumerate(zip(starts, parameters["slice_sizes"], strict=True)):
+            first, *others = (x.take(range(k, k + size), axis) for k in range(x.shape[axis] - size + 1))
+            for k, part in enumerate(others, 1):
+                beyond = operation("ge", Kind.BOOLEAN, start[()], self._graph.constant(k, start[()].kind))
+                select = lambda yes, no, c=beyond: operation("select", kind, c, yes, no)  # noqa: E731
+                first = self._elementwise(select, part, first)
+            x = first
+        return x
 
     def _pad(self, parameters: Any, kind: Kind, shape: Any, x: Array, value: Array) -> Array | None:
         config = parameters["padding_config"]

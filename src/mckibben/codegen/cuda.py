@@ -18,8 +18,7 @@ from mckibben.codegen.kernels import THREADS
 from mckibben.codegen.native import Compiled, NativeFunction
 from mckibben.errors import CompilerError, DeviceError
 
-_MAJOR_VERSIONS = 13, 12  # of CUDA
-_WHEELS = {13: "cu13", 12: "cuda_nvrtc"}  # folders of NVRTC's wheels in the package `nvidia`
+_WHEELS = {12: "cuda_nvrtc", 13: "cu13"}  # folders of NVRTC in the package `nvidia`, by version of CUDA
 _DRIVER = "libcuda.so.1"
 _OPTIONS = (
     "--std=c++17",
@@ -88,8 +87,8 @@ class Nvrtc:
             image = self._text(program, "CUBIN") if known else ptx
         finally:
             self._call("nvrtcDestroyProgram", byref(program))
-        registers, spilled = (re.search(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
-        return Program(image, ptx.decode(), *(int(one[1]) if one else 0 for one in (registers, spilled)))
+        registers, spilled = (re.findall(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
+        return Program(image, ptx.decode(), max(map(int, registers), default=0), sum(map(int, spilled)))
 
     @property
     def name(self) -> str:
@@ -114,12 +113,15 @@ class Nvrtc:
 
 @functools.cache
 def nvrtc() -> Nvrtc:
-    """The newest NVRTC of the wheels or the system; raises `DeviceError` if there is none."""
+    """NVRTC of a wheel or the system; raises `DeviceError` if there is none.
+
+    Version 12 comes first, as drivers of CUDA 13 load its programs, but not the other way round.
+    """
     spec = importlib.util.find_spec("nvidia")
     folders = [Path(one) for one in (spec.submodule_search_locations or ())] if spec else []
-    for major in _MAJOR_VERSIONS:
+    for major, wheel in _WHEELS.items():
         name = f"libnvrtc.so.{major}"
-        for path in (*(str(one / _WHEELS[major] / "lib" / name) for one in folders), name):
+        for path in (*(str(one / wheel / "lib" / name) for one in folders), name):
             with suppress(OSError):
                 return Nvrtc(ctypes.CDLL(path))
     raise DeviceError(

@@ -32,11 +32,8 @@ def _language(real: str) -> Language:
     language = c_language(real)
     if real == "double":
         return language
-    helpers = {
-        name: language.helpers[name].replace("double", real).replace("int64_t i;", "int32_t i;")
-        for name in ("bits", "from_bits_32")
-    }
-    return replace(language, helpers={**language.helpers, **helpers})
+    bits = language.helpers["bits"].replace("double", real).replace("int64_t i;", "int32_t i;")
+    return replace(language, helpers={**language.helpers, "bits": bits})
 
 
 def head(scalars: int, *, single: bool) -> str:

@@ -302,7 +302,7 @@ class _Sampled:
 
     @functools.cached_property
     def _program(self) -> Any:
-        return _compiled(self, self._points)
+        return _compiled(jax.vmap(self), self._points)
 
     @functools.cached_property
     def _computed(self) -> NDArray[np.float64]:
@@ -327,9 +327,9 @@ class _Sampled:
 
     def check_batch(self) -> None:
         """A batch gives the results of single evaluations, and so does an array of arguments where it broadcasts."""
+        single = _compiled(self, self.points[0])
         for row in (0, -2):
-            single = np.asarray(self(jnp.asarray(self.points[row])))
-            self._compare(self.values[row], single, f"in a batch at {self._where(row)}")
+            self._compare(self.values[row], single(self.points[row]), f"in a batch at {self._where(row)}")
         if self.probe.broadcasts:
             whole = self.probe.function(self.component, *map(jnp.asarray, self.arguments.T))
             leaves = jax.tree.leaves(whole)
@@ -353,9 +353,9 @@ class _Sampled:
             raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
         points = np.concatenate([self.points, self._middle])
         try:
-            jacobians = _compiled(jax.jacrev(self), points)(points)
+            jacobians = _compiled(jax.vmap(jax.jacrev(self)), points)(points)
         except ValueError:  # a loop that ends on a condition supports forward mode only
-            jacobians = _compiled(jax.jacfwd(self), points)(points)
+            jacobians = _compiled(jax.vmap(jax.jacfwd(self)), points)(points)
         found = (np.asarray(jacobians)[..., moving] * self.scales[moving]).swapaxes(
             1, 2
         )  # (points, directions, results)
@@ -392,8 +392,8 @@ class _Sampled:
 
 
 def _compiled(function: Callable[[Any], Any], points: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], Any]:
-    """Program of a function of one vector for a batch of them."""
-    return jax.jit(jax.vmap(function)).lower(points).compile(compiler_options=_COMPILER)
+    """Program of a function for arrays of one shape."""
+    return jax.jit(function).lower(points).compile(compiler_options=_COMPILER)
 
 
 def _apply(shared: Any, _: Any) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.errors import Problem
@@ -115,11 +116,20 @@ def check_pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
         yield Problem(text, field="pressure", remedy=_UNIT), not lowest <= highest <= limit
 
 
+_MIXER = np.uint64(0x9E3779B97F4A7C15)  # odd: rows that differ get other numbers, but for rare collisions
+
+
 def _copies(rows: Floats) -> Iterator[tuple[Problem, bool]]:
     """Consecutive rows that repeat earlier ones in the same order; equal points of one measurement do not count."""
-    first: dict[bytes, int] = {}
-    earlier = np.array([first.setdefault(row.tobytes(), place) for place, row in enumerate(rows)])
-    copied = earlier < np.arange(len(rows))
+    words = np.ascontiguousarray(rows).view(np.uint64)
+    mixed = np.zeros(len(words), np.uint64)
+    for column in words.T:
+        mixed = (mixed ^ column ^ (column >> np.uint64(29))) * _MIXER
+        mixed ^= mixed >> np.uint64(32)
+    codes, _ = pd.factorize(mixed)  # numbered in the order in which they are seen first
+    firsts = np.flatnonzero(np.diff(np.maximum.accumulate(codes), prepend=-1))
+    earlier = firsts[codes]
+    copied = (earlier < np.arange(len(rows))) & (words[earlier] == words).all(axis=1)
     follows = np.flatnonzero(copied[1:] & copied[:-1] & (np.diff(earlier) == 1))  # and the row after each
     runs = np.split(follows, np.flatnonzero(np.diff(follows) > 1) + 1)
     count = sum(run.size + 1 for run in runs if run.size + 1 >= _COPIED)
@@ -157,13 +167,12 @@ def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tu
 
 def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
     """Message on forces of exactly 0 where the muscle pulls at less pressure and a larger contraction."""
-    taut = np.flatnonzero(force > _CLEARLY * force.max())
-    found = [
-        at
-        for at in np.flatnonzero(force == 0)
-        if ((pressure[taut] <= 1.01 * pressure[at]) & (contraction[taut] >= contraction[at])).any()
-    ]
-    if found:
+    taut, zeros = np.flatnonzero(force > _CLEARLY * force.max()), np.flatnonzero(force == 0)
+    taut = taut[np.argsort(pressure[taut], kind="stable")]
+    longest = np.maximum.accumulate(np.append(-np.inf, contraction[taut]))  # of taut points up to a pressure
+    below = np.searchsorted(pressure[taut], 1.01 * pressure[zeros], side="right")
+    found = zeros[longest[below] >= contraction[zeros]]
+    if found.size:
         at = found[0]
         text = (
             f"{len(found)} forces are 0, first at {pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} %, "

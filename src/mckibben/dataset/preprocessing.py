@@ -7,6 +7,7 @@ taut muscle's forces.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -129,13 +130,16 @@ def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
     return means * bar, scatter
 
 
+_LEAST_PART = 256  # rows looked at together, and then twice as many each time
+
+
 def passes(groups: Ints, contraction: Floats) -> tuple[NDArray[np.str_], Ints] | None:
     """Direction and repeat of each point from reversals of the contraction per group; None without reversals."""
     direction, repeat = np.zeros(len(groups), "<U9"), np.zeros(len(groups), int)
     reversing = count = 0
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
-        runs = list(_runs(contraction[rows]))
+        runs = list(itertools.islice(_runs(contraction[rows]), len(groups) // _FEWEST + 1))  # more are too many
         reversing += len(runs) > 1
         count += len(runs)
         if len(groups) < _FEWEST * count:
@@ -148,21 +152,37 @@ def passes(groups: Ints, contraction: Floats) -> tuple[NDArray[np.str_], Ints] |
 def _runs(values: Floats) -> Iterator[tuple[slice, str]]:
     """Parts in which the contraction rises (unloading) or falls (loading), ignoring noise."""
     threshold = _REVERSAL * np.ptp(values)
-    start = extreme = 0
-    rising: bool | None = None
     if not threshold:
         return
-    values = values.tolist()
-    for i, value in enumerate(values):
-        if rising is None:
-            if abs(value - values[0]) > threshold:
-                rising, extreme = bool(value > values[0]), i
-        elif (value >= values[extreme]) if rising else (value <= values[extreme]):
-            extreme = i if value != values[extreme] else extreme
-        elif abs(value - values[extreme]) > threshold:
-            yield slice(start, extreme + 1), "unloading" if rising else "loading"
-            start, extreme, rising = extreme + 1, i, not rising
+    start, extreme = 0, _first_beyond(np.abs(values - values[0]), threshold)
+    rising = bool(values[extreme] > values[0])
+    upwards, downwards = np.asarray(values), -np.asarray(values)
+    while (turn := _turn(upwards if rising else downwards, extreme, threshold)) is not None:
+        extreme, beyond = turn
+        yield slice(start, extreme + 1), "unloading" if rising else "loading"
+        start, extreme, rising = extreme + 1, beyond, not rising
     yield slice(start, len(values)), "unloading" if rising else "loading"
+
+
+def _first_beyond(distances: Floats, threshold: float) -> int:
+    """First place with a distance above the threshold, which is below half of the largest."""
+    return int(np.argmax(distances > threshold))
+
+
+def _turn(values: Floats, begin: int, threshold: float) -> tuple[int, int] | None:
+    """First place of a maximum from `begin` on, and the first place that is below it by more than a threshold."""
+    extreme, size = begin, _LEAST_PART
+    while begin < len(values):
+        part = values[begin : begin + size]
+        highest = np.maximum.accumulate(np.maximum(part, values[extreme]))
+        below = np.flatnonzero(highest - part > threshold)
+        seen = part[: below[0] + 1] if below.size else part
+        if seen.max() > values[extreme]:
+            extreme = begin + int(np.argmax(seen))
+        if below.size:
+            return extreme, begin + int(below[0])
+        begin, size = begin + size, 2 * size
+    return None
 
 
 class Slack(NamedTuple):

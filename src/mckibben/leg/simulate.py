@@ -126,9 +126,9 @@ def simulate_legs(
     over
         Arrays by the dotted name of a leaf, such as ``{"leg.trunk.mass": [0.9, 1.1]}``: parts of the plant,
         ``controller`` or ``start``.
-    duration, control_period, substeps, engine
+    duration, control_period, substeps
         As for `simulate_leg`; forces are sampled once per control period.
-    chunk, workers, progress
+    chunk, workers, engine, progress
         As for `mckibben.simulate_many`.
 
     Raises

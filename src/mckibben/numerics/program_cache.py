@@ -27,12 +27,11 @@ import jaxlib.version
 import numpy as np
 
 from mckibben.numerics.runtime import processor
-from mckibben.storage.files import atomic_write
+from mckibben.storage.private import SOURCES, is_private, read_private, source_files, write_private
 
 _KNOWN = frozenset({"mckibben", "builtins", "jax", "jaxlib", "equinox", "numpy"})
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 _CONTAINERS = (tuple, list, set, frozenset, dict)
-_MOST = 200  # files; the oldest are removed
 
 
 class _Array:
@@ -57,7 +56,7 @@ def program_path(folder: Path, function: Callable[..., Any], static: Sequence[An
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except (FingerprintError, OSError):
         return None
-    if not _is_private(folder.lstat(), stat.S_ISDIR):
+    if not is_private(folder.lstat(), stat.S_ISDIR):
         return None
     text = "\n".join([*words, repr(rest), _environment()])
     return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:40]}.program"
@@ -66,16 +65,16 @@ def program_path(folder: Path, function: Callable[..., Any], static: Sequence[An
 def read_program(path: Path) -> bytes | None:
     """Content of a program's file; None if it is missing, damaged or not private."""
     try:
-        return _read(path)
+        return read_private(path)
     except (OSError, ValueError):
         return None
 
 
 def write_program(path: Path, content: bytes) -> None:
     """Store a program, unless our sources were edited since import or storing is impossible."""
-    if _source_files() == _SOURCE:  # else some of it may run as edited, some as imported
+    if source_files() == SOURCES:  # else some of it may run as edited, some as imported
         with suppress(OSError):
-            _write(path, content)
+            write_private(path, content)
 
 
 def load_or_compile(
@@ -89,7 +88,7 @@ def load_or_compile(
         return jitted
     given = jax.tree.structure((tuple(arrays), {}))
     try:
-        payload, answer = pickle.loads(_read(path))
+        payload, answer = pickle.loads(read_private(path))
         return deserialize_and_load(payload, given, jax.tree.structure(answer))
     except Exception:  # missing, damaged, not private, or of another JAX
         program = jitted.lower(*arrays).compile()
@@ -102,61 +101,12 @@ def load_or_compile(
     return program
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write with a checksum: damaged native code crashes the process."""
-    with atomic_write(path, overwrite=True) as part:
-        part.touch(mode=0o600)
-        part.write_bytes(_checksum(path, content) + content)
-        part.chmod(0o600)
-    files = sorted(path.parent.glob("*.program"), key=lambda file: file.stat().st_mtime, reverse=True)
-    for old in files[_MOST:]:
-        old.unlink(missing_ok=True)
-
-
-def _read(path: Path) -> bytes:
-    """Content of a private, undamaged file; OSError or ValueError otherwise."""
-    with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0)), "rb") as file:
-        if not _is_private(os.fstat(file.fileno()), stat.S_ISREG):
-            raise PermissionError(f"{path} may have been written by others")
-        checksum, content = file.read(32), file.read()
-    if _checksum(path, content) != checksum:
-        raise ValueError(f"{path} is damaged")
-    return content
-
-
-def _checksum(path: Path, content: bytes) -> bytes:
-    """Digest of this content of this program."""
-    return hashlib.sha256(path.name.encode() + content).digest()
-
-
-def _is_private(status: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
-    """Whether it has the expected type, belongs to this user, and is not writable by others; False on Windows."""
-    if not hasattr(os, "getuid"):
-        return False
-    return is_kind(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
-
-
-def _source_files(folder: str = str(Path(__file__).parents[1])) -> tuple[tuple[str, int, int], ...]:
-    """Path, size and time of change of our source files."""
-    found: list[tuple[str, int, int]] = []
-    with os.scandir(folder) as entries:
-        for entry in sorted(entries, key=lambda entry: entry.name):
-            if entry.is_dir(follow_symlinks=False):
-                found += _source_files(entry.path)
-            elif entry.name.endswith(".py"):
-                found.append((entry.path, entry.stat().st_size, entry.stat().st_mtime_ns))
-    return tuple(found)
-
-
-_SOURCE = _source_files()  # at import
-
-
 @functools.cache
 def _environment() -> str:
     """Everything that a program depends on in addition to its function and arguments."""
     versions = jax.__version__, jaxlib.version.__version__, equinox.__version__, np.__version__, sys.version
     flags = os.environ.get("XLA_FLAGS"), jax.config.jax_enable_x64  # type: ignore[attr-defined]
-    return repr((_SOURCE, versions, flags, processor()))
+    return repr((SOURCES, versions, flags, processor()))
 
 
 def code_fingerprint(thing: Any) -> str:

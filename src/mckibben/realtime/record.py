@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
-from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.wiring import JointReading
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
-from mckibben.simulation import Feasibility, Result, compiled_trajectory
+from mckibben.simulation import Feasibility, Result, compute_trajectory
 from mckibben.simulation.loop import Record
 from mckibben.simulation.result import attributes
 
@@ -151,7 +150,7 @@ def measured_result(
     record = Record(state, (table["command1"], table["command2"]), table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing = np.full(count, np.nan)
-    moved = compiled_trajectory(numeric(_by_laws(plant)), references, record, nothing, stiffness_amplitude)  # type: ignore[arg-type]
+    moved = compute_trajectory(_by_laws(plant), references, record, nothing, stiffness_amplitude)
     moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.base import Checked, field_problems
 from mckibben.component.classes import Keyed
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.muscle.muscle import LEAST_PRESSURE
@@ -30,6 +29,9 @@ from mckibben.units import (
     percent,
     s,
 )
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
 
 ForceReserve = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
 

@@ -8,14 +8,16 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
 from mckibben.storage.journal import HEADER, JournalReader
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
 
 VERSION = 2
 
@@ -220,6 +222,8 @@ def recorded_points(folder: str | os.PathLike[str]) -> list[Point]:
 
 def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> IsobaricDataset:
     """The dataset of a record: one row per point, with its float32 samples if all points have equally many."""
+    from mckibben.dataset import IsobaricDataset  # pandas and xarray take 0.5 s
+
     kept = [point for point in recorded_points(folder) if point.keep]
     if not kept:
         raise DatasetError(str(folder), [Problem("contains no point yet", remedy="resume it")])

@@ -8,15 +8,14 @@ from mckibben.simulation.metrics import (
     SETTLING_PART,
     Metrics,
     Trajectory,
-    compiled_measure,
-    compiled_trajectory,
     measure,
     rms,
     settling_band,
     trajectory,
 )
+from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
-from mckibben.simulation.result import Outcome, Result
+from mckibben.simulation.result import Outcome, Result, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
 from mckibben.simulation.stability import Margins, margins
 
@@ -31,6 +30,7 @@ __all__ = [
     "Margins",
     "Metrics",
     "Mode",
+    "OptimalCommands",
     "Outcome",
     "Result",
     "Trajectory",
@@ -38,13 +38,14 @@ __all__ = [
     "checked_run",
     "closed_valves",
     "compiled_episode",
-    "compiled_measure",
-    "compiled_trajectory",
+    "compute_metrics",
+    "compute_trajectory",
     "differentiate",
     "dynamic_stiffness",
     "episode",
     "margins",
     "measure",
+    "optimal_commands",
     "rms",
     "run_episode",
     "sampled",

@@ -29,9 +29,9 @@ from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
     check_names,
-    compiled_reference,
     float_type,
     sample_reference,
+    sampled_reference,
     sampling_times,
     split_runs,
 )
@@ -135,13 +135,14 @@ def simulate_many(
     keep, every
         Names of `Trajectory` to keep over time, and the time between two values [s], by default the control period.
     chunk
-        Runs computed together. Default: 1024, 256 by XLA, fewer where that would leave cores idle. Results with
-        different chunk sizes agree to 1e-12; they do not depend on the number of runs or workers.
+        Runs computed together. Default: 1024, 256 by XLA, up to 65,536 by CUDA, fewer where that would leave cores
+        idle. Results with different chunk sizes agree to 1e-12; they do not depend on the number of runs or workers.
     workers
         Threads. Default: one per core.
     engine
-        "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", native if possible.
-        The attribute ``engine`` of the table names the one used. Their results differ by rounding.
+        "native": emitted as C and compiled by the machine's compiler; "xla"; "cuda": kernels on an NVIDIA GPU, which
+        needs the extra ``gpu``; or "auto", native if possible, else XLA. The attribute ``engine`` of the table names
+        the one used. Their results differ by rounding.
     progress
         Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
@@ -153,7 +154,9 @@ def simulate_many(
     Raises
     ------
     ParameterError
-        If a leaf does not exist, or the arrays differ in length or are missing.
+        If a leaf does not exist, or the arrays differ in length or are missing; if the engine cannot be used.
+    DeviceError
+        If the GPU fails, or has too little memory for a chunk.
     SimulationError
         If an argument is of the wrong type, the times do not fit together, or a name is not known.
 
@@ -220,7 +223,7 @@ def _warn_of_substeps(
     needed = 0
     for run in sorted({0, *(int(find(values)) for values in varied for find in (np.argmin, np.argmax))}):
         problem = eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), shared)
-        setpoints = compiled_reference(problem.reference, times)
+        setpoints = sampled_reference(problem.reference, times)
         try:
             problem.plant.check_substeps(*setpoints, period, substeps)
         except SimulationError as error:

@@ -203,5 +203,5 @@ def chunk_size(
         best = {"native": NATIVE, "cuda": min(ON_CUDA, max(VECTOR, MOST_NUMBERS // max(numbers, 1)))}
         chunk = best.get(engine, CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR)
     check_count("runs per chunk", chunk)
-    even = count if engine == "cuda" else -(-count // workers)
+    even = -(-count // (-(-count // chunk) if engine == "cuda" else workers))
     return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import compute_once
-from mckibben.numerics.compiled import compiled
 from mckibben.plant import JointPlant
 from mckibben.simulation.oscillation import LimitCycle, find_limit_cycle
 from mckibben.units import atm, deg, litre, percent
@@ -119,9 +119,6 @@ def trajectory(
     )
 
 
-compiled_trajectory = compiled(trajectory)
-
-
 SETTLING_PART = 0.1
 """Half the width of the settling band, as a fraction of the step of the desired stiffness."""
 _END = 10  # the last 1/10 of a run is its end
@@ -209,19 +206,28 @@ def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
 
 def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART) -> Metrics:
     """Metrics of a trajectory with a control period [s]; `settling_part` as `SETTLING_PART`."""
-    stiffness = jnp.asarray(moved.stiffness)
     change = last_change(moved.desired_stiffness)
-    before = [jnp.concatenate([air[:1], air[:-1]]) for air in map(jnp.asarray, (moved.air1, moved.air2))]
-    at_change = stiffness[change.at]
-    periods = stiffness.size
-    parts = MetricAccumulator.of(moved, jnp.arange(periods), periods, change, at_change, before, settling_part)
-    sums = Sums(*(jnp.sum(part) for part in parts.sums))
-    peaks = Peaks(*(_largest(part) for part in parts.peaks))
-    cycle = find_limit_cycle(moved.angle, moved.desired_angle, period)
-    return MetricAccumulator(sums, peaks, jnp.max(parts.unsettled)).metrics(change, periods, period, cycle)
+    return measure_since(moved, change, jnp.asarray(moved.stiffness)[change.at], period, settling_part)
 
 
-compiled_measure = compiled(measure)
+def measure_since(
+    moved: Trajectory, change: Change, at_change: ArrayLike, period: ArrayLike, settling_part: ArrayLike = SETTLING_PART
+) -> Metrics:
+    """`measure` with the last change of the desired stiffness, and the stiffness [N*m/rad] at it."""
+    moved = Trajectory(*map(jnp.asarray, moved))
+    periods = moved.angle.shape[0]
+    zero = jnp.zeros_like(moved.stiffness[0])
+
+    def following(so_far: Any, at: tuple[Array, Trajectory]) -> tuple[Any, None]:
+        total, air = so_far
+        index, now = at
+        before = [jnp.where(index == 0, new, old) for new, old in zip((now.air1, now.air2), air, strict=True)]
+        added = MetricAccumulator.of(now, index, periods, change, at_change, before, settling_part)
+        return (total.merge(added), (now.air1, now.air2)), None
+
+    start = MetricAccumulator.empty(zero), (zero, zero)
+    (total, _), _ = lax.scan(following, start, (jnp.arange(periods), moved))
+    return total.metrics(change, periods, period, find_limit_cycle(moved.angle, moved.desired_angle, period))
 
 
 class Change(NamedTuple):
@@ -238,13 +244,13 @@ def first_of_end(periods: int) -> int:
     return periods - max(periods // _END, 1)
 
 
-def last_change(desired: ArrayLike) -> Change:
-    """The last change of setpoints of shape (periods,)."""
-    desired = jnp.asarray(desired)
-    changed = jnp.concatenate([jnp.zeros(1, bool), desired[1:] != desired[:-1]])
-    index = jnp.max(jnp.where(changed, jnp.arange(desired.size), 0))
+def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
+    """The last change of setpoints of shape (periods,); `xp` computes it, `jax.numpy` or `numpy`."""
+    desired: Any = xp.asarray(setpoints)
+    changed = xp.concatenate([xp.zeros(1, bool), desired[1:] != desired[:-1]])
+    index = xp.max(xp.where(changed, xp.arange(desired.size), 0))
     ends = (index > 0) & (index < desired.size - 1) & ~changed[index - 1]
-    return Change(index, desired[jnp.maximum(index - 1, 0)], desired[-1], ends)
+    return Change(index, desired[xp.maximum(index - 1, 0)], desired[-1], ends)
 
 
 class Sums(NamedTuple):
@@ -394,8 +400,3 @@ def _larger(one: ArrayLike, other: ArrayLike) -> Array:
     """The larger of two, NaN if one of them is: XLA's own maximum does not always propagate it."""
     one, other = jnp.asarray(one), jnp.asarray(other)
     return jnp.where((one >= other) | jnp.isnan(one), one, other)
-
-
-def _largest(values: Array) -> Array:
-    """The maximum along time, NaN if there is one."""
-    return jnp.where(jnp.any(jnp.isnan(values)), jnp.nan, jnp.max(values))

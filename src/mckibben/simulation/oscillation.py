@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.compiled import compiled
 from mckibben.units import deg
 
 Scalar = Float[Array, ""]
@@ -125,6 +124,3 @@ def find_limit_cycle(angle: ArrayLike, desired: ArrayLike, period: ArrayLike) ->
 
     rows = jnp.arange(angle.size), angle, desired
     return lax.scan(following, Oscillation.empty(angle[0]), rows)[0].limit_cycle(angle.size, period)
-
-
-compiled_limit_cycle = compiled(find_limit_cycle)

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, Reference, Setpoint
+from mckibben.control.reference import Signal
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.engine import BatchFunction
 
 
 class AtRest(NamedTuple):
@@ -187,13 +189,23 @@ def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
         ) from error
 
 
-compiled_reference = compiled(sample_reference)
+_each_sample = BatchFunction(sample_reference)
+_all_samples = compiled(sample_reference)
+
+
+def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpoint:
+    """Setpoints at times [s], computed by a compiled program."""
+    if all(isinstance(signal, Signal) for signal in (reference.angle, reference.stiffness)):
+        found, _ = _each_sample("auto", numeric(reference), times)
+    else:  # another function may be one of all times
+        found = _all_samples(reference, times)
+    return jax.tree.map(np.asarray, found)
 
 
 def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
     """Start times [s] of the control periods in a duration, and the setpoints; `SimulationError` if they do not fit."""
     times = sampling_times(duration, period)
-    return times, compiled_reference(reference, times)
+    return times, sampled_reference(reference, times)
 
 
 def sampling_times(duration: float, period: float, substeps: int = 1) -> NDArray[np.float64]:

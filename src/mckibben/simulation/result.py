@@ -9,18 +9,33 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import jax
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.codegen.native import NativeFunction
 from mckibben.errors import FileError, Problem, SimulationError
 from mckibben.notebook import html_table
-from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure, first_of_end
-from mckibben.simulation.oscillation import compiled_limit_cycle
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.simulation.engine import BatchFunction, compute_with
+from mckibben.simulation.metrics import (
+    METRICS,
+    Metrics,
+    Trajectory,
+    first_of_end,
+    last_change,
+    measure_since,
+    trajectory,
+)
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from mckibben.control.base import Setpoint
+    from mckibben.plant import JointPlant
+    from mckibben.simulation.loop import Record
 
 
 SWUNG_OVER_AT = 90 * deg
@@ -169,6 +184,46 @@ UNITS = {
 }
 
 
+def _trajectory_at(shared: tuple[JointPlant, ArrayLike | None], lane: tuple[Setpoint, Record, Array]) -> Trajectory:
+    """Trajectory at one control period."""
+    return trajectory(shared[0], *lane, shared[1])
+
+
+_trajectories = BatchFunction(_trajectory_at)
+
+
+def compute_trajectory(
+    plant: JointPlant,
+    setpoints: Setpoint,
+    record: Record,
+    angle_without_step: ArrayLike,
+    stiffness_amplitude: ArrayLike | None = None,
+    *,
+    engine: str = "auto",
+) -> Trajectory:
+    """`metrics.trajectory` of all control periods, as arrays of NumPy."""
+    shared = numeric((plant, stiffness_amplitude))
+    lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), (setpoints, record, angle_without_step))
+    found, _ = _trajectories(engine, shared, lanes, np.asarray(setpoints.angle).dtype)
+    return jax.tree.map(np.asarray, found)
+
+
+def compute_metrics(moved: Trajectory, period: float) -> Metrics:
+    """Metrics of a trajectory with a control period [s]."""
+    change = last_change(moved.desired_stiffness, np)
+    parts = jax.tree.map(np.asarray, (moved, change, np.asarray(moved.stiffness)[change.at], period))
+    kind = parts[0].angle.dtype
+    return compute_with("auto", kind, lambda: _native_metrics(parts), lambda: _metrics_by_xla(*parts))[0]
+
+
+@NativeFunction
+def _native_metrics(parts: Any, _: None) -> Metrics:
+    return measure_since(*parts)
+
+
+_metrics_by_xla = compiled(measure_since)
+
+
 class Columns(Mapping[str, np.ndarray]):
     """Arrays by name; some are computed when they are first asked for."""
 
@@ -242,13 +297,13 @@ class Result:
     @functools.cached_property
     def outcome(self) -> Outcome:
         """Outcome of the run."""
-        return _outcome(self.columns, self.control_period)
+        return _outcome(self.columns, lambda: self.metrics["oscillation_amplitude"] > 0)
 
     @functools.cached_property
     def metrics(self) -> dict[str, float]:
         """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        return {name: float(value) for name, value in compiled_measure(moved, self.control_period)._asdict().items()}
+        return {name: float(value) for name, value in compute_metrics(moved, self.control_period)._asdict().items()}
 
     @property
     def times(self) -> np.ndarray:
@@ -307,22 +362,28 @@ class Result:
         """Columns along ``time`` [s], with ``units`` and ``long_name``; period, scenario and outcome as attributes."""
         import xarray as xr  # 0.15 s
 
-        return xr.Dataset(
-            variables(self.columns, "time"),
-            coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
-            attrs={
-                "control_period": self.control_period,
-                "scenario": self.scenario,
-                "outcome": self.outcome.name,
-                "engine": self.engine,
-            },
-        )
+        return xr.Dataset(variables(self.columns, "time"), coords={"time": self._time}, attrs=self._attributes)
+
+    @property
+    def _time(self) -> tuple[str, np.ndarray, dict[str, str]]:
+        return "time", self.times, {"units": "s", "long_name": "time"}
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        return {
+            "control_period": self.control_period,
+            "scenario": self.scenario,
+            "outcome": self.outcome.name,
+            "engine": self.engine,
+        }
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write to a NetCDF file, atomically and with a checksum."""
-        from mckibben.dataset.schema import write_netcdf
+        from mckibben.dataset.netcdf import write_variables
 
-        write_netcdf(self.to_xarray(), Path(path))
+        columns = {**variables(self.columns, "time"), "time": self._time}
+        each = {name: ((dimension,), values, marks) for name, (dimension, values, marks) in columns.items()}
+        write_variables(each, self._attributes, Path(path))
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
@@ -387,7 +448,7 @@ def variables(
     return found
 
 
-def _outcome(columns: Mapping[str, np.ndarray], period: float) -> Outcome:
+def _outcome(columns: Mapping[str, np.ndarray], oscillates: Callable[[], bool]) -> Outcome:
     ended = np.isfinite(columns["velocity"][-1])
     error = columns["angle"] - columns["desired_angle"]
     code = outcomes(
@@ -396,6 +457,6 @@ def _outcome(columns: Mapping[str, np.ndarray], period: float) -> Outcome:
         span=np.ptp(columns["desired_angle"]),
         left_domain=columns["outside_domain"].any() or columns["overloaded"].any(),
         saturated=columns["saturated"].any(),
-        oscillates=ended and compiled_limit_cycle(columns["angle"], columns["desired_angle"], period).amplitude > 0,
+        oscillates=ended and oscillates(),
     )
     return OUTCOMES[int(code)]

@@ -9,33 +9,33 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.codegen.native import NativeFunction
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
-from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast
-from mckibben.numerics.compiled import compiled, compiled_batch, numeric
+from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.engine import check_engine, run_alone
+from mckibben.simulation.engine import BatchFunction, check_engine, compute_with, run_alone
 from mckibben.simulation.loop import Record
-from mckibben.simulation.metrics import Trajectory, compiled_trajectory
+from mckibben.simulation.metrics import Trajectory
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
-    compiled_reference,
     float_type,
     sampled,
+    sampled_reference,
     sampling_times,
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import BAND, Columns, Result
+from mckibben.simulation.result import BAND, Columns, Result, compute_trajectory
 from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
@@ -110,7 +110,7 @@ def check_reference(
     `SimulationError` if duration [s] and control period do not fit together.
     """
     times, setpoints = sampled(reference, duration, control_period)
-    return _feasibility(times, setpoints, _band(plant, _padded(setpoints.angle), stiffness_amplitude))
+    return _feasibility(times, setpoints, _band(plant, setpoints.angle, stiffness_amplitude))
 
 
 def _feasibility(times: NDArray[np.float64], setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
@@ -129,7 +129,20 @@ def attainable_band(
     )
 
 
-_band = compiled(attainable_band)
+def _band_at(shared: tuple[JointPlant, ArrayLike | None, ArrayLike], angle: Array) -> tuple[Array, Array]:
+    """`attainable_band` at one angle."""
+    plant, amplitude, tension = shared
+    return attainable_band(plant, angle, amplitude, tension)
+
+
+_bands = BatchFunction(_band_at)
+
+
+def _band(
+    plant: JointPlant, angles: ArrayLike, amplitude: ArrayLike | None, tension: ArrayLike = 0.0, *, engine: str = "auto"
+) -> tuple[Array, Array]:
+    """`attainable_band` at angles, and at those of their padding."""
+    return _bands(engine, numeric((plant, amplitude, tension)), _padded(angles))[0]
 
 
 def _when(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
@@ -233,10 +246,10 @@ def checked_run(
     check_engine(engine, kind)
     problem = single_run(SimulationProblem.of(plant, controller, reference, initial), control_period, "simulate_many")
     amplitude = problem.controller.stiffness_amplitude
-    setpoints = compiled_reference(problem.reference, times)
+    setpoints = sampled_reference(problem.reference, times)
     without: Any = {"controller": None, "reference": None}  # others compile nothing new
-    start, exists, band = _check_start(problem._replace(**without), Setpoint(*map(_padded, setpoints)), amplitude)
-    feasibility = _feasibility(times, setpoints, band)
+    start, exists = _start(engine, problem._replace(**without), setpoints)
+    feasibility = _feasibility(times, setpoints, _band(problem.plant, setpoints.angle, amplitude, engine=engine))
     parts = problem.plant, problem.controller, setpoints, start
     if kind != np.float64:
         parts = cast(parts, kind)
@@ -254,7 +267,7 @@ def checked_run(
         warnings.warn(f"{text}, outside of which the moment arm is assumed constant", DomainWarning, stacklevel=3)
     tension = getattr(controller, "minimum_tension", None)
     if tension and feasibility.feasible:
-        limited = _feasibility(times, setpoints, _band(plant, _padded(setpoints.angle), amplitude, tension))
+        limited = _feasibility(times, setpoints, _band(plant, setpoints.angle, amplitude, tension))
         if not limited.feasible:
             text = f"with the controller's minimum tension of {float(tension):g} N {limited.describe()}"
             warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=3)
@@ -319,7 +332,8 @@ def _episode_result(
         return {"angle_without_step": state.angle if constant is None else run(constant)[0].state.angle}
 
     def derived() -> dict[str, Array]:
-        moved = compiled_trajectory(plant, setpoints, record, state.angle, controller.stiffness_amplitude)._asdict()
+        amplitude = controller.stiffness_amplitude
+        moved = compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=engine)._asdict()
         return {name: value for name, value in moved.items() if name != "angle_without_step"}
 
     computed: list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]] = [
@@ -340,24 +354,18 @@ def _padded(values: ArrayLike) -> Any:
     return np.pad(values, (0, -np.size(values) % _BLOCK), mode="edge")
 
 
-@compiled_batch
-def _check_start(
-    problem: SimulationProblem, setpoints: Setpoint, amplitude: ArrayLike | None
-) -> tuple[PlantState, Array, tuple[Array, Array]]:
-    """The initial state, whether it exists, and the attainable stiffness at the desired angles."""
-    if isinstance(problem.initial, PlantState):
-        return *problem.start(setpoints), attainable_band(problem.plant, setpoints.angle, amplitude)
-    # Start and band in one pass over the angles, which share most of the work.
-    angle, stiffness = problem.rest(setpoints)
-    angles = jnp.concatenate([angle[None], setpoints.angle])
-    torques = -problem.plant.load.gravity_torque(angles)
-    found, (lowest, highest) = solve_static_and_range(
-        problem.plant.supplied_joint, angles, torques, stiffness, amplitude
-    )
-    start = problem.plant.init_state(angle, found.pressures)
-    return start, found.exists, (lowest[1:], highest[1:])
+def _start(engine: str, problem: SimulationProblem, setpoints: Setpoint) -> tuple[PlantState, Array]:
+    """The initial state, and whether it exists."""
+    parts = problem, jax.tree.map(lambda one: np.asarray(one)[:1], setpoints)
+    return compute_with(engine, np.float64, lambda: _native_start(parts), lambda: _start_by_xla(*parts))[0]
 
 
+@NativeFunction
+def _native_start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[PlantState, Array]:
+    return parts[0].start(parts[1])
+
+
+_start_by_xla = compiled(SimulationProblem.start)
 _friction_torque = compiled(AntagonisticJoint.friction_torque)
 _creep_torque = compiled(AntagonisticJoint.creep_torque)
 

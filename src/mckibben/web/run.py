@@ -78,11 +78,9 @@ class _Page:
                     ("angle", list(SIGNALS), self.choose_angle),
                     ("stiffness", list(SIGNALS), self.choose_stiffness),
                 ):
-                    ui.select(
-                        options,
-                        label=f"change the {label}{'' if label == 'controller' else ' reference'}",
-                        on_change=choose,
-                    ).props("dense").classes("w-full").mark(label)
+                    ui.select(options, label=f"{label}: change to", on_change=choose).props("dense").classes(
+                        "w-full"
+                    ).mark(label)
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel("Scenario"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")

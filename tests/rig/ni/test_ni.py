@@ -142,7 +142,7 @@ def test_motor_makes_its_pulses_and_counts_them(bench):
     assert rig.read(100).pulses.tolist() == [10] * 100 and not rig.moving
     assert there.twin.truth.stretch == pytest.approx(there.twin.drive.travel(10), abs=0.02 * mm)
     for pulses, rate in ((1, 0.0), (1, float("nan"))):
-        with pytest.raises(RigError, match="cannot go"):
+        with pytest.raises(RigError, match="cannot run"):
             rig.move(pulses, rate)
     rig.move(0, 80.0)
     assert not rig.moving

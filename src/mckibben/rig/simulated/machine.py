@@ -5,11 +5,10 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
@@ -17,6 +16,9 @@ from mckibben.numerics.elementary import polynomial
 from mckibben.rig.simulated.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
 from mckibben.rig.simulated.parts import Carriage, Chamber, Motor, Regulator, Stretcher
 from mckibben.units import bar, ms, percent
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RectBivariateSpline
 
 _BEYOND = 3 * percent  # of contraction, on both sides of the range of the specimen
 _HIGHEST = 11 * bar
@@ -79,6 +81,8 @@ def _tabulate(muscle: Muscle) -> ForceTable:
             f"{last / percent:.0f} % and 0..{_HIGHEST / bar:g} bar",
             remedy="give the specimen a narrower range",
         )
+    from scipy.interpolate import RectBivariateSpline  # 0.3 s
+
     spline = RectBivariateSpline(x, y, at)
     error = float(np.abs(spline(middle_x, middle_y) - between)[between > 0].max(initial=0.0))
     if error > _ROUGH:

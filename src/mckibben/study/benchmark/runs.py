@@ -17,7 +17,7 @@ from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, with_values
-from mckibben.simulation.problem import check_frequencies, compiled_reference, sample_reference, sampling_times
+from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
 from mckibben.study.benchmark.suite import Suite, start_of
 from mckibben.study.parameters import sample
 
@@ -154,7 +154,7 @@ def _sampled(reference: Reference, times: NDArray[np.float64]) -> Column:
     count, varying = lanes_of(reference)
     lanes, shared = eqx.partition(numeric(reference), varying)
     if count is None:
-        return np.stack(compiled_reference(reference, times))[:, None]
+        return np.stack(sampled_reference(reference, times))[:, None]
     return np.stack(_sampled_lanes(lanes, shared, times))
 
 

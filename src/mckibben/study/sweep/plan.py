@@ -217,7 +217,7 @@ def _precision(bits: int | None) -> int:
     return 64 if bits is None else bits
 
 
-def _sizes(rows: int, block: int | None, engine: str) -> tuple[int, int]:
+def _sizes(rows: int, block: int | None, engine: str = "auto") -> tuple[int, int]:
     """Runs per batch, and runs per block; functions of the number of runs, the platform and CUDA alone."""
     cpu = jax.default_backend() == "cpu" and engine != "cuda"
     batches, largest = (_MIN_BATCHES, CHUNK) if cpu else (1, ON_ACCELERATOR)

@@ -1,0 +1,82 @@
+"""Files in the user's cache folder that only this user can have written: programs, and listings of what is built in."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import stat
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from mckibben.storage.files import atomic_write
+
+_MOST = 200  # files; the oldest are removed
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Write with a checksum: damaged native code crashes the process."""
+    with atomic_write(path, overwrite=True) as part:
+        part.touch(mode=0o600)
+        part.write_bytes(_checksum(path, content) + content)
+        part.chmod(0o600)
+    files = sorted(path.parent.glob("*.program"), key=lambda file: file.stat().st_mtime, reverse=True)
+    for old in files[_MOST:]:
+        old.unlink(missing_ok=True)
+
+
+def read_private(path: Path) -> bytes:
+    """Content of a private, undamaged file; OSError or ValueError otherwise."""
+    with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0)), "rb") as file:
+        if not is_private(os.fstat(file.fileno()), stat.S_ISREG):
+            raise PermissionError(f"{path} may have been written by others")
+        checksum, content = file.read(32), file.read()
+    if _checksum(path, content) != checksum:
+        raise ValueError(f"{path} is damaged")
+    return content
+
+
+def _checksum(path: Path, content: bytes) -> bytes:
+    """Digest of this content of this program."""
+    return hashlib.sha256(path.name.encode() + content).digest()
+
+
+def is_private(status: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
+    """Whether it has the expected type, belongs to this user, and is not writable by others; False on Windows."""
+    if not hasattr(os, "getuid"):
+        return False
+    return is_kind(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+
+
+def source_files(folder: str = str(Path(__file__).parents[1])) -> tuple[tuple[str, int, int], ...]:
+    """Path, size and time of change of our source files and of the catalog."""
+    found: list[tuple[str, int, int]] = []
+    with os.scandir(folder) as entries:
+        for entry in sorted(entries, key=lambda entry: entry.name):
+            if entry.is_dir(follow_symlinks=False):
+                found += source_files(entry.path)
+            elif entry.name.endswith((".py", ".yaml")):
+                found.append((entry.path, entry.stat().st_size, entry.stat().st_mtime_ns))
+    return tuple(found)
+
+
+SOURCES = source_files()  # at import
+
+
+def listing(folder: Path | None, name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Listing of what is built in, as JSON; built once, and again after a change of our sources."""
+    if folder is None:
+        return build()
+    described = repr((name, SOURCES, sys.version)).encode()
+    path = folder / f"{hashlib.sha256(described).hexdigest()[:40]}.program"
+    try:
+        return json.loads(read_private(path))
+    except (OSError, ValueError):  # missing, damaged or not private
+        built = build()
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        write_private(path, json.dumps(built).encode())
+    return built

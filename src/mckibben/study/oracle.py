@@ -1,0 +1,79 @@
+"""Errors of a controller against those of commands optimised off line for the true plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mckibben.control import OpenLoopControl, Samples
+from mckibben.scenario import Scenario, run_scenario
+from mckibben.simulation import OptimalCommands, Result, optimal_commands, simulate
+from mckibben.units import deg
+
+
+@dataclass(frozen=True)
+class OracleResult:
+    """A run of a controller, and the same run with optimal commands.
+
+    Attributes
+    ----------
+    controlled, optimal
+        Results of both runs.
+    starts
+        Optima found from the commands of the controller, and from commands that stay as they begin; the optimal run is
+        that of least cost.
+    """
+
+    controlled: Result
+    optimal: Result
+    starts: tuple[OptimalCommands, OptimalCommands]
+
+    @property
+    def ratio(self) -> float:
+        """Angle RMSE of the controller over that of the optimal commands."""
+        return self.controlled.metrics["angle_rmse"] / self.optimal.metrics["angle_rmse"]
+
+
+def oracle(
+    scenario: Scenario, *, angle_scale: float = 0.02 * deg, stiffness_scale: float = 0.5, iterations: int = 100
+) -> OracleResult:
+    """Simulate a scenario, and optimise its commands for its plant off line (`optimal_commands`).
+
+    Parameters
+    ----------
+    scenario
+        Plant, controller and reference.
+    angle_scale, stiffness_scale, iterations
+        As for `optimal_commands`.
+
+    Raises
+    ------
+    ScenarioError
+        If the parts of the scenario do not fit together, or no pressures hold its start.
+    SimulationError
+        If a run diverges.
+    """
+    controlled = run_scenario(scenario).result
+    plant, reference = scenario.plant(), scenario.reference()
+    initial = scenario.initial(plant)
+    settings = {"duration": scenario.duration, "control_period": scenario.control_period, "substeps": scenario.substeps}
+    commands = np.stack([controlled["command1"], controlled["command2"]], axis=1)
+    first, second = (
+        optimal_commands(
+            plant,
+            reference,
+            initial,
+            begun,
+            angle_scale=angle_scale,
+            stiffness_scale=stiffness_scale,
+            iterations=iterations,
+            **settings,
+        )
+        for begun in (commands, np.broadcast_to(commands[0], commands.shape))
+    )
+    best = min(first, second, key=lambda found: found.cost)
+    pressure1, pressure2 = (Samples(controlled.times, column) for column in best.commands.T)
+    control = OpenLoopControl(pressure1, pressure2, scenario.joint)
+    optimal = simulate(plant, control, reference, initial=initial, **settings)
+    return OracleResult(controlled, optimal, (first, second))
