@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mckibben.actuator.air_valve import AirState
+from mckibben.actuator import AirState
 from mckibben.actuator.base import AirVolume
 from mckibben.errors import RangeError
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow, pressure_rate
