@@ -48,7 +48,7 @@ def loops(shared, x):
     last, back = lax.scan(lambda c, r: (0.9 * c + r[0] * r[1] * shared, c), x, stored, reverse=True)
     halved, count = lax.while_loop(lambda s: s[0] > 0.01, lambda s: (s[0] / 2, s[1] + 1), (jnp.abs(x), 0))
     clock, _ = lax.scan(lambda t, _: (t + 0.1 * shared, None), 0.0, None, length=100)  # of all runs alike
-    return last, back, halved, count, clock + x
+    return last, back, halved, count, clock + x, stored
 
 
 def draws(shared, x):

@@ -66,7 +66,7 @@ def loops(x):
     def outer(k, total):
         return total + lax.fori_loop(0, 40, lambda i, c: c * 0.5 + jnp.cos(i * x + k), total)
 
-    return first, last, back, lax.fori_loop(0, 50, outer, x)
+    return first, last, back, lax.fori_loop(0, 50, outer, x), double
 
 
 def branches(x):

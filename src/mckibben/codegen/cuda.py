@@ -33,7 +33,7 @@ typedef long long int64_t;
 #define INFINITY __longlong_as_double(0x7ff0000000000000ll)
 #define NAN __longlong_as_double(0x7ff8000000000000ll)
 """  # NVRTC has no headers
-_OLD = 35, 803, 804  # driver's errors: insufficient, mismatched or incompatible driver
+_OLD = 222, 803, 804  # driver's errors: unsupported version of PTX, mismatched or incompatible driver
 _NO_DEVICE = 100
 _OUT_OF_MEMORY = 2
 _MAJOR, _MINOR = 75, 76  # attributes of a device: its compute capability

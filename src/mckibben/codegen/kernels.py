@@ -60,14 +60,16 @@ class KernelWriter(Writer):
 
     def store(self, array: StoredArray, place: str, value: Value) -> str:
         name = self._arrays[id(array)]
-        at = f"({place}) * lanes + b" if name.startswith("out") else place
-        return f"{name}[{at}] = {self.text(value)}"
+        return f"{name}[{self._at(array, place)}] = {self.text(value)}"
 
     def element(self, array: StoredArray, place: str) -> str:
-        name = self._arrays[id(array)]
-        if array.uniform or not array.name:
-            return f"{name}[{place}]"
-        return f"(({self.language.types[array.kind]}){name}[({place}) * lanes + b])"
+        text = f"{self._arrays[id(array)]}[{self._at(array, place)}]"
+        return text if array.uniform else f"(({self.language.types[array.kind]}){text})"
+
+    def _at(self, array: StoredArray, place: str) -> str:
+        """Text of a position: in arguments and results, of this run."""
+        argument = array.name and not array.uniform
+        return f"({place}) * lanes + b" if argument or self._arrays[id(array)].startswith("out") else place
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
         name = self._arrays[id(array)] = self._new("a")

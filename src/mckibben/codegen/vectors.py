@@ -120,7 +120,7 @@ class VectorWriter(Writer):
 
     def element(self, array: StoredArray, place: str) -> str:
         name = self._arrays[id(array)]
-        if not array.uniform and array.name:
+        if not array.uniform and (array.name or name.startswith("out")):
             return f"load{_SUFFIX[array.kind]}(&{name}[({place}) * lanes + b])"
         return f"{name}[{place}]"
 
