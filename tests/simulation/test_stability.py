@@ -9,7 +9,7 @@ import mckibben as mk
 from mckibben.actuator import FirstOrderValve
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.plant import SampledSensors
-from mckibben.simulation import Outcome, margins
+from mckibben.simulation import Outcome, disk_margins, margins
 from mckibben.units import deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -73,3 +73,18 @@ def test_the_poles_are_those_that_were_placed(found):
     """The slowest pole of the closed loop decays within the bandwidths: 60 rad/s with a damping of 2.5."""
     slowest = -np.log(found.radius.max()) / 1e-3
     assert 15.0 < slowest < 60.0
+
+
+@pytest.mark.slow
+def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs(loop, found):
+    plant, control = loop
+    delays = np.array([0.0, 0.5, 1.3]) * found.delay.min()
+    late = dataclasses.replace(plant, command_delay=delays)
+    batch = disk_margins(late, control, REFERENCE, duration=0.2, points=2)
+
+    def alone(delay):
+        one = dataclasses.replace(plant, command_delay=float(delay))
+        return margins(one, control, REFERENCE, plant.equilibrium(3 * deg), **SETTINGS).disk.min()
+
+    assert batch[:2] == pytest.approx([alone(delay) for delay in delays[:2]], rel=0.02)
+    assert batch[0] > batch[1] > batch[2] == 0.0

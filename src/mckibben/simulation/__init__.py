@@ -19,7 +19,7 @@ from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import Outcome, Result
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
-from mckibben.simulation.stability import Margins, margins
+from mckibben.simulation.stability import Margins, disk_margins, margins
 
 __all__ = [
     "SETTLING_PART",
@@ -43,6 +43,7 @@ __all__ = [
     "compiled_measure",
     "compiled_trajectory",
     "differentiate",
+    "disk_margins",
     "dynamic_stiffness",
     "episode",
     "margins",
