@@ -207,8 +207,17 @@ def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
     return {name: metrics[metric] / unit for name, (metric, _, unit) in METRICS.items()}
 
 
-def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART) -> Metrics:
-    """Metrics of a trajectory with a control period [s]; `settling_part` as `SETTLING_PART`."""
+def measure(
+    moved: Trajectory,
+    period: ArrayLike,
+    *,
+    settling_part: float = SETTLING_PART,
+    angle_resolution: ArrayLike = 0.0,
+) -> Metrics:
+    """Metrics of a trajectory with a control period [s].
+
+    `settling_part` as `SETTLING_PART`, and `angle_resolution` a step of the sensor of the angle [rad].
+    """
     stiffness = jnp.asarray(moved.stiffness)
     change = last_change(moved.desired_stiffness)
     before = [jnp.concatenate([air[:1], air[:-1]]) for air in map(jnp.asarray, (moved.air1, moved.air2))]
@@ -217,7 +226,7 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     parts = MetricAccumulator.of(moved, jnp.arange(periods), periods, change, at_change, before, settling_part)
     sums = Sums(*(jnp.sum(part) for part in parts.sums))
     peaks = Peaks(*(_largest(part) for part in parts.peaks))
-    cycle = find_limit_cycle(moved.angle, moved.desired_angle, period)
+    cycle = find_limit_cycle(moved.angle, moved.desired_angle, period, angle_resolution)
     return MetricAccumulator(sums, peaks, jnp.max(parts.unsettled)).metrics(change, periods, period, cycle)
 
 

@@ -205,7 +205,8 @@ class Result:
 
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty, and `engine` what computed it, "native" or "xla", or empty.
+    `scenario` the text of the scenario, or empty, `engine` what computed it, "native" or "xla", or empty, and
+    `angle_resolution` the step of the sensor of the angle [rad], 0 for none.
     """
 
     def __init__(
@@ -215,8 +216,10 @@ class Result:
         outcome: Outcome | None = None,
         scenario: str = "",
         engine: str = "",
+        angle_resolution: float = 0.0,
     ) -> None:
         self.columns = columns
+        self.angle_resolution = angle_resolution
         self.control_period = control_period
         self.scenario = scenario
         self.engine = engine
@@ -232,22 +235,24 @@ class Result:
         band: tuple[np.ndarray, np.ndarray],
         telemetry: Mapping[str, Any],
         scenario: str = "",
+        angle_resolution: float = 0.0,
     ) -> Self:
         """From a trajectory, the attainable stiffness and the controller's telemetry, each of shape (periods,)."""
         known = moved._asdict() | dict(zip(BAND, band, strict=True))
         columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
-        return cls(columns, control_period, scenario=scenario)
+        return cls(columns, control_period, scenario=scenario, angle_resolution=angle_resolution)
 
     @functools.cached_property
     def outcome(self) -> Outcome:
         """Outcome of the run."""
-        return _outcome(self.columns, self.control_period)
+        return _outcome(self.columns, self.control_period, self.angle_resolution)
 
     @functools.cached_property
     def metrics(self) -> dict[str, float]:
         """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        return {name: float(value) for name, value in compiled_measure(moved, self.control_period)._asdict().items()}
+        found = compiled_measure(moved, self.control_period, angle_resolution=self.angle_resolution)
+        return {name: float(value) for name, value in found._asdict().items()}
 
     @property
     def times(self) -> np.ndarray:
@@ -314,6 +319,7 @@ class Result:
                 "scenario": self.scenario,
                 "outcome": self.outcome.name,
                 "engine": self.engine,
+                "angle_resolution": self.angle_resolution,
             },
         )
 
@@ -350,8 +356,9 @@ class Result:
         if problems:
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
-        texts = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
-        return cls(values, float(period), Outcome[outcome], *texts)
+        scenario, engine = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
+        resolution = float(table.attrs.get("angle_resolution", 0.0))  # files of earlier versions have none
+        return cls(values, float(period), Outcome[outcome], scenario, engine, resolution)
 
 
 def _outside(columns: Mapping[str, np.ndarray]) -> str:
@@ -386,7 +393,7 @@ def variables(
     return found
 
 
-def _outcome(columns: Mapping[str, np.ndarray], period: float) -> Outcome:
+def _outcome(columns: Mapping[str, np.ndarray], period: float, resolution: float) -> Outcome:
     ended = np.isfinite(columns["velocity"][-1])
     error = columns["angle"] - columns["desired_angle"]
     code = outcomes(
@@ -395,6 +402,7 @@ def _outcome(columns: Mapping[str, np.ndarray], period: float) -> Outcome:
         span=np.ptp(columns["desired_angle"]),
         left_domain=columns["outside_domain"].any() or columns["overloaded"].any(),
         saturated=columns["saturated"].any(),
-        oscillates=ended and compiled_limit_cycle(columns["angle"], columns["desired_angle"], period).amplitude > 0,
+        oscillates=ended
+        and compiled_limit_cycle(columns["angle"], columns["desired_angle"], period, resolution).amplitude > 0,
     )
     return OUTCOMES[int(code)]
