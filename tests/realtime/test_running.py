@@ -19,7 +19,7 @@ from mckibben.rig.safety import JointMonitor
 from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
 from mckibben.units import bar, deg, kPa, ms
 
-from .conftest import PERIOD, Kept, SteadyControl
+from .conftest import PERIOD, Kept, SteadyControl, StiffJoint
 
 
 @pytest.fixture(scope="module")
@@ -261,6 +261,35 @@ def test_a_command_between_samples_counts_from_when_it_came(stiff):
         joint.close()
     least, most = (8 * bar - 5 * bar * np.exp(-(PERIOD - at) / 0.02) for at in (after, before))
     assert least - 1 <= (volts[2] - 1.0) * 2.5 * bar <= most + 1
+
+
+class Swinging(StiffJoint):
+    """Its angle oscillates by 2 deg, 7 times a second, whatever the commands."""
+
+    def state(self, state):
+        return np.array([2 * deg, 0.0, *map(float, state.pressures)])
+
+    def advance(self, state, command1, command2, time):
+        angle, velocity, *_ = state.tolist()
+        rate = 2 * math.pi * 7
+        cosine, sine = math.cos(rate * time), math.sin(rate * time)
+        moved = cosine * angle + sine / rate * velocity, cosine * velocity - rate * sine * angle
+        return np.array([*moved, *super().advance(state, command1, command2, time)[2:]])
+
+
+@pytest.mark.parametrize(("resolution", "reported"), [(0.0, True), (1.2 * deg, False)])
+def test_a_limit_cycle_is_reported_while_the_loop_runs(stiff, resolution, reported):
+    swinging, shown = stiff._replace(moved=Swinging()), []
+    plan = dataclasses.replace(swinging.plan(1200, reference=0.0), angle_resolution=resolution)
+    _, kept = swinging.run(plan=plan, limits=_patient(), progress=shown.append)
+    assert [kind for kind, _ in kept.events].count("limit cycle") == reported
+    first = next((k for k, each in enumerate(shown) if each.limit_cycle), None)
+    if not reported:
+        assert first is None
+        return
+    amplitude, period = shown[-1].limit_cycle
+    assert amplitude == pytest.approx(2 * deg, rel=0.05) and period == pytest.approx(1 / 7, rel=0.05)
+    assert 4 / 7 <= first * PERIOD < 6 / 7  # after four periods
 
 
 def test_in_real_time_it_takes_the_time_that_it_says(stiff):

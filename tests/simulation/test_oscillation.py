@@ -12,8 +12,8 @@ TIMES = np.arange(3000) * PERIOD
 STILL = np.zeros(3000)
 
 
-def found(error, desired=STILL):
-    amplitude, period = find_limit_cycle(jnp.asarray(error + desired), jnp.asarray(desired), PERIOD)
+def found(error, desired=STILL, resolution=0.0):
+    amplitude, period = find_limit_cycle(jnp.asarray(error + desired), jnp.asarray(desired), PERIOD, resolution)
     return float(amplitude) / deg, float(period)
 
 
@@ -53,3 +53,9 @@ def test_noise_and_single_swings_are_none():
 def test_one_that_grows_is_found():
     amplitude, period = found(0.1 * deg * np.exp(TIMES) * np.sin(2 * np.pi * 10 * TIMES))
     assert amplitude > 0.1 and period == pytest.approx(0.1, rel=0.05)
+
+
+@pytest.mark.parametrize(("step", "is_one"), [(0.022, True), (0.14, True), (0.16, False), (0.35, False)])
+def test_the_least_amplitude_is_two_steps_of_the_encoder(step, is_one):
+    error = 0.3 * deg * np.sin(2 * np.pi * 7 * TIMES)
+    assert (found(error, resolution=step * deg)[0] > 0) == is_one

@@ -9,8 +9,8 @@ import mckibben as mk
 from mckibben.actuator import FirstOrderValve
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.plant import SampledSensors
-from mckibben.simulation import Outcome, margins
-from mckibben.simulation.stability import _margins_of
+from mckibben.simulation import Outcome, disk_margins, margins
+from mckibben.simulation.stability import LinearLoop, _margins_of
 from mckibben.units import deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -81,9 +81,8 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
     gains, period = (0.2, 0.3), 1e-3
     zero = np.zeros((2, 2))
     a = np.block([[np.eye(2), np.eye(2)], [-np.diag(gains), zero]])
-    radius, gain, phase, delay, disk, largest, loci = _margins_of(
-        a, np.concatenate([zero, np.eye(2)]), np.concatenate([-np.diag(gains), zero], axis=1), period
-    )
+    loop = LinearLoop(a, np.concatenate([zero, np.eye(2)]), np.concatenate([-np.diag(gains), zero], axis=1))
+    radius, gain, phase, delay, disk, largest, loci = _margins_of(loop, period)
     turn = np.exp(1j * np.pi * np.geomspace(0.01, 1.0, loci.shape[0]))[:, None]
     open_loop = np.array(gains) / (turn * (turn - 1))
     crossover = 2 * np.arcsin(np.array(gains) / 2)
@@ -98,7 +97,7 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
 
 
 def test_an_unstable_loop_has_no_margins():
-    radius, *margins_of_it, largest, _ = _margins_of(1.1 * np.eye(2), np.eye(2), -0.1 * np.eye(2), 1e-3)
+    radius, *margins_of_it, largest, _ = _margins_of(LinearLoop(1.1 * np.eye(2), np.eye(2), -0.1 * np.eye(2)), 1e-3)
     assert radius == pytest.approx(1.1)
     assert margins_of_it == [0.0, 0.0, 0.0, 0.0]
     assert np.isfinite(largest).all()
@@ -106,5 +105,20 @@ def test_an_unstable_loop_has_no_margins():
 
 def test_a_counter_is_not_an_unstable_pole():
     counter = np.diag([1.0, 0.5, 0.4])
-    radius = _margins_of(counter, np.eye(3)[:, 1:], -0.1 * np.eye(3)[1:], 1e-3)[0]
+    radius = _margins_of(LinearLoop(counter, np.eye(3)[:, 1:], -0.1 * np.eye(3)[1:]), 1e-3)[0]
     assert radius == pytest.approx(0.5)
+
+
+@pytest.mark.slow
+def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs(loop, found):
+    plant, control = loop
+    delays = np.array([0.0, 0.5, 1.3]) * found.delay.min()
+    late = dataclasses.replace(plant, command_delay=delays)
+    batch = disk_margins(late, control, REFERENCE, duration=0.2, points=2)
+
+    def alone(delay):
+        one = dataclasses.replace(plant, command_delay=float(delay))
+        return margins(one, control, REFERENCE, plant.equilibrium(3 * deg), **SETTINGS).disk.min()
+
+    assert batch[:2] == pytest.approx([alone(delay) for delay in delays[:2]], rel=0.02)
+    assert batch[0] > batch[1] > batch[2] == 0.0

@@ -7,10 +7,10 @@ import pytest
 
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.scenario import Scenario, find_parameter, run_scenario, with_values
-from mckibben.simulation import Outcome
+from mckibben.simulation import Outcome, margins
 from mckibben.study.parameters import LogUniform, Uniform, sweep_parameters
-from mckibben.study.tune import Cost, Term, parse_cost, tune
-from mckibben.study.tune.objective import FAILED_COST, SMOOTH, TuningProblem
+from mckibben.study.tune import Cost, Method, Term, parse_cost, tune
+from mckibben.study.tune.objective import FAILED_COST, SMOOTH, UNSTABLE_COST, TuningProblem
 from mckibben.units import bar, deg, mm
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
@@ -121,6 +121,34 @@ def test_the_cost_covers_a_longer_delay_that_the_controller_does_not_know():
             (LIGHT,), sweep_parameters(LIGHT, gains), Cost(TERMS, delay_margin=more), ["command_delay"],
             {"command_delay": own},
         )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_parameters_without_the_disk_margin_cost_more_the_less_they_have():
+    name, rows, masses = "controller.position.kp", np.array([[2 * bar], [6 * bar], [12 * bar]]), np.array([0.4, 0.9])
+
+    def margin(gain, mass):
+        one = with_values(LIGHT.with_fixed_model(), {name: gain, "load.mass2": mass})
+        plant, settings = one.plant(), {"duration": 0.1, "control_period": 2e-3, "points": 4}
+        return margins(plant, one.control(), one.reference(), one.initial(plant), **settings).disk.min()
+
+    def costs(cost, **conditions):
+        return TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, {name: RANGES[name]}), cost, (), conditions).costs(
+            rows
+        )
+
+    least = np.array([min(margin(float(gain), mass) for mass in masses) for (gain,) in rows])
+    assert least[0] > least[1] > 0
+    wanted = (least[0] + least[1]) / 2
+    found = costs(Cost(TERMS, disk_margin=wanted), **{"load.mass2": masses})
+    assert found[0] == costs(Cost(TERMS), **{"load.mass2": masses})[0] < UNSTABLE_COST
+    np.testing.assert_allclose(found[1:], UNSTABLE_COST * (2 - least[1:] / wanted), rtol=0.02)
+    with pytest.raises(ParameterError):
+        asked(Cost(TERMS, disk_margin=wanted)).check_smooth()
+    with pytest.raises(ParameterError) as caught:
+        few = {"method": Method.EVOLUTION, "iterations": 1, "population": 8}
+        tune(LIGHT, {name: Uniform(2 * bar, 6 * bar)}, Cost(TERMS, disk_margin=1.9), **few)
+    assert caught.value.field == "disk_margin"
 
 
 @pytest.mark.slow

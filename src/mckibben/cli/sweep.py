@@ -200,6 +200,13 @@ def tune(
             metavar="TIME", help="Delay margin: the cost covers commands that arrive this much later, such as '5 ms'."
         ),
     ] = "0 ms",
+    disk_margin: Annotated[
+        float,
+        Option(
+            metavar="ALPHA",
+            help="Least disk margin of the linearised loop in all scenarios and conditions, such as 0.4; 0 for none.",
+        ),
+    ] = 0.0,
     worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario or condition, not the mean.")] = False,
     conditions: Annotated[
         list[str] | None,
@@ -233,7 +240,9 @@ def tune(
 
     ranges = parse_ranges(parameters or [], read[0])
     late = parse_quantity("--delay-margin", delay_margin, "s")
-    asked = parse_cost(cost, gain_margin=margin, worst=worst, percentile=percentile, delay_margin=late)
+    asked = parse_cost(
+        cost, gain_margin=margin, worst=worst, percentile=percentile, delay_margin=late, disk_margin=disk_margin
+    )
     if not conditions and (draws is not None or (percentile is not None and len(read) == 1)):
         raise ParameterError("--draws and --percentile apply to conditions", remedy="add --conditions 'NAME=RANGE'")
     drawn = sample(parse_sweeps(conditions, read[0]), samples=draws or 16, seed=seed) if conditions else {}

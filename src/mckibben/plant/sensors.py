@@ -25,6 +25,11 @@ class Sensors(Component):
 
     default_class = "sampled"
 
+    @property
+    def angle_resolution(self) -> Any:
+        """Smallest step [rad] of a measured angle; 0 for none."""
+        return 0.0
+
     @abc.abstractmethod
     def init(self, true: Measurement) -> Any:
         """Return the initial sensor state."""
@@ -61,6 +66,10 @@ class SampledSensors(Sensors):
     delay: Delay = 0.0
     seed: Seed = 0
     encoder_offset: Angle = eqx.field(kw_only=True, default=0.0)
+
+    @property
+    def angle_resolution(self) -> Any:
+        return self.encoder
 
     def init(self, true: Measurement) -> Measurement:
         return self._sample(0, true)

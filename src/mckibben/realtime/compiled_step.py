@@ -21,6 +21,7 @@ from mckibben.errors import ExportError, SimulationError
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.oscillation import LimitCycle, Oscillation
 
 _FURTHEST = np.pi / 2  # rad
 _POINTS = 721
@@ -162,6 +163,35 @@ class PlantProgram:
     def advance(self, state: Any, command1: float, command2: float, time: float) -> NDArray[np.float64]:
         """Packed state after a time [s] under commands [Pa]."""
         return np.asarray(self._advance(self.numbers, state, np.array([command1, command2, time])))
+
+
+class LimitCycleDetection:
+    """Compiled detection of limit cycles of a run with a control period [s], one sample per call."""
+
+    def __init__(self, period: float, resolution: float) -> None:
+        empty = Oscillation.empty(jnp.zeros(()))
+        states = FlatTree.like(empty)
+        self._memory: Any = states.pack(empty)
+        self._step = _compiled_detection(states)
+        self._inputs = np.array([0.0, 0.0, 0.0, period, resolution])
+        self._step(self._memory, self._inputs)  # compiles it, if XLA does
+
+    def after(self, angle: float, desired: float, index: int) -> LimitCycle | None:
+        """Limit cycle after the measured angle and the reference [rad] of a period, counted from 0; None for none."""
+        self._inputs[:3] = angle, desired, index
+        self._memory, found = self._step(self._memory, self._inputs)
+        amplitude, period = np.asarray(found).tolist()
+        return LimitCycle(amplitude, period) if amplitude > 0 else None
+
+
+@functools.lru_cache(1)
+def _compiled_detection(states: FlatTree) -> Callable[..., Any]:
+    def step(memory: Array, inputs: Array) -> tuple[Array, Array]:
+        angle, desired, index, period, resolution = inputs
+        so_far = states.unpack(memory).after(angle, desired, index, resolution)
+        return states.pack(so_far, jnp), jnp.stack(so_far.limit_cycle(index + 1, period))
+
+    return compile_flat(step, states.size, 5)
 
 
 @compiled

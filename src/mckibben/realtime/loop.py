@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mckibben.codegen.native import warn_of_fallback
 from mckibben.errors import ExportError, McKibbenError, RigError, StoppedError
 from mckibben.realtime.compiled_loop import compute_periods
-from mckibben.realtime.compiled_step import ControlProgram
+from mckibben.realtime.compiled_step import ControlProgram, LimitCycleDetection
 from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.realtime.wiring import Connected, JointReading
@@ -26,7 +26,8 @@ from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import JointMonitor, StopFlag
-from mckibben.units import bar
+from mckibben.simulation.oscillation import LimitCycle
+from mckibben.units import bar, deg
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
 _TIMER_SLACK = 29  # PR_SET_TIMERSLACK of Linux
@@ -53,6 +54,8 @@ class RunPlan:
         which the controller holds the first reference.
     command_limits
         Range of the commands of each muscle [Pa]: (lowest, highest), (lowest, highest).
+    angle_resolution
+        Step of the sensor of the angle [rad], 0 for none; smaller limit cycles are not reported.
     """
 
     references: NDArray[np.float64]
@@ -61,6 +64,7 @@ class RunPlan:
     settling: int
     pressures: tuple[float, float]
     command_limits: tuple[tuple[float, float], tuple[float, float]]
+    angle_resolution: float = 0.0
 
     @property
     def periods(self) -> int:
@@ -77,7 +81,10 @@ class RunPlan:
 
 
 class RunProgress(NamedTuple):
-    """Progress of a run: time and duration [s], phase, reading, reference angle [rad], missed deadlines."""
+    """Progress of a run: time and duration [s], phase, reading, reference angle [rad], missed deadlines.
+
+    `limit_cycle` is that of the closed loop so far, None for none.
+    """
 
     time: float
     duration: float
@@ -85,6 +92,7 @@ class RunProgress(NamedTuple):
     reading: JointReading
     reference: float
     missed: int
+    limit_cycle: LimitCycle | None = None
 
 
 @dataclass(frozen=True)
@@ -276,6 +284,9 @@ class ControlLoop:
         self._inputs = np.zeros(6)
         self._commands: tuple[float, float] | None = None
         self._together = together if isinstance(backend, SimulatedJoint) and backend.can_run_ahead else 1
+        self._detection = LimitCycleDetection(plan.period, plan.angle_resolution)
+        self._first = 0  # sample of the controller's first step
+        self._limit_cycle: LimitCycle | None = None
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
@@ -370,7 +381,8 @@ class ControlLoop:
         self._missed += lost + last + (commanded > times[last] + plan.period * (1 + 1e-9))
         if self._progress is not None:
             duration = plan.periods * plan.period
-            self._progress(RunProgress(times[last], duration, plan.phase(number), reading, reference, self._missed))
+            shown = times[last], duration, plan.phase(number), reading, reference, self._missed
+            self._progress(RunProgress(*shown, self._limit_cycle))
 
     def _record(
         self,
@@ -407,7 +419,7 @@ class ControlLoop:
         reference = plan.references[max(number - plan.raising - plan.settling, 0)]
         if self._stepped is None:
             self._state = self._program.init(*reading)
-            self._stepped = number - 1
+            self._stepped, self._first = number - 1, number
         inputs = self._inputs
         inputs[0:2] = reference
         inputs[2], inputs[3], inputs[4] = angle, pressure1, pressure2
@@ -416,7 +428,17 @@ class ControlLoop:
         self._state, values = self._program.step(self._state, inputs)
         commands, limited = self._command(values[:2].tolist())
         self._rows.commanded(row, reference, commands, limited, values[2:])
+        self._detect(number - self._first, angle, float(reference[0]))
         return float(reference[0])
+
+    def _detect(self, index: int, angle: float, reference: float) -> None:
+        """Record the limit cycle of the closed loop when it is first found."""
+        found = self._detection.after(angle, reference, index)
+        if found is not None and self._limit_cycle is None:
+            amplitude, period = map(float, found)
+            text = f"the angle oscillates by {amplitude / deg:.3g} deg either way with a period of {period:.3g} s"
+            self._rows.event("limit cycle", text, amplitude=amplitude, period=period)
+        self._limit_cycle = found
 
     def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:
         """Command pressures [Pa] within their limits; return the commands, and whether they were limited."""

@@ -153,7 +153,8 @@ def measured_result(
     moved = compute_trajectory(_by_laws(plant), references, record, nothing, stiffness_amplitude)
     moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
-    return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario)
+    resolution = float(plant.sensors.angle_resolution)
+    return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario, angle_resolution=resolution)
 
 
 def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -179,6 +179,7 @@ def prepare(
         settling=0 if ideal else round(approach.settling / period),
         pressures=(float(start.pressures[0]), float(start.pressures[1])),
         command_limits=_rated(plant),
+        angle_resolution=float(plant.sensors.angle_resolution),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
     conditions = RunConditions(period, rig.patience, scenario.substeps, paced, start if ideal else None)

@@ -18,7 +18,7 @@ from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import Result, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
-from mckibben.simulation.stability import Margins, margins
+from mckibben.simulation.stability import Margins, disk_margins, margins
 from mckibben.simulation.table import Batch, RunResult
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "compute_metrics",
     "compute_trajectory",
     "differentiate",
+    "disk_margins",
     "dynamic_stiffness",
     "episode",
     "margins",

@@ -150,7 +150,7 @@ def streaming_episode(
         before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
         added = MetricSample.of(now, index, periods, change, at_change, before, SETTLING_PART).totals()
         without = step_without_change(carry, following, setpoint, index)
-        oscillation = carry.oscillation.after(now.angle, now.desired_angle, index)
+        oscillation = carry.oscillation.after(now.angle, now.desired_angle, index, plant.sensors.angle_resolution)
         return _Carry(following, without, carry.total.merge(added), at_change, air, oscillation), {
             name: getattr(now, name) for name in keep
         }

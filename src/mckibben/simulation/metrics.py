@@ -263,14 +263,29 @@ def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
     return {name: metrics[metric] / unit for name, (metric, _, unit) in METRICS.items()}
 
 
-def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART) -> Metrics:
-    """Metrics of a trajectory with a control period [s]; `settling_part` as `SETTLING_PART`."""
+def measure(
+    moved: Trajectory,
+    period: ArrayLike,
+    *,
+    settling_part: float = SETTLING_PART,
+    angle_resolution: ArrayLike = 0.0,
+) -> Metrics:
+    """Metrics of a trajectory with a control period [s].
+
+    `settling_part` as `SETTLING_PART`, and `angle_resolution` a step of the sensor of the angle [rad].
+    """
     change = last_change(moved.desired_stiffness)
-    return measure_since(moved, change, jnp.asarray(moved.stiffness)[change.at], period, settling_part)
+    at_change = jnp.asarray(moved.stiffness)[change.at]
+    return measure_since(moved, change, at_change, period, settling_part, angle_resolution)
 
 
 def measure_since(
-    moved: Trajectory, change: Change, at_change: ArrayLike, period: ArrayLike, settling_part: ArrayLike = SETTLING_PART
+    moved: Trajectory,
+    change: Change,
+    at_change: ArrayLike,
+    period: ArrayLike,
+    settling_part: ArrayLike = SETTLING_PART,
+    angle_resolution: ArrayLike = 0.0,
 ) -> Metrics:
     """`measure` with the last change of the desired stiffness, and the stiffness [N*m/rad] at it."""
     moved = Trajectory(*map(jnp.asarray, moved))
@@ -286,7 +301,8 @@ def measure_since(
 
     start = MetricSample.empty(zero).totals().empty(), (zero, zero)
     (totals, _), _ = lax.scan(following, start, (jnp.arange(periods), moved))
-    course = Course.of(find_limit_cycle(moved.angle, moved.desired_angle, period), change)
+    cycle = find_limit_cycle(moved.angle, moved.desired_angle, period, angle_resolution)
+    course = Course.of(cycle, change)
     return values_of(Metrics, totals, Run(periods, period, course))
 
 

@@ -12,7 +12,8 @@ from mckibben.units import deg
 
 Scalar = Float[Array, ""]
 
-_SWING = 0.2 * deg  # between two turning points; smaller ones are noise
+_AMPLITUDE = 0.1 * deg  # least; smaller ones are noise
+_STEPS = 2  # steps of the sensor of the angle in the least amplitude: a loop hunts by one between two of them
 _SUSTAINED = 0.55  # least swing, relative to the one before
 _REGULAR = 2.0  # largest ratio of two consecutive half-periods
 _HALF_PERIODS = 8  # of a limit cycle, in a row
@@ -48,12 +49,12 @@ class Swings(NamedTuple):
         none = Chain(zero, zero, zero)
         return cls(zero + 1, zero, zero, zero, zero, zero, zero, zero, none, none)
 
-    def after(self, value: ArrayLike, index: ArrayLike) -> Swings:
-        """Return the state after the sample of a control period."""
+    def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
+        """Return the state after the sample of a control period, with the least distance of two turning points."""
         value, at = jnp.asarray(value), jnp.asarray(index, self.extreme.dtype)
         first = at == 0
         further = first | (self.direction * (value - self.extreme) >= 0)
-        turned = ~first & (self.direction * (self.extreme - value) >= _SWING)
+        turned = ~first & (self.direction * (self.extreme - value) >= swing)
         size, duration = jnp.abs(self.extreme - self.last), self.extreme_at - self.last_at
         even = jnp.maximum(duration, self.duration) <= _REGULAR * jnp.minimum(duration, self.duration)
         goes_on = even & (size >= _SUSTAINED * self.size)
@@ -96,9 +97,14 @@ class Oscillation(NamedTuple):
         """Return the state before the first sample, with the float type of `like`."""
         return cls(Swings.empty(like), Swings.empty(like))
 
-    def after(self, angle: ArrayLike, desired: ArrayLike, index: ArrayLike) -> Oscillation:
-        """Return the state after the angle and the reference [rad] of a control period."""
-        return Oscillation(self.error.after(jnp.asarray(angle) - desired, index), self.reference.after(desired, index))
+    def after(self, angle: ArrayLike, desired: ArrayLike, index: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillation:
+        """Return the state after the angle and the reference [rad] of a control period.
+
+        `resolution` is a step of the sensor of the angle [rad], 0 for none: amplitudes below two steps are not counted.
+        """
+        swing = 2 * jnp.maximum(_AMPLITUDE, _STEPS * jnp.asarray(resolution))
+        error = self.error.after(jnp.asarray(angle) - desired, index, swing)
+        return Oscillation(error, self.reference.after(desired, index, 2 * _AMPLITUDE))
 
     def limit_cycle(self, periods: int, period: ArrayLike) -> LimitCycle:
         """Return the limit cycle of a run of so many control periods [s].
@@ -114,13 +120,18 @@ class Oscillation(NamedTuple):
         return LimitCycle(jnp.where(found, amplitude, 0.0), jnp.where(found, cycle * period, jnp.nan))
 
 
-def find_limit_cycle(angle: ArrayLike, desired: ArrayLike, period: ArrayLike) -> LimitCycle:
-    """Return the limit cycle of a run, from angle and reference [rad] of each control period [s]; shape (periods,)."""
+def find_limit_cycle(
+    angle: ArrayLike, desired: ArrayLike, period: ArrayLike, resolution: ArrayLike = 0.0
+) -> LimitCycle:
+    """Return the limit cycle of a run, from angle and reference [rad] of each control period [s]; shape (periods,).
+
+    `resolution` as for `Oscillation.after`.
+    """
     angle, desired = jnp.asarray(angle), jnp.asarray(desired)
 
     def following(so_far: Oscillation, at: tuple[Array, Array, Array]) -> tuple[Oscillation, None]:
         index, angle, desired = at
-        return so_far.after(angle, desired, index), None
+        return so_far.after(angle, desired, index, resolution), None
 
     rows = jnp.arange(angle.size), angle, desired
     return lax.scan(following, Oscillation.empty(angle[0]), rows)[0].limit_cycle(angle.size, period)

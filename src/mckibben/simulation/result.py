@@ -17,7 +17,15 @@ from mckibben.component.columns import Label, attributes, declare
 from mckibben.errors import FileError, Problem
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.simulation.engine import BatchFunction, compute_with
-from mckibben.simulation.metrics import Metrics, Trajectory, first_of_end, last_change, measure_since, trajectory
+from mckibben.simulation.metrics import (
+    SETTLING_PART,
+    Metrics,
+    Trajectory,
+    first_of_end,
+    last_change,
+    measure_since,
+    trajectory,
+)
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
 from mckibben.simulation.table import RunResult
 from mckibben.units import bar, deg, percent
@@ -66,10 +74,11 @@ def compute_trajectory(
     return jax.tree.map(np.asarray, found)
 
 
-def compute_metrics(moved: Trajectory, period: float) -> Metrics:
-    """Metrics of a trajectory with a control period [s]."""
+def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 0.0) -> Metrics:
+    """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
     change = last_change(moved.desired_stiffness, np)
-    parts = jax.tree.map(np.asarray, (moved, change, np.asarray(moved.stiffness)[change.at], period))
+    at_change = np.asarray(moved.stiffness)[change.at]
+    parts = jax.tree.map(np.asarray, (moved, change, at_change, period, SETTLING_PART, angle_resolution))
     kind = parts[0].angle.dtype
     return compute_with("auto", kind, lambda: _native_metrics(parts), lambda: _metrics_by_xla(*parts))[0]
 
@@ -87,7 +96,8 @@ class Result(RunResult):
 
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty, and `engine` the one that computed it, "native" or "xla", or empty.
+    `scenario` the text of the scenario, or empty, `engine` the one that computed it, "native" or "xla", or empty, and
+    `angle_resolution` the step of the sensor of the angle [rad], 0 for none.
     """
 
     kind = Metrics
@@ -99,8 +109,10 @@ class Result(RunResult):
         outcome: Outcome | None = None,
         scenario: str = "",
         engine: str = "",
+        angle_resolution: float = 0.0,
     ) -> None:
         super().__init__(columns, control_period, scenario, engine)
+        self.angle_resolution = angle_resolution
         if outcome is not None:
             self.outcome = outcome
 
@@ -113,11 +125,12 @@ class Result(RunResult):
         band: tuple[np.ndarray, np.ndarray],
         telemetry: Mapping[str, Any],
         scenario: str = "",
+        angle_resolution: float = 0.0,
     ) -> Self:
         """From a trajectory, the attainable stiffness and the controller's telemetry, each of shape (periods,)."""
         known = moved._asdict() | dict(zip(BAND, band, strict=True))
         columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
-        return cls(columns, control_period, scenario=scenario)
+        return cls(columns, control_period, scenario=scenario, angle_resolution=angle_resolution)
 
     @functools.cached_property
     def outcome(self) -> Outcome:
@@ -126,7 +139,7 @@ class Result(RunResult):
 
     def _measure(self) -> Metrics:
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        return compute_metrics(moved, self.control_period)
+        return compute_metrics(moved, self.control_period, self.angle_resolution)
 
     def __repr__(self) -> str:
         errors = [
@@ -161,7 +174,7 @@ class Result(RunResult):
         return f"{sentence} ({'; '.join(spans)})" if spans else sentence
 
     def _attributes(self) -> dict[str, Any]:
-        return super()._attributes() | {"outcome": self.outcome.name}
+        return super()._attributes() | {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write to a NetCDF file, atomically and with a checksum."""
@@ -198,8 +211,9 @@ class Result(RunResult):
         if problems:
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
-        texts = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
-        return cls(values, float(period), Outcome[outcome], *texts)
+        scenario, engine = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
+        resolution = float(table.attrs.get("angle_resolution", 0.0))  # files of earlier versions have none
+        return cls(values, float(period), Outcome[outcome], scenario, engine, resolution)
 
 
 def _outside(columns: Mapping[str, np.ndarray]) -> str:

@@ -350,7 +350,9 @@ def _episode_result(
         ),
     ]
     names = (*Trajectory._fields, *known, *telemetry)
-    return Result(Columns(names, immediate, computed), control_period, scenario=scenario, engine=used)
+    resolution = float(plant.sensors.angle_resolution)
+    columns = Columns(names, immediate, computed)
+    return Result(columns, control_period, scenario=scenario, engine=used, angle_resolution=resolution)
 
 
 def _padded(values: ArrayLike) -> Any:

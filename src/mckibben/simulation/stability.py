@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,13 +15,15 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.numerics.batching import batched_program
+from mckibben.numerics.batching import batched_program, map_chunks, pad_chunk
 from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import LoopState, initial_loop
-from mckibben.simulation.problem import sample_reference, sampling_times
+from mckibben.simulation.problem import AtRest, SimulationProblem, sample_reference, sampling_times, split_runs
 
 _FREQUENCIES = 400  # from a hundredth of the Nyquist frequency up, in equal ratios
+_FEW_FREQUENCIES = 60  # of margins of many runs
+_LANES = 8  # runs of one call
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
 
 
@@ -30,9 +33,9 @@ class LinearLoop(NamedTuple):
     u are the commands of the controller, and d a disturbance of them.
     """
 
-    a: Array
-    b: Array
-    c: Array
+    a: Any
+    b: Any
+    c: Any
 
 
 class Margins(NamedTuple):
@@ -96,21 +99,87 @@ def margins(
     SimulationError
         If the times do not fit together.
     """
-    delay = getattr(plant.sensors, "delay", 0.0) * control_period + (plant.command_delay or 0.0)
-    plant = dataclasses.replace(plant.with_ideal_io(), command_delay=delay or None)
-    plant, controller = plant.with_period(control_period), controller.with_period(control_period)
+    plant = _without_noise(plant, control_period).with_period(control_period)
+    controller = controller.with_period(control_period)
     times = sampling_times(duration, control_period, substeps)
-    chosen = np.unique(np.linspace(0, times.size - 1, points).round().astype(int))
+    chosen = _chosen(times.size, points)
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
     setpoints = sample_reference(reference, times)
     loops = _linearised(
         plant, controller, initial, jnp.asarray(control_period), setpoints, jnp.asarray(chosen), substeps
     )
-    found = [
-        _margins_of(np.asarray(a), np.asarray(b), np.asarray(c), control_period) for a, b, c in zip(*loops, strict=True)
-    ]
+    found = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
     radius, gain, phase, delays, disk, sensitivity, loci = (np.array(column) for column in zip(*found, strict=True))
     return Margins(times[chosen], radius, gain, phase, delays, disk, _frequencies(control_period), sensitivity, loci)
+
+
+def disk_margins(
+    plant: JointPlant,
+    controller: Controller,
+    reference: Reference,
+    initial: AtRest | PlantState | None = None,
+    *,
+    duration: float,
+    control_period: float = 1e-3,
+    substeps: int = 4,
+    points: int = 4,
+) -> NDArray[np.float64]:
+    """Return the least disk margin along each of many runs: 0 if a point is unstable, NaN if a run cannot start.
+
+    As `margins`, at fewer points and frequencies, for a batch: arguments as for `simulate_many`, with arrays in place
+    of numbers. Shape (runs,).
+
+    Raises
+    ------
+    ParameterError
+        If all runs are the same.
+    SimulationError
+        If the times do not fit together.
+    """
+    times = sampling_times(duration, control_period, substeps)
+    problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)
+    lanes, shared, count = split_runs(problem, {}, control_period, "margins")
+    period, chosen = jnp.asarray(control_period), jnp.asarray(_chosen(times.size, points))
+
+    def of_chunk(piece: slice) -> list[float]:
+        found = _linearised_lanes(pad_chunk(lanes, piece, _LANES), shared, times, period, chosen, substeps)
+        loops, exists = jax.tree.map(lambda leaf: np.asarray(leaf)[: piece.stop - piece.start], found)
+        each = zip(zip(*loops, strict=True), exists, strict=True)
+        return [_least_disk_margin(LinearLoop(*loop), control_period) if starts else np.nan for loop, starts in each]
+
+    return np.concatenate([found for _, found in map_chunks(of_chunk, count, _LANES)])
+
+
+def _without_noise(plant: JointPlant, period: float) -> JointPlant:
+    """The plant with perfect sensors, whose reading delay counts as one of the commands."""
+    own = 0.0 if plant.command_delay is None else plant.command_delay
+    delay = getattr(plant.sensors, "delay", 0.0) * period + own
+    return dataclasses.replace(plant.with_ideal_io(), command_delay=delay if np.any(delay) else None)
+
+
+def _chosen(periods: int, points: int) -> NDArray[np.int64]:
+    """Control periods in equal distances."""
+    return np.unique(np.linspace(0, periods - 1, points).round().astype(int))
+
+
+@compiled_as_given
+def _linearised_lanes(
+    lanes: SimulationProblem,
+    shared: SimulationProblem,
+    times: ArrayLike,
+    period: Array,
+    chosen: Array,
+    substeps: int,
+) -> tuple[LinearLoop, Array]:
+    """Linearisations of many runs, leaves of shape (runs, points, ...), and whether each can start."""
+
+    def one(lane: SimulationProblem) -> tuple[LinearLoop, Array]:
+        run = eqx.combine(lane, shared)
+        setpoints = sample_reference(run.reference, times)
+        start, exists = run.start(setpoints)
+        return _linearised(run.plant, run.controller, start, period, setpoints, chosen, substeps), exists
+
+    return lax.map(one, lanes)  # in parallel they take minutes to compile
 
 
 @compiled_as_given
@@ -154,26 +223,47 @@ def _linearised(
         return lax.map(linearise, chosen)
 
 
-def _frequencies(period: float) -> NDArray[np.float64]:
+def _frequencies(period: float, count: int = _FREQUENCIES) -> NDArray[np.float64]:
     """Frequencies [Hz] of the response."""
-    return np.geomspace(0.01, 1.0, _FREQUENCIES) / (2 * period)
+    return np.geomspace(0.01, 1.0, count) / (2 * period)
 
 
-def _margins_of(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], period: float
-) -> tuple[ArrayLike, ...]:
-    """Radius, gain, phase, delay and disk margin, sensitivity and loci of a linearised loop."""
+def _radius(a: NDArray[np.float64]) -> float:
+    """Largest modulus of the poles that move."""
     poles = np.linalg.eigvals(a)
-    moving = np.abs(poles[np.abs(poles - 1) > _COUNTER])
-    radius = float(moving.max(initial=0.0))
+    return float(np.abs(poles[np.abs(poles - 1) > _COUNTER]).max(initial=0.0))
+
+
+def _sensitivity(loop: LinearLoop, angles: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Commands over their disturbance, at angles [rad] of a control period; shape (angles, 2, 2)."""
+    a, b, c = loop
+    shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(a)) - a
+    return np.eye(2) + c @ np.linalg.solve(shifted, np.broadcast_to(b, (angles.size, *b.shape)))
+
+
+def _disk(sensitivity: NDArray[np.complex128]) -> float:
+    """Disk margin of a stable loop."""
+    return float(1 / np.linalg.norm(sensitivity - np.eye(2) / 2, 2, axis=(1, 2)).max())
+
+
+def _least_disk_margin(loops: LinearLoop, period: float) -> float:
+    """Least disk margin of the loops at several points; 0 if one is unstable."""
+    angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
+    each = [LinearLoop(*loop) for loop in zip(*loops, strict=True)]
+    if not all(np.isfinite(loop.a).all() and _radius(loop.a) < 1 for loop in each):
+        return 0.0
+    return min(_disk(_sensitivity(loop, angles)) for loop in each)
+
+
+def _margins_of(loop: LinearLoop, period: float) -> tuple[ArrayLike, ...]:
+    """Radius, gain, phase, delay and disk margin, sensitivity and loci of a linearised loop."""
+    radius = _radius(loop.a)
     angles = 2 * np.pi * _frequencies(period) * period
-    identity = np.eye(len(a))
-    response = np.stack([c @ np.linalg.solve(np.exp(1j * w) * identity - a, b) for w in angles])
-    sensitivity = np.eye(2) + response  # of the commands to their disturbance
+    sensitivity = _sensitivity(loop, angles)
     opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
     largest = np.linalg.norm(sensitivity, 2, axis=(1, 2))
-    alpha = 1 / np.linalg.norm(sensitivity - np.eye(2) / 2, 2, axis=(1, 2)).max()
+    alpha = _disk(sensitivity)
     if radius >= 1:
         return radius, 0.0, 0.0, 0.0, 0.0, largest, loci
     gain, phase, delay = _crossings(loci, angles, period)

@@ -26,7 +26,7 @@ from mckibben.scenario import (
     run_many,
     valid_rows,
 )
-from mckibben.simulation import Metrics, differentiate
+from mckibben.simulation import Metrics, differentiate, disk_margins
 from mckibben.simulation.problem import SimulationProblem, check_frequencies, split_problem
 from mckibben.study.parameters import SweptParameter, Table
 from mckibben.study.tune.search import SearchSpace, Vector, is_gain
@@ -91,6 +91,9 @@ class Cost:
         Whether to use the worst of several scenarios or conditions instead of the mean.
     percentile
         Use this percentile of the cost over several scenarios or conditions instead of the mean.
+    disk_margin
+        Least disk margin of the linearised loop (`mckibben.simulation.disk_margins`) in every scenario and condition; 0
+        for none. Parameters without it cost more than any that have it.
 
     Examples
     --------
@@ -105,6 +108,7 @@ class Cost:
     worst: bool = False
     percentile: float | None = None
     delay_margin: float = 0.0
+    disk_margin: float = 0.0
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -120,6 +124,12 @@ class Cost:
         if not (np.isfinite(self.delay_margin) and self.delay_margin >= 0):
             raise ParameterError(
                 f"the delay margin is {self.delay_margin:g} s", value=self.delay_margin, remedy="give 0 (none) or more"
+            )
+        if not 0 <= self.disk_margin < 2:
+            raise ParameterError(
+                f"the disk margin is {self.disk_margin:g}",
+                value=self.disk_margin,
+                remedy="give 0 (none) or more, below 2: no loop has more",
             )
         if self.percentile is not None:
             if not 0 < self.percentile <= 100:
@@ -140,10 +150,11 @@ class Cost:
         worst: bool = False,
         percentile: float | None = None,
         delay_margin: float = 0.0,
+        disk_margin: float = 0.0,
     ) -> Self:
         """Cost from metrics and their scales [SI]."""
         terms = tuple(Term(name, scale) for name, scale in scales.items())
-        return cls(terms, gain_margin, worst, percentile, delay_margin)
+        return cls(terms, gain_margin, worst, percentile, delay_margin, disk_margin)
 
     @property
     def has_margin(self) -> bool:
@@ -172,6 +183,7 @@ def parse_cost(
     worst: bool = False,
     percentile: float | None = None,
     delay_margin: float = 0.0,
+    disk_margin: float = 0.0,
 ) -> Cost:
     """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
 
@@ -212,7 +224,7 @@ def parse_cost(
         except ValueError:
             raise ParameterError(f"{found['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
         terms.append(Term(metric, size, weight))
-    return Cost(tuple(terms), gain_margin, worst, percentile, delay_margin)
+    return Cost(tuple(terms), gain_margin, worst, percentile, delay_margin, disk_margin)
 
 
 def _written(term: Term) -> str:
@@ -228,6 +240,8 @@ def _unit(metric: str) -> str:
 
 FAILED_COST = 1e6
 """Cost of parameters that are invalid or whose runs fail."""
+UNSTABLE_COST = 1e5
+"""Least cost of parameters without the disk margin: at most twice this, as the margin goes to 0."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +313,34 @@ class TuningProblem:
         share = max(cores() // len(self.scenarios), 1)
         with ThreadPoolExecutor(cores()) as pool:
             measured = pool.map(lambda scenario: self._metrics(scenario, rows, share), self.scenarios)
-            return self._combine(np.concatenate([self.cost(each).reshape(self._draws, -1) for each in measured]))[0]
+            costs = self._combine(np.concatenate([self.cost(each).reshape(self._draws, -1) for each in measured]))[0]
+        wanted = self.cost.disk_margin
+        if not wanted:
+            return costs
+        least = np.min([self._disk_margins(scenario, values) for scenario in self.scenarios], axis=0)
+        # Feasible points first, then by their violation: K. Deb, Comput. Methods Appl. Mech. Eng. 186, 2000.
+        return np.where((least < wanted) & (costs < FAILED_COST), UNSTABLE_COST * (2 - least / wanted), costs)
+
+    def _disk_margins(self, scenario: Scenario, values: Vector) -> Vector:
+        """Least disk margin of each row of values [SI] over the conditions; 0 if a condition is invalid."""
+        rows = np.tile(values, (self._draws, 1))
+        table = {name: rows[:, i] for i, name in enumerate(self.space.names)}
+        table |= {name: np.repeat(column, len(values)) for name, column in self.conditions.items()}
+        good = valid_rows(scenario, table)
+        if not good.any():
+            return np.zeros(len(values))
+        table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
+        many = batched(scenario, table, known=self._known(scenario))
+        found = disk_margins(
+            many.plant(),
+            many.control(),
+            many.reference(),
+            initial_state(many),
+            duration=scenario.duration,
+            control_period=scenario.control_period,
+            substeps=scenario.substeps,
+        )
+        return np.where(good, np.nan_to_num(found), 0.0).reshape(self._draws, -1).min(axis=0)
 
     def costs_and_gradients(self, values: Vector) -> tuple[Vector, Vector]:
         """Costs of rows of values [SI], shape (n, parameters), and their derivatives with respect to the values."""
@@ -326,6 +367,8 @@ class TuningProblem:
 
     def check_smooth(self) -> None:
         """Raise an error if the cost is not differentiable with respect to the parameters."""
+        if self.cost.disk_margin:
+            raise ParameterError("the disk margin has no gradient", remedy="use cma or evolution for it")
         rough = [name for name in self.cost.metrics if name not in SMOOTH]
         if rough:
             raise ParameterError(

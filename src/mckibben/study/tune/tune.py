@@ -21,7 +21,7 @@ from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, json_record, read_header
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
-from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem, parse_cost
+from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, Cost, TuningProblem, parse_cost
 from mckibben.study.tune.search import (
     Method,
     SearchSpace,
@@ -283,6 +283,7 @@ def tune(
         "gain_margin": cost.gain_margin,
         "delay_margin": cost.delay_margin,
         "worst": cost.worst,
+        **({"disk_margin": cost.disk_margin} if cost.disk_margin else {}),
         **({} if cost.percentile is None else {"percentile": cost.percentile}),
         **({} if not conditions else {"conditions": {name: np.asarray(x).tolist() for name, x in conditions.items()}}),
         "method": method.value,
@@ -320,6 +321,15 @@ def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector]
             f"none of the {len(past.trials)} evaluated points has a cost: their values are not valid together, "
             "their runs fail, or a metric is not defined for them",
             remedy="search other ranges, from more starts, by another method or with another cost",
+        )
+    wanted = problem.cost.disk_margin
+    if wanted and past.best.cost >= UNSTABLE_COST:
+        raise ParameterError(
+            f"none of the {len(past.trials)} evaluated points has a disk margin of {wanted:g} in all scenarios and "
+            f"conditions; the best has {wanted * (2 - past.best.cost / UNSTABLE_COST):.3g}",
+            field="disk_margin",
+            value=wanted,
+            remedy="search lower gains, allow more iterations, or ask for less",
         )
     space = problem.space
     point = np.array(past.best.point)
