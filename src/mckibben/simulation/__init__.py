@@ -13,7 +13,7 @@ from mckibben.simulation.metrics import (
     settling_band,
     trajectory,
 )
-from mckibben.simulation.problem import AtRest, sampled, without_last_change
+from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
 from mckibben.simulation.result import Outcome, Result, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
 from mckibben.simulation.stability import Margins, margins
@@ -46,6 +46,7 @@ __all__ = [
     "rms",
     "run_episode",
     "sampled",
+    "sampled_signal",
     "settling_band",
     "simulate",
     "simulate_many",
