@@ -1,48 +1,100 @@
-"""A command in a new process: what a user waits for."""
+"""A command in a new process: its processor time against that of `import jax`, in the same run.
+
+`python benchmarks/cold.py` prints this table alone.
+"""
 
 from __future__ import annotations
 
 import os
+import resource
+import statistics
 import subprocess
 import sys
+import tempfile
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from rows import Candidate, Table
-from timing import Bench
+from rows import Row, Table
+from tables import as_markdown
 
 ROOT = Path(__file__).parents[1]
-SCENARIO = "examples/pre-contracted-step-pid.yaml"
-EMPTY = "python -c pass"
+PID, BP = "examples/pre-contracted-step-pid.yaml", "examples/pre-contracted-step-backprop.yaml"
+DATA, KNEE = "examples/rig.csv", "examples/calibration/knee.yaml"
+IMPORT = "python -c 'import jax'"
 UNSET = ("JAX_PLATFORMS", "JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
+COMMANDS: tuple[tuple[str, ...], ...] = (
+    ("--help",),
+    ("laws",),
+    ("simulate", PID),
+    ("simulate", PID, "--out"),
+    ("identify", DATA),
+    ("identify", DATA, "--out"),
+    ("envelope", PID),
+    ("calibrate", KNEE, "--weight", "0.5 kg", "--distance", "200 mm", "--out"),
+)
+"""Commands of which all programs are in the user's cache; `--out` gets a new folder."""
+
+
+@dataclass
+class Command:
+    """A command, and the processor times of its process and its children [s]."""
+
+    name: str
+    arguments: list[str]
+    note: str = ""
+    cache: str = "cache"
+    seconds: list[float] = field(default_factory=list)
+
+    def run(self, folder: Path, *, counts: bool = True) -> None:
+        """Run it once; raises `OSError` if it fails."""
+        environment = {name: value for name, value in os.environ.items() if name not in UNSET}
+        environment["PYTHONPYCACHEPREFIX"] = str(folder / "bytecode")  # as kept for users, in a folder we may write to
+        environment["XDG_CACHE_HOME"] = str(folder / self.cache)
+        with tempfile.TemporaryDirectory(dir=folder) as out:
+            arguments = [*self.arguments, *([f"{out}/results"] if self.arguments[-1] == "--out" else [])]
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            done = subprocess.run(arguments, capture_output=True, text=True, env=environment, cwd=ROOT)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        if done.returncode:
+            raise OSError(f"{self.name}: {done.stderr.strip()}")
+        if counts:
+            self.seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+
+    def row(self, imported: list[float]) -> Row:
+        """Its times, and their ratio: the median of the ratios within a round."""
+        ratios = [one / other for one, other in zip(self.seconds, imported, strict=False)]
+        return Row(
+            self.name,
+            note=self.note,
+            base=IMPORT,
+            seconds=tuple(self.seconds),
+            ratio=statistics.median(ratios),
+            ratio_of_least=min(self.seconds) / min(imported),
+        )
 
 
 def cold(folder: Path, *, quick: bool) -> Table:
     """The table of commands."""
-    bench = Bench(rounds=2 if quick else 5, budget=60.0)
-    command = Path(sys.executable).parent / "mckibben"
-    environment = {name: value for name, value in os.environ.items() if name not in UNSET}
-    environment["PYTHONPYCACHEPREFIX"] = str(folder / "bytecode")  # as it is kept for users, in a folder we may write
-
-    def candidate(name: str, arguments: list[str], *, cache: str = "cache", note: str = "", most: int = 5) -> Candidate:
-        def run() -> None:
-            cached = environment | {"XDG_CACHE_HOME": str(folder / cache)}
-            done = subprocess.run(arguments, capture_output=True, text=True, env=cached, cwd=ROOT)
-            if done.returncode:
-                raise OSError(f"{name}: {done.stderr.strip()}")
-
-        return Candidate(name, run, note=note, base=EMPTY, most=most, warm=most > 1)
-
-    python, simulate = sys.executable, [str(command), "simulate", SCENARIO]
-    bench.entries += [
-        candidate(EMPTY, [python, "-c", "pass"]),
-        candidate("python -c 'import jax'", [python, "-c", "import jax"]),
+    program = str(Path(sys.executable).parent / "mckibben")
+    imported = Command(IMPORT, [sys.executable, "-c", "import jax"])
+    commands = [Command(" ".join(("mckibben", *words)), [program, *words]) for words in COMMANDS]
+    first = [
+        Command(f"mckibben simulate {file}, for the first time", [program, "simulate", file], "nothing cached", name)
+        for name, file in (("PID", PID), ("BP", BP))
     ]
-    if command.exists():
-        bench.entries += [
-            candidate("mckibben --help", [str(command), "--help"]),
-            candidate(f"mckibben simulate {SCENARIO}", simulate, note="compiled programs are kept in the user's cache"),
-            candidate("the same, for the first time", simulate, cache="empty", note="one run, nothing cached", most=1),
-        ]
-    else:
-        bench.say("mckibben", f"no command {command} (pip install -e .)")
-    return Table("A command in a new process", "command", "time", "", bench.timed())
+    if not Path(program).exists():
+        note = f"no command {program} (pip install -e .)"
+        return Table("A command in a new process", "command", "time", "", (Row("mckibben", note=note),))
+    for command in (imported, *commands):
+        command.run(folder, counts=False)
+    for number in range(2 if quick else 5):
+        for command in (imported, *commands, *(first if number == 0 else [])):
+            command.run(folder)
+    rows = tuple(command.row(imported.seconds) for command in (imported, *commands, *first))
+    notes = ("Processor time of the process and its children, in turns; programs and bytecode are cached.",)
+    return Table("A command in a new process", "command", "time", "", rows, notes)
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as place:
+        print(as_markdown(cold(Path(place), quick="--quick" in sys.argv)))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from mckibben.dataset import read_dataset, read_recording
+from mckibben.dataset import read_dataset, read_recording, text
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar
 
@@ -418,3 +418,24 @@ def test_arguments_are_numbers_in_si(read, argument, file):
     with pytest.raises(RangeError) as error:
         read(file(VALID), **{argument: "200 mm"})
     assert error.value.field == argument
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_a_large_text_of_numbers_is_read_exactly(tmp_path, delimiter):
+    random = np.random.default_rng(1)
+    rows = np.column_stack([random.uniform(0, 1, 30_000), 10.0 ** random.uniform(-30, 30, 30_000)])
+    body = "\n".join(delimiter.join(map(repr, row)) for row in rows.tolist())
+    assert len(body) > text._LARGE
+    found = text._table_of(body.encode(), delimiter, len(rows), 2)
+    np.testing.assert_array_equal(found, rows)
+
+
+@pytest.mark.parametrize("wrong", ["1.0", "1.0,2.0,3.0", "1.0,", "1.0,1-2", "1.0,1e", ",1.0"])
+def test_a_large_text_with_another_row_is_not_one_of_numbers(wrong):
+    lines = ["1.0,2.0"] * (text._LARGE // 8 + 10)
+    for several in ([wrong], ["1.0", "1.0,2.0,3.0"]):
+        body = "\n".join([*lines, *several, *lines]).encode()
+        with pytest.raises(ValueError, match=r"."):
+            table = text._table_of(body, ",", 2 * len(lines) + len(several), 2)
+            if not (np.isfinite(table).all() and table.shape == (2 * len(lines) + len(several), 2)):
+                raise ValueError("as for the caller")

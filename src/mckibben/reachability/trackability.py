@@ -26,7 +26,7 @@ from mckibben.reachability.trajectory import (
     reference_trajectory,
     smoothed,
 )
-from mckibben.simulation.problem import sampling_times
+from mckibben.simulation.problem import sampled_signal, sampling_times
 from mckibben.simulation.simulate import attainable_band, time_span
 from mckibben.units import deg
 
@@ -346,7 +346,7 @@ class TrackabilityChecker:
         width, sufficient = self.smoothing_for(reference) if smoothing is None else (smoothing, True)
         trajectory = self.trajectory(reference, width)
         at = self.breakpoints(reference)
-        angle = np.asarray(reference.angle(trajectory.times), float)
+        angle = sampled_signal(reference.angle, trajectory.times)
         jumps = breakpoints(reference.angle, self.times) if isinstance(reference.angle, Step) else np.empty(0)
         change = np.abs(smoothed(reference.angle, self.times, width)[self.checked] - angle) if at.size else 0 * angle
         deviation = float(np.max(change, where=~is_near(trajectory.times, jumps, width), initial=0.0))

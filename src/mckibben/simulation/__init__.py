@@ -15,7 +15,7 @@ from mckibben.simulation.metrics import (
 )
 from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.outcome import Outcome
-from mckibben.simulation.problem import AtRest, sampled, without_last_change
+from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
 from mckibben.simulation.result import Result, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
 from mckibben.simulation.stability import Margins, disk_margins, margins
@@ -53,6 +53,7 @@ __all__ = [
     "rms",
     "run_episode",
     "sampled",
+    "sampled_signal",
     "settling_band",
     "simulate",
     "simulate_many",

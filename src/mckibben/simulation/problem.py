@@ -202,6 +202,20 @@ def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpo
     return jax.tree.map(np.asarray, found)
 
 
+def _value_at(signal: Signal, time: Array) -> Array:
+    return floating(signal(time))
+
+
+_each_value = BatchFunction(_value_at)
+
+
+def sampled_signal(signal: Any, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values of a signal at times [s], computed by a compiled program."""
+    if not isinstance(signal, Signal):  # another function may be one of all times
+        return np.asarray(signal(times), float)
+    return np.asarray(_each_value("auto", numeric(signal), times)[0], float)
+
+
 def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
     """Start times [s] of the control periods in a duration, and the setpoints; `SimulationError` if they do not fit."""
     times = sampling_times(duration, period)
