@@ -117,6 +117,8 @@ UNITS = {
     "disturbance_estimate": ("N*m", "controller's estimate of the disturbance torque"),
     "strength1_estimate": ("1", "controller's estimate of the strength of muscle 1 relative to its law"),
     "strength2_estimate": ("1", "controller's estimate of the strength of muscle 2 relative to its law"),
+    "valve_speed_estimate": ("1", "controller's estimate of the speed of the valves, relative to its model"),
+    "command_delay_estimate": ("s", "controller's estimate of the delay of the commands"),
     "valve_time_constant_estimate": ("s", "controller's estimate of the time constant of the valves"),
     "pressure1": (_PRESSURE, "gauge pressure in muscle 1"),
     "pressure2": (_PRESSURE, "gauge pressure in muscle 2"),
