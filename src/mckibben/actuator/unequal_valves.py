@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 
@@ -100,6 +101,12 @@ class UnequalValves(Actuator):
     def init(self, pressure: Scalar) -> Any:
         """Return the state of muscle 1; see `for_muscle`."""
         return self.muscle1.init(pressure)
+
+    def scaled(self, factor: float) -> Self:
+        """Return the pair with conductances that are larger by a factor, if both are valves with air."""
+        first: Any = self.muscle1
+        second: Any = self.muscle2
+        return dataclasses.replace(self, muscle1=first.scaled(factor), muscle2=second.scaled(factor))
 
     def model_lag(self, joint: AntagonisticJoint) -> Any:
         return _mean(lambda one: one.model_lag(joint), self.muscle1, self.muscle2)

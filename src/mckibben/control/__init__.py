@@ -1,5 +1,6 @@
 """Controllers and references. A controller knows a model of the joint, never the plant."""
 
+from mckibben.control.actuator_adaptation import ActuatorAdaptation
 from mckibben.control.adaptation import LawAdaptation
 from mckibben.control.backprop import BackpropPID, Jacobian
 from mckibben.control.base import (
@@ -39,6 +40,7 @@ from mckibben.control.valve_adaptation import ValveAdaptation
 
 __all__ = [
     "PID",
+    "ActuatorAdaptation",
     "BackpropPID",
     "Constant",
     "Controller",

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import delay_periods
+from mckibben.actuator.base import air_volumes, delay_periods
 from mckibben.component.base import Inherited
+from mckibben.component.columns import Label
+from mckibben.control.actuator_adaptation import ActuatorAdaptation, ActuatorAdaptationState, with_speed
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.model_based import Estimates, ModelBasedControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
@@ -33,11 +35,16 @@ def _plant_delay(scope: Mapping[str, Any]) -> Any:
 
 
 class DelayState(NamedTuple):
-    """State of the inner controller, estimates at the last sample, and commands [Pa] on their way, the last first."""
+    """State of the inner controller, estimates at the last sample, and commands [Pa] on their way, the last first.
+
+    `angle` is the last measured one [rad].
+    """
 
     inner: Any
     estimates: Estimates
     sent: tuple[Pair, ...]
+    adaptation: ActuatorAdaptationState | tuple[()]
+    angle: Scalar
 
 
 class DelayCompensation(ModelBasedControl):
@@ -62,6 +69,9 @@ class DelayCompensation(ModelBasedControl):
         Models of the joint, its load and its valves.
     observer, pressure_observer
         As for `DecouplingControl`. The disturbance is constant over the prediction.
+    actuator_adaptation
+        On-line estimate of the delay and of the speed of the valves, used by the model of the controller too; by
+        default none.
 
     References
     ----------
@@ -71,12 +81,24 @@ class DelayCompensation(ModelBasedControl):
     """
 
     short_name = "delay_compensation"
+    telemetry_labels: ClassVar = {
+        "command_delay_estimate": Label("s", "controller's estimate of the delay of the commands"),
+        "valve_speed_estimate": Label("1", "controller's estimate of the speed of the valves, relative to its model"),
+    }
 
     controller: Controller = eqx.field(kw_only=True)
     command_delay: Annotated[CommandDelay, Inherited(_plant_delay)] = eqx.field(kw_only=True)
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
+    actuator_adaptation: ActuatorAdaptation | None = eqx.field(kw_only=True, default=None)
     periods: int | None = eqx.field(kw_only=True, default=None, static=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.actuator_adaptation is not None:
+            self.actuator_adaptation.check_valve(self.valve)
+            if isinstance(self.controller, ModelBasedControl):
+                self.actuator_adaptation.check_valve(self.controller.valve)
 
     @property
     def observers(self) -> tuple[Observer, PressureObserver]:
@@ -84,7 +106,10 @@ class DelayCompensation(ModelBasedControl):
 
     def with_period(self, period: float) -> Self:
         prepared = super().with_period(period)
-        return dataclasses.replace(prepared, periods=delay_periods(self.command_delay, period))
+        adaptation, longest = self.actuator_adaptation, self.command_delay
+        if adaptation is not None:
+            longest = adaptation.longest_delay(longest)
+        return dataclasses.replace(prepared, periods=delay_periods(longest, period))
 
     def init(self, measurement: Measurement) -> DelayState:
         if self.periods is None:
@@ -93,9 +118,20 @@ class DelayCompensation(ModelBasedControl):
                 remedy="use controller.with_period(period)",
             )
         sent = (measurement.pressures,) * (self.periods + 1)
-        return DelayState(self.controller.init(measurement), self.init_estimates(measurement), sent)
+        adaptation = self.actuator_adaptation
+        adapted = () if adaptation is None else adaptation.init(self.valve, self.command_delay, measurement.pressures)
+        return DelayState(
+            self.controller.init(measurement), self.init_estimates(measurement), sent, adapted, measurement.angle
+        )
 
     def step(
+        self, state: DelayState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+    ) -> tuple[DelayState, Pair]:
+        adapted = self._adapt_actuator(state, measurement, period)
+        following, commands = self._with_estimates(adapted)._step(state, setpoint, measurement, period)
+        return following._replace(adaptation=adapted), commands
+
+    def _step(
         self, state: DelayState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[DelayState, Pair]:
         delay = self.command_delay / jnp.asarray(period)
@@ -107,10 +143,45 @@ class DelayCompensation(ModelBasedControl):
         inner, commands = self.controller.step(state.inner, setpoint._replace(angle=angle), expected, period)
         unused = ("torque", "stiffness", "added_stiffness", "commands", "saturated")  # not computed in exported C
         estimates = estimates._replace(**{name: getattr(state.estimates, name) for name in unused})
-        return DelayState(inner, estimates, (commands, *state.sent[:-1])), commands
+        sent = (commands, *state.sent[:-1])
+        return DelayState(inner, estimates, sent, state.adaptation, measurement.angle), commands
 
     def telemetry(self, state: DelayState) -> dict[str, Scalar]:
-        return self.controller.telemetry(state.inner)
+        signals = self.controller.telemetry(state.inner)
+        if isinstance(state.adaptation, ActuatorAdaptationState):
+            estimates = {
+                "command_delay_estimate": state.adaptation.delay,
+                "valve_speed_estimate": state.adaptation.speed,
+            }
+            signals = signals | estimates
+        return signals
+
+    def _adapt_actuator(
+        self, state: DelayState, measurement: Measurement, period: ArrayLike
+    ) -> ActuatorAdaptationState | tuple[()]:
+        """Estimates of delay and speed after a further measurement."""
+        if self.actuator_adaptation is None or not isinstance(state.adaptation, ActuatorAdaptationState):
+            return state.adaptation
+        angle, pressures = measurement
+        air: Any = (None, None)
+        if self.valve.holds_air:
+            # An observer lags; steps of the encoder cancel in the sum over several periods.
+            velocity, middle = (angle - state.angle) / period, (angle + state.angle) / 2
+            attached = tuple(self.valve.for_muscle(side).attached_volume for side in (0, 1))
+            air = air_volumes(self.model, middle, velocity, pressures, dead_volumes=attached)
+        held = state.adaptation, self.valve, self.command_delay
+        return self.actuator_adaptation.step(*held, state.sent, pressures, air, period)
+
+    def _with_estimates(self, adapted: ActuatorAdaptationState | tuple[()]) -> DelayCompensation:
+        """The controller with estimates in place of delay and speed of its models."""
+        if not isinstance(adapted, ActuatorAdaptationState):
+            return self
+        changed = eqx.tree_at(
+            lambda one: (one.valve, one.command_delay), self, (with_speed(self.valve, adapted.speed), adapted.delay)
+        )
+        if not isinstance(self.controller, ModelBasedControl):
+            return changed
+        return eqx.tree_at(lambda one: one.controller.valve, changed, with_speed(self.controller.valve, adapted.speed))
 
     def _predicted(
         self, model: AntagonisticJoint, estimates: Estimates, sent: tuple[Pair, ...], period: ArrayLike
