@@ -1,5 +1,7 @@
 """Estimation shared by the model-based controllers: adapted strengths act like a model that has them."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +16,7 @@ from mckibben.control import (
     PredictiveControl,
     Setpoint,
 )
+from mckibben.control import base as control_base
 from mckibben.control.adaptation import with_strengths
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import numeric
@@ -73,3 +76,13 @@ def test_strengths_that_were_learned_are_as_good_as_a_model_that_has_them(kind, 
 def test_what_is_no_adaptation_is_named(knee, load):
     with pytest.raises(RangeError, match=r"PredictiveControl: adaptation is a PolePlacement"):
         PredictiveControl(knee, load, adaptation=PolePlacement(60.0))
+
+
+@pytest.mark.parametrize("inherited", [control_base._valve_model, control_base._model_lag])
+def test_a_valve_without_a_known_lag_is_not_inherited_as_a_model(inherited):
+    """A file has to give one; `KeyError` says that there is nothing to inherit."""
+    scope = {"joint": None, "valve": SimpleNamespace(model_lag=lambda joint: None)}
+    with pytest.raises(KeyError):
+        inherited(scope)
+    scope["valve"].model_lag = lambda joint: 0.02
+    assert inherited(scope) in (0.02, scope["valve"])
