@@ -82,7 +82,7 @@ def main() -> None:
         if factor == 1 or now:
             failed, started = unstable(scaled, others)
             line += f"; {failed} of {started} draws unstable"
-            line += f", probability below {3 / started:.1g} (95 %)" if not failed else ""
+            line += f", probability below {3 / started:.2g} (95 %)" if not failed else ""
         print(line + (", certified" if now else ""), flush=True)
         if now:
             break
