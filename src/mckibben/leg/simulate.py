@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,13 +13,28 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from mckibben.errors import SimulationError
+from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.leg.control import LegController
 from mckibben.leg.metrics import LEG_UNITS, LegMetrics, MetricSums
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.notebook import Progress
-from mckibben.simulation.engine import BatchFunction, compute_chunks, run_alone
-from mckibben.simulation.loop import Record, control_period, initial_loop
+from mckibben.simulation.accuracy import (
+    ACCURACY,
+    STEP_UNITS,
+    Positions,
+    Refinement,
+    Resolution,
+    Runs,
+    Steps,
+    check_accuracy,
+    full_vectors,
+    refine,
+    refine_blocks,
+    resolution_of,
+    spacing,
+)
+from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
+from mckibben.simulation.loop import Record, control_period, initial_loop, positions_over_time
 from mckibben.simulation.problem import sampling_times, single_run, split_runs
 from mckibben.simulation.result import variables
 
@@ -60,13 +76,14 @@ def simulate_leg(
     *,
     duration: float,
     control_period: float = 1e-3,
-    substeps: int = 4,
+    accuracy: float = ACCURACY,
+    substeps: int | None = None,
     engine: str = "auto",
 ) -> xr.Dataset:
     """Simulate a leg; the dataset has all states, forces and commands over ``time``.
 
-    Columns of joints have the dimension ``joint``, those of muscles ``muscle``. Attributes: ``units`` of each, and the
-    ``engine`` that computed it.
+    Columns of joints have the dimension ``joint``, those of muscles ``muscle``. Attributes: ``units`` of each, the
+    ``engine`` that computed it, and the fields of `mckibben.simulation.Resolution`.
 
     Parameters
     ----------
@@ -74,30 +91,55 @@ def simulate_leg(
         Leg, controller, and start of the run.
     duration, control_period
         [s]; the first is a multiple of the second.
+    accuracy
+        Accuracy of the angles [rad], and of the position of the trunk [m].
     substeps
-        Integration steps a control period.
+        Integration steps per control period. Default: as many as the accuracy needs.
     engine
         "native", "xla" or "auto", as for `mckibben.simulate`.
 
     Raises
     ------
     SimulationError
-        If the times do not fit together, the step is too long for ground, stops, friction or air, or the run diverges.
+        If the times do not fit together, the step is too long for ground, stops, friction or air, the accuracy cannot
+        be reached, or the run diverges.
     RangeError
         If the start is not possible; see `LegPlant.init_state`.
+
+    Warns
+    -----
+    McKibbenWarning
+        If the run is chaotic, with the time from which.
     """
-    times = sampling_times(duration, control_period, substeps)
+    check_accuracy(accuracy, substeps)
+    times = sampling_times(duration, control_period)
     run = single_run(LegProblem(plant, controller, start), control_period, "simulate_legs")
     plant.check_start(start)
-    plant.check_substeps(start.angles, None, control_period, substeps)
-    record, used = run_alone(engine, run.plant, run.controller, times, run.start, np.asarray(control_period), substeps)
-    table = _table(plant, jax.tree.map(np.asarray, record), times).assign_attrs(engine=used)
+    solutions: list[tuple[Record, str]] = []
+
+    def solve(number: int, _: Any = None) -> Positions:
+        found = run_alone(engine, run.plant, run.controller, times, run.start, np.asarray(control_period), number)
+        solutions[:] = [found]
+        at = found[0].state
+        return np.stack([at.x, at.z, at.pitch, *at.angle])[..., None]
+
+    if substeps is None:
+        first = plant.needed_substeps(start.angles, None, control_period)
+        resolution = resolution_of(refine(solve, 1, accuracy=accuracy, spacing=control_period, first=first), accuracy)
+        if not resolution.resolved:
+            warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=2)
+    else:
+        plant.check_substeps(start.angles, None, control_period, substeps)
+        resolution = Resolution(substeps)
+        solve(substeps)
+    record, used = solutions[0]
+    table = _table(plant, jax.tree.map(np.asarray, record), times).assign_attrs(engine=used, **resolution._asdict())
     wrong = ~np.isfinite(table["z"].to_numpy())
     if wrong.any():
         raise SimulationError(
             f"the run diverges at {times[wrong.argmax()]:.4g} s",
             field="substeps",
-            value=substeps,
+            value=resolution.substeps,
             remedy="give more substeps, or softer stops and ground",
         )
     return table
@@ -111,7 +153,8 @@ def simulate_legs(
     over: Mapping[str, ArrayLike] | None = None,
     duration: float,
     control_period: float = 0.5e-3,
-    substeps: int = 1,
+    accuracy: float = ACCURACY,
+    substeps: int | None = None,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
@@ -126,8 +169,10 @@ def simulate_legs(
     over
         Arrays by the dotted name of a leaf, such as ``{"leg.trunk.mass": [0.9, 1.1]}``: parts of the plant,
         ``controller`` or ``start``.
-    duration, control_period, substeps, engine
+    duration, control_period, engine
         As for `simulate_leg`; forces are sampled once a control period.
+    accuracy, substeps
+        As for `mckibben.simulate_many`; the table has the columns ``substeps``, ``error_estimate`` and ``chaotic``.
     chunk, workers, progress
         As for `mckibben.simulate_many`.
 
@@ -138,15 +183,32 @@ def simulate_legs(
     SimulationError
         If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """
-    times = sampling_times(duration, control_period, substeps)
+    check_accuracy(accuracy, substeps)
+    times = sampling_times(duration, control_period)
     lanes, shared, count = split_runs(LegProblem(plant, controller, start), over or {}, control_period, "simulate_leg")
     first = eqx.combine(jax.tree.map(lambda leaf: leaf[0], lanes), shared)
-    first.plant.check_substeps(first.start.angles, None, control_period, substeps)
-    given = shared, times, np.asarray(control_period), substeps
-    joined, used = compute_chunks(
-        lambda lane: _run(engine, given, lane),
+    given = shared, times, np.asarray(control_period)
+
+    def refine_runs(runs: Runs) -> Refinement:
+        some, every = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), lanes), spacing(times.size)
+
+        def solve(number: int, which: Runs) -> Positions:
+            padded = jax.tree.map(lambda leaf: leaf[..., full_vectors(which)], some)
+            found, _ = _positions(engine, (*given, np.asarray(number), every), padded)
+            return np.stack(found)[..., : which.size]
+
+        least = first.plant.needed_substeps(first.start.angles, None, control_period)
+        return refine(solve, runs.size, accuracy=accuracy, spacing=every * control_period, first=least)
+
+    if substeps is None:
+        steps = refine_blocks(lanes, count, refine_runs, workers)
+    else:
+        first.plant.check_substeps(first.start.angles, None, control_period, substeps)
+        steps = Steps.given(substeps, count)
+    joined, used = compute_groups(
+        lambda lane, number: _run(engine, (*given, dynamic_steps(number)), lane),
         lanes,
-        count,
+        steps.substeps,
         chunk=chunk,
         workers=workers,
         engine=engine,
@@ -155,7 +217,8 @@ def simulate_legs(
     import xarray as xr
 
     finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)
-    table = variables(joined._asdict() | {"diverged": ~finite}, "run", lambda _: "joint", LEG_UNITS)
+    columns = joined._asdict() | {"diverged": ~finite} | steps.columns()
+    table = variables(columns, "run", lambda _: "joint", LEG_UNITS | STEP_UNITS)
     coords = {"joint": [joint.name for joint in plant.leg.joints]}
     return xr.Dataset(table, coords=coords, attrs={"engine": used})
 
@@ -165,6 +228,14 @@ def _run(given: Any, lane: Any) -> LegMetrics:
     """Metrics of one run."""
     shared, *rest = given
     return leg_metrics(*eqx.combine(lane, shared), *rest)
+
+
+@BatchFunction
+def _positions(given: Any, lane: Any) -> tuple[Array, ...]:
+    """Positions of one run over time."""
+    shared, times, period, substeps, every = given
+    own = eqx.combine(lane, shared)
+    return positions_over_time(own.plant, own.controller, times, own.start, period, substeps, every)
 
 
 def _table(plant: LegPlant, record: Record, times: Any) -> xr.Dataset:

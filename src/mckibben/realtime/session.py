@@ -174,7 +174,7 @@ def prepare(
         command_limits=_rated(plant),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
-    conditions = RunConditions(period, rig.patience, scenario.substeps, paced, start if ideal else None)
+    conditions = RunConditions(period, rig.patience, scenario.needed_substeps(), paced, start if ideal else None)
     backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",

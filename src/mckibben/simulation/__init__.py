@@ -1,5 +1,6 @@
 """The sampled-data loop, its result and metrics, and the static feasibility of a reference."""
 
+from mckibben.simulation.accuracy import ACCURACY, Resolution
 from mckibben.simulation.batch import Batch, simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
@@ -17,10 +18,19 @@ from mckibben.simulation.metrics import (
 )
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import Outcome, Result
-from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
+from mckibben.simulation.simulate import (
+    CheckedRun,
+    Feasibility,
+    check_reference,
+    checked_run,
+    needed_substeps,
+    run_episode,
+    simulate,
+)
 from mckibben.simulation.stability import Margins, margins
 
 __all__ = [
+    "ACCURACY",
     "SETTLING_PART",
     "AtRest",
     "Batch",
@@ -32,6 +42,7 @@ __all__ = [
     "Metrics",
     "Mode",
     "Outcome",
+    "Resolution",
     "Result",
     "Trajectory",
     "check_reference",
@@ -45,6 +56,7 @@ __all__ = [
     "episode",
     "margins",
     "measure",
+    "needed_substeps",
     "rms",
     "run_episode",
     "sampled",

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem, SimulationError
 from mckibben.notebook import html_table
+from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure, first_of_end
 from mckibben.simulation.oscillation import compiled_limit_cycle
 from mckibben.units import bar, deg, percent
@@ -205,7 +206,8 @@ class Result:
 
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty, and `engine` what computed it, "native" or "xla", or empty.
+    `scenario` the text of the scenario, or empty, `engine` what computed it, "native" or "xla", or empty, and
+    `resolution` the integration steps per control period with the estimated error of the angle, None if unknown.
     """
 
     def __init__(
@@ -215,11 +217,13 @@ class Result:
         outcome: Outcome | None = None,
         scenario: str = "",
         engine: str = "",
+        resolution: Resolution | None = None,
     ) -> None:
         self.columns = columns
         self.control_period = control_period
         self.scenario = scenario
         self.engine = engine
+        self.resolution = resolution
         if outcome is not None:
             self.outcome = outcome
 
@@ -275,7 +279,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         rows = [(UNITS[name][1], f"{self.metrics[name] / size:.4g}", unit) for name, unit, size in METRICS.values()]
-        return html_table(self.describe(), ("metric", "value", "unit"), rows)
+        about = [self.describe(), *([self.resolution.describe()] if self.resolution else [])]
+        return html_table("; ".join(about), ("metric", "value", "unit"), rows)
 
     def describe(self) -> str:
         """The outcome as a sentence, with the time saturated, slack or outside the domain."""
@@ -314,6 +319,7 @@ class Result:
                 "scenario": self.scenario,
                 "outcome": self.outcome.name,
                 "engine": self.engine,
+                **({} if self.resolution is None else self.resolution._asdict()),
             },
         )
 
@@ -350,8 +356,8 @@ class Result:
         if problems:
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
-        texts = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
-        return cls(values, float(period), Outcome[outcome], *texts)
+        scenario, engine = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
+        return cls(values, float(period), Outcome[outcome], scenario, engine, Resolution.of(table.attrs))
 
 
 def _outside(columns: Mapping[str, np.ndarray]) -> str:

@@ -99,7 +99,7 @@ def margins(
     delay = getattr(plant.sensors, "delay", 0.0) * control_period + (plant.command_delay or 0.0)
     plant = dataclasses.replace(plant.with_ideal_io(), command_delay=delay or None)
     plant, controller = plant.with_period(control_period), controller.with_period(control_period)
-    times = sampling_times(duration, control_period, substeps)
+    times = sampling_times(duration, control_period)
     chosen = np.unique(np.linspace(0, times.size - 1, points).round().astype(int))
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
     setpoints = sample_reference(reference, times)
