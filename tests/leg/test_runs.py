@@ -181,7 +181,7 @@ def test_steps_that_do_not_resolve_the_ground(plant: LegPlant, start: LegStart, 
         simulate_leg(hard, schedule, start, substeps=1, **STEP)
     assert caught.value.field == "substeps" and caught.value.lower is not None
     with pytest.raises(SimulationError):
-        simulate_legs(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, **STEP)
+        simulate_legs(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, substeps=1, **STEP)
 
 
 def test_controllers_of_another_leg(plant: LegPlant, start: LegStart) -> None:

@@ -133,7 +133,7 @@ def simulate_leg(
         resolution = Resolution(substeps)
         solve(substeps)
     record, used = solutions[0]
-    table = _table(plant, jax.tree.map(np.asarray, record), times).assign_attrs(engine=used, **resolution._asdict())
+    table = _table(plant, jax.tree.map(np.asarray, record), times).assign_attrs(engine=used, **resolution.attributes)
     wrong = ~np.isfinite(table["z"].to_numpy())
     if wrong.any():
         raise SimulationError(

@@ -30,7 +30,7 @@ STEP_UNITS = {
 
 _DOUBLINGS = 6  # from 1 to 64 steps
 _FALLING = 1 / 4  # change of the error over three doublings, below which the solution still converges
-_FALLBACK = 4  # steps of a block without a resolved run
+_FALLBACK_DOUBLINGS = 2  # of a block without a resolved run
 _RANDOM, _EXTREME = 4, 28  # probed runs of a block
 
 Positions = NDArray[np.floating]
@@ -51,21 +51,28 @@ class Resolution(NamedTuple):
     error
         Largest distance of the angle from that with half as many steps [rad]; NaN if the number of steps was given.
     unresolved_from
-        Time [s] from which the two solutions are further apart than the accuracy: the run is chaotic. NaN if they are
-        not.
+        Time [s] from which the two solutions are further apart than the accuracy; NaN if they are not.
+    chaotic
+        Whether the error does not fall with the number of steps.
     """
 
     substeps: int
     error: float = math.nan
     unresolved_from: float = math.nan
+    chaotic: bool = False
 
     @classmethod
     def of(cls, attributes: Mapping[Any, Any]) -> Resolution | None:
         """From the attributes of a table; None without them."""
         if any(name not in attributes for name in cls._fields):
             return None
-        substeps, *times = (attributes[name] for name in cls._fields)
-        return cls(int(substeps), *map(float, times))
+        substeps, error, unresolved_from, chaotic = (attributes[name] for name in cls._fields)
+        return cls(int(substeps), float(error), float(unresolved_from), bool(chaotic))
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of a table."""
+        return self._asdict() | {"chaotic": int(self.chaotic)}
 
     @property
     def resolved(self) -> bool:
@@ -86,6 +93,11 @@ class Resolution(NamedTuple):
             return f"{steps}, the integration error is not estimated"
         if self.resolved:
             return f"estimated integration error of the angle: {self.error:.1e} rad ({steps})"
+        if not self.chaotic:
+            return (
+                f"not resolved: from {self.unresolved_from:.4g} s on the angle is less accurate than asked; estimated "
+                f"integration error: {self.error:.1e} rad ({steps})"
+            )
         return (
             f"not resolved: this run is chaotic; from {self.unresolved_from:.4g} s on, solutions with "
             f"{self.substeps // 2} and {self.substeps} integration steps per control period separate, by up to "
@@ -143,13 +155,21 @@ class Refinement(NamedTuple):
     """Result of step doubling by run: the least number of steps that agrees with twice as many, and the error [rad].
 
     Of a run without agreement, `unresolved_from` [s] is the time at which the last two solutions separate, and
-    `converges` is whether its error falls with the number of steps.
+    `converges` is whether its error falls with the number of steps. `errors` has the error by doubling and run, NaN
+    after agreement.
     """
 
     substeps: NDArray[np.int64]
     error: NDArray[np.float64]
     unresolved_from: NDArray[np.float64]
     converges: NDArray[np.bool_]
+    errors: NDArray[np.float64]
+    first: int
+
+    @property
+    def resolved(self) -> NDArray[np.bool_]:
+        """Mask of the runs with agreement."""
+        return np.isnan(self.unresolved_from)
 
 
 def refine(
@@ -167,8 +187,10 @@ def refine(
     of shape (periods, runs).
     """
     runs, substeps = np.arange(count), first
-    found = Refinement(np.full(count, first), np.zeros(count), np.full(count, np.nan), np.ones(count, bool))
     errors = np.full((_DOUBLINGS, count), np.nan)
+    found = Refinement(
+        np.full(count, first), np.zeros(count), np.full(count, np.nan), np.ones(count, bool), errors, first
+    )
     coarse = solve(substeps, runs)
     for doubling in range(_DOUBLINGS):
         fine = solve(2 * substeps, runs)
@@ -185,26 +207,25 @@ def refine(
         if within.all():
             break
         runs, coarse, substeps = runs[~within], fine[..., ~within], 2 * substeps
-    unresolved = ~np.isnan(found.unresolved_from)
-    found.converges[:] = ~unresolved | (errors[-1] < _FALLING * errors[-4])
+    found.converges[:] = found.resolved | (errors[-1] < _FALLING * errors[-4])
     return found
 
 
 def resolution_of(refined: Refinement, accuracy: float) -> Resolution:
     """Resolution of one run that is computed with the finer of the last two solutions.
 
-    Raises `SimulationError` if the run converges, but does not reach the accuracy.
+    Raises `SimulationError` if the run converges, but does not reach an accuracy that is finer than the default.
     """
-    substeps, error, unresolved_from, converges = (column[0].item() for column in refined)
-    if converges and not math.isnan(unresolved_from):
+    substeps, error, unresolved_from, converges = (column[0].item() for column in refined[:4])
+    if converges and not math.isnan(unresolved_from) and accuracy < ACCURACY:
         _raise_unreachable(accuracy, error, f"{2 * substeps} integration steps per control period")
-    return Resolution(2 * substeps, error, unresolved_from)
+    return Resolution(2 * substeps, error, unresolved_from, not converges)
 
 
 def nominal_substeps(refined: Refinement, accuracy: float) -> int:
     """Integration steps per control period of one run that reach the accuracy; 4 or more if the run is chaotic."""
     found = resolution_of(refined, accuracy)
-    return found.substeps // 2 if found.resolved else _FALLBACK
+    return 2**_FALLBACK_DOUBLINGS * refined.first if found.chaotic else found.substeps // 2
 
 
 class Steps(NamedTuple):
@@ -225,7 +246,7 @@ class Steps(NamedTuple):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Columns of a table of runs."""
-        return {"substeps": self.substeps, "error_estimate": self.error, "chaotic": self.chaotic}
+        return {"substeps": self.substeps, "error_estimate": self.error, "chaotic": self.chaotic.astype(np.int8)}
 
 
 def refine_blocks(
@@ -242,15 +263,16 @@ def refine_blocks(
         runs = start + probed_runs(jax.tree.map(lambda leaf: leaf[start : start + BLOCK], lanes))
         return runs, refine_runs(runs)
 
-    steps = Steps.given(_FALLBACK, count)
+    steps = Steps.given(1, count)
     for piece, (runs, found) in map_chunks(refined, len(blocks), 1, workers):
         block = slice(blocks[piece.start], blocks[piece.start] + BLOCK)
-        resolved = np.isnan(found.unresolved_from)
-        if resolved.any():
-            steps.substeps[block] = found.substeps[resolved].max()
-            steps.error[block] = found.error[resolved].max()
-        steps.error[runs] = np.where(resolved, found.error, np.nan)
-        steps.chaotic[runs] = ~resolved
+        first, resolved = found.first, found.resolved
+        doublings = round(math.log2(found.substeps[resolved].max() / first)) if resolved.any() else _FALLBACK_DOUBLINGS
+        errors = np.where(np.isnan(found.errors[doublings]), found.error, found.errors[doublings])
+        steps.substeps[block] = first * 2**doublings
+        steps.error[block] = errors[found.converges].max(initial=0.0) if found.converges.any() else np.nan
+        steps.error[runs] = np.where(found.converges, errors, np.nan)
+        steps.chaotic[runs] = ~found.converges
     return steps
 
 

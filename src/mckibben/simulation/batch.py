@@ -95,7 +95,7 @@ class Batch:
     @property
     def chaotic(self) -> NDArray[np.bool_]:
         """Mask of the runs that were found to be chaotic: they do not converge with the number of integration steps."""
-        return self["chaotic"]
+        return self["chaotic"].astype(bool)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.table[name].to_numpy()

@@ -319,7 +319,7 @@ class Result:
                 "scenario": self.scenario,
                 "outcome": self.outcome.name,
                 "engine": self.engine,
-                **({} if self.resolution is None else self.resolution._asdict()),
+                **({} if self.resolution is None else self.resolution.attributes),
             },
         )
 

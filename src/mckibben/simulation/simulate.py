@@ -205,7 +205,7 @@ def simulate(
         and by how much.
     McKibbenWarning
         If samples of the reference end in motion before the run does, or last ten times as long; or if the run is
-        chaotic, so that its solutions do not agree, with the time from which.
+        not resolved, with the time from which: it is chaotic, or needs more than 64 times the fewest steps.
 
     Raises
     ------
