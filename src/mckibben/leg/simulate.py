@@ -109,7 +109,7 @@ def simulate_leg(
     Warns
     -----
     McKibbenWarning
-        If the run is chaotic, with the time from which.
+        If the run is not resolved, with the time from which.
     """
     check_accuracy(accuracy, substeps)
     times = sampling_times(duration, control_period)

@@ -93,9 +93,17 @@ class RunSettings(DocumentModel):
 
     def _written(self, folder: Path) -> dict[str, Any]:
         packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
-        written = super()._written(folder) | ({"packages": packages} if packages else {})
-        left_out = "accuracy" if written.get("substeps") is not None else "substeps"
-        return {key: one for key, one in written.items() if key != left_out}
+        return super()._written(folder) | ({"packages": packages} if packages else {})
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        return _with_steps_once(handler(self))
+
+
+def _with_steps_once(written: dict[str, Any]) -> dict[str, Any]:
+    """A written document with its substeps or, without them, its accuracy."""
+    left_out = "accuracy" if written.get("substeps") is not None else "substeps"
+    return {key: one for key, one in written.items() if key != left_out}
 
 
 def _classes_in(part: Any) -> Iterator[type]:
@@ -182,7 +190,7 @@ class Scenario(RunSettings):
 
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
-        written = handler(self)
+        written = _with_steps_once(handler(self))
         usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
         return {key: one for key, one in written.items() if usual.get(key) != one}
 
