@@ -263,3 +263,19 @@ def test_parts_of_a_controller_are_prepared_for_the_control_period() -> None:
 
     control = JointwiseControl((Prepared(), Prepared()), TimedReference(())).with_period(1e-3)
     assert [one.periods for one in control.controllers] == [10, 10]  # type: ignore[attr-defined]
+
+
+def test_steps_follow_from_the_accuracy_of_the_positions(plant: LegPlant, start: LegStart) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    low = start._replace(clearance=0.0, upward_speed=-0.3)
+    found, fine = (
+        simulate_leg(plant, schedule, low, **STEP, **given) for given in ({"accuracy": 1e-5}, {"substeps": 64})
+    )
+    apart = max(float(np.abs(found[name] - fine[name]).max()) for name in ("angle", "z", "x", "pitch"))
+    assert found.attrs["error"] <= 1e-5 and apart <= 2e-5 and not found.attrs["chaotic"]
+    given = {"over": {"start.upward_speed": [-0.3, -0.2]}} | STEP
+    table = simulate_legs(plant, schedule, low, accuracy=1e-5, **given)
+    assert np.ptp(table["substeps"].to_numpy()) == 0 and np.all(table["error_estimate"] <= 1e-5)
+    with pytest.raises(SimulationError) as caught:
+        simulate_legs(plant, schedule, low, accuracy=1e-15, **given)
+    assert caught.value.field == "accuracy"

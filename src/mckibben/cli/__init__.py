@@ -147,9 +147,9 @@ def simulate(
         if infeasible:
             echo(f"warning: {infeasible}", err=True)
         table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
-        echo(result.describe())
         if result.resolution:
             echo(result.resolution.describe())
+        echo(result.describe())
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
             echo("air is unknown: a specimen has no initial_diameter or braid_angle")
     if out:
