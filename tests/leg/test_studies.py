@@ -224,7 +224,7 @@ def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> N
     angles = (0.0, -0.35)
     pressures = plant.leg.pressures_for(angles, jumping.standing_torques(plant, angles).tolist(), (None, None))
     variables = jumping.ScheduleVariables(pressures, 0.0, 6e5, 0.05, timed=True)
-    runs = jumping.JumpRuns(plant, LegStart(angles, pressures), variables, 0.25, 0.25e-3)
+    runs = jumping.JumpRuns(plant, LegStart(angles, pressures), variables, 0.25, 0.25e-3, 1)
     tried = np.random.default_rng(1).uniform(0.1, 0.9, (16, 64))
     x = tried[:, runs.heights(tried).argmax()]
     height, gradient = runs.height_and_gradient(x)
