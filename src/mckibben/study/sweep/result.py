@@ -397,7 +397,8 @@ def integration_sentence(numbers: Mapping[str, Any]) -> str:
     error, chaotic = found["error_estimate_rad"], found["runs_chaotic"]
     known = "not estimated" if error is None else f"estimated at no more than {error:.1e} rad"
     some = f"; {chaotic} runs were found to be chaotic: their metrics hold as statistics only" if chaotic else ""
-    return f"integration error of the angle {known} (up to {found['substeps']} steps per control period){some}"
+    steps = "1 integration step" if found["substeps"] == 1 else f"up to {found['substeps']} integration steps"
+    return f"integration error of the angle {known} ({steps} per control period){some}"
 
 
 def _label(name: str) -> str:
