@@ -66,7 +66,8 @@ class RunSettings(DocumentModel):
     @model_validator(mode="before")
     @classmethod
     def _steps_once(cls, value: Any) -> Any:
-        if isinstance(value, dict) and value.get("substeps") is not None and value.get("accuracy") is not None:
+        both = isinstance(value, dict) and value.get("substeps") is not None and value.get("accuracy") is not None
+        if both and value["accuracy"] != ACCURACY:  # the default, as a number, is that of another scenario's fields
             fail_validation("has an accuracy and substeps, which both set the integration steps", "give one of them")
         return value
 
