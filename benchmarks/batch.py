@@ -14,7 +14,7 @@ from engines.plain_c import PlainC
 from engines.simd_lanes import SimdLanes
 from machine import cores as all_cores
 from numpy.typing import NDArray
-from reference import Problem, numbers, with_mass, with_smooth_law
+from reference import SUBSTEPS, Problem, numbers, with_mass, with_smooth_law
 from rows import Candidate, Row, Table
 from timing import Bench, inverted
 
@@ -52,7 +52,8 @@ def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
         rows,
         (
             f"Lanes are the PID episode above{', its first 2 s,' if quick else ''} with external loads of 0.3 to 0.7 "
-            "kg; each gives only the RMS errors of angle and stiffness. All cores: one thread per core.",
+            "kg; each gives only the RMS errors of angle and stiffness. All cores: one thread per core. Four substeps, "
+            "except where the accuracy chooses them.",
             "Valves with air (the last rows) have two pressures, and state of the valves, to integrate; their ratio is "
             "against the first-order valve of the same batch.",
             f"Deviation: the largest of both RMS errors (rad, N*m/rad) from plain C in f64 over {CHECKED} of the "
@@ -113,6 +114,12 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
         run = ours.batch(problem, masses, dtype, cores=cores)
         return candidate("ours, simulate_many", run, masses, note=f"{len(masses)} lanes")
 
+    def accurate() -> Candidate:
+        masses = loads(LANES_OF_OURS * cores)
+        run = ours.batch(problem, masses, dtype, cores=cores, substeps=None)
+        note = f"{len(masses)} lanes; substeps chosen for 1e-6 rad, by step doubling of some lanes"
+        return candidate("ours, accuracy=1e-6", run, masses, note=note, base=f"SIMD by hand, {where}")
+
     def xla() -> Candidate:
         masses = loads(LANES_OF_OURS * cores)
         run = ours.batch(problem, masses, dtype, cores=cores, engine="xla")
@@ -135,6 +142,7 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     bench.add(f"plain C, {where}", plain_c)
     bench.add(f"SIMD by hand, {where}", simd)
     bench.add(f"ours, simulate_many, {where}", our_own)
+    bench.add(f"ours, accuracy=1e-6, {where}", accurate)
     bench.add(f"ours, engine='xla', {where}", xla)
     if cores == 1:
         bench.add(f"ours, SmoothLaw, {where}", smooth_law)
@@ -157,9 +165,10 @@ def _add_valves(bench: Bench, problem: Problem) -> None:
     for name, valve in valves.items():
         part = replace(problem, plant=replace(problem.plant, valve=valve))
         engine = f"ours, {name}, f64, 1 core"
-        run = ours.batch(part, masses, np.float64)
-        made = Candidate(engine, run, work, note="0.4 dm^3/(s*bar), 7 bar", base=OURS)
-        bench.add(engine, lambda made=made: made)
+        for end, steps in (("", SUBSTEPS), (", accuracy=1e-6", None)):
+            run, row = ours.batch(part, masses, np.float64, substeps=steps), f"{engine}{end}"
+            made = Candidate(row, run, work, note="0.4 dm^3/(s*bar), 7 bar", base=engine if end else OURS)
+            bench.add(row, lambda made=made: made)
 
 
 def threaded(engine: PlainC, problem: Problem, masses: NDArray[np.float64], cores: int) -> Callable[[], NDArray[Any]]:

@@ -51,7 +51,7 @@ def environments(seconds):
 
 def in_mujoco(seconds):
     """Rows for MuJoCo, and the largest deviation of the angle over 2 s [rad]."""
-    scenario = Scenario.read(SCENARIO)
+    scenario = Scenario.read(SCENARIO).model_copy(update={"substeps": 4})
     with tempfile.TemporaryDirectory() as folder:
         export(scenario, "mjcf", folder)
         model = load_mujoco(folder)

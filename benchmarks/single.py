@@ -73,7 +73,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
         def run() -> Angles:
             return simulate(problem.plant, controller, REFERENCE, initial=problem.start)["angle"]
 
-        note = "with the feasibility of the reference; torques and forces are computed on demand"
+        note = "1 and 2 substeps, for an accuracy of 1e-6 rad; with the feasibility of the reference"
         return candidate(f"ours, mk.simulate, {_loops(base)}", run, base=base, note=note)
 
     def by_xla(controller: Controller, base: str) -> Candidate:

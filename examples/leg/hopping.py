@@ -40,7 +40,7 @@ def hop(duration: float = 4.0):
     angles = (0 * deg, -8 * deg)
     pressures = plant.leg.pressures_for(angles, (0.0, 0.0), (16.0, 14.0))
     start = LegStart(angles, pressures, clearance=0.03)
-    return simulate_leg(plant, JointwiseControl(controllers, reference), start, duration=duration)
+    return simulate_leg(plant, JointwiseControl(controllers, reference), start, duration=duration, accuracy=1e-4)
 
 
 def flights(run):

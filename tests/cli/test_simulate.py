@@ -240,3 +240,23 @@ def test_a_flipped_bit_of_a_result_is_found(kept):
         path.write_bytes(damaged)
         with pytest.raises(FileError):
             Result.from_netcdf(path)
+
+
+def test_the_accuracy_of_the_command_line_is_that_of_the_run(cli, tmp_path, shortened):
+    text = shortened("pre-contracted-step-pid") + "friction: {torque: 0.3 N*m}\n"
+    (tmp_path / "short.yaml").write_text(text, encoding="utf-8")
+    given, finer = (
+        json.loads(cli("simulate", "short.yaml", "--json", *options).out)["integration"]
+        for options in ((), ("--accuracy", "1e-8 rad"))
+    )
+    assert given["error"] <= 1e-6 and finer["error"] <= 1e-8 and finer["substeps"] > given["substeps"]
+    assert given["unresolved_from"] is None and not given["chaotic"]
+    assert f"({given['substeps']} integration steps" in cli("simulate", "short.yaml").out
+
+
+@pytest.mark.parametrize("accuracy", ["1e-15 rad", "1 mm", "0 rad"])
+def test_an_accuracy_that_cannot_be_reached_is_refused(cli, tmp_path, shortened, accuracy):
+    (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
+    for command in (("simulate",), ("sweep", "--over", "load.mass2=0.4 kg..0.6 kg", "--out", "kept")):
+        found = cli(command[0], "short.yaml", *command[1:], "--accuracy", accuracy)
+        assert found.code == 2 and "accuracy" in found.err

@@ -256,7 +256,7 @@ def test_nothing_is_learned_from_a_slack_muscle(alone):
 def test_the_inverse_is_that_of_the_reference_after_the_lag_of_the_valves(knee):
     """Of a reference with constant acceleration, exactly."""
     lag, acceleration = 0.03, 1.5
-    control = InverseModelControl(loops(knee), valve_time_constant=lag)
+    control = InverseModelControl(loops(knee), valve=FirstOrderValve(lag))
     reference = jax.tree.map(jnp.asarray, ReferenceDerivatives(0.1, 0.2, acceleration, 0.0, 3.0))
     ahead = control._preview(reference, jnp.asarray(15.0), PERIOD)
     assert float(ahead.angle) == pytest.approx(0.1 + 0.2 * lag + acceleration * lag**2 / 2, rel=1e-12)

@@ -168,7 +168,7 @@ def simulated(scenario):
     plant, controller = scenario.plant(), scenario.control()
     plant, controller, initial = numeric((plant, controller, plant.complete_state(scenario.initial(plant))))
     _, setpoints = sampled(scenario.reference(), scenario.duration, PERIOD)
-    _, record = compiled_episode(plant, controller, setpoints, initial, PERIOD, scenario.substeps)
+    _, record = compiled_episode(plant, controller, setpoints, initial, PERIOD, scenario.needed_substeps())
     expected = np.stack([record.state.angle, record.state.velocity, *record.state.pressures, record.commands[0],
                          record.commands[1]], 1)  # fmt: skip
     return setpoints, expected

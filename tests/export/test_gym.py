@@ -75,8 +75,8 @@ def test_the_same_seed_is_the_same_episode(env):
 
 
 @eqx.filter_jit
-def advanced(plant, state, commands):
-    state = plant.advance(state, commands, 1e-3, 4)
+def advanced(plant, state, commands, substeps):
+    state = plant.advance(state, commands, 1e-3, substeps)
     return state, plant.joint.stiffness(state.angle, state.pressures)
 
 
@@ -92,7 +92,7 @@ def test_it_moves_as_the_plant_does_and_the_reward_is_the_documented_one(scenari
         action = np.array([-0.5, 0.25], np.float32)
         before = state
         commands = tuple((low + (high - low) * (action.astype(float) + 1) / 2) * bar)
-        state, stiffness = advanced(plant, state, commands)
+        state, stiffness = advanced(plant, state, commands, scenario.needed_substeps())
         observation, reward, terminated, _, info = env.step(action)
         setpoint = [float(one) for one in reference(period * 1e-3)]
         wanted = [state.angle, (state.angle - before.angle) / 1e-3, *(one / bar for one in state.pressures), *setpoint]

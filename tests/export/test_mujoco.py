@@ -102,7 +102,7 @@ def test_loads_accelerate_as_they_should(load, models, joints):
 @pytest.mark.slow
 def test_the_exported_scenario_runs_as_its_simulation(tmp_path):
     """Two seconds with the commands of the simulation."""
-    scenario = mk.Scenario.read("examples/pre-contracted-step-pid.yaml")
+    scenario = mk.Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"substeps": 4})
     made = export(scenario, "mjcf", tmp_path)
     assert len(made.left_out) == 1  # the controller
     model = load_mujoco(tmp_path)

@@ -201,7 +201,7 @@ def test_steps_that_do_not_resolve_the_ground(plant: LegPlant, start: LegStart, 
         simulate_leg(hard, schedule, start, substeps=1, **STEP)
     assert caught.value.field == "substeps" and caught.value.lower is not None
     with pytest.raises(SimulationError):
-        simulate_legs(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, **STEP)
+        simulate_legs(hard, schedule, start, over={"start.upward_speed": [-1.0, -0.5]}, substeps=1, **STEP)
 
 
 def test_controllers_of_another_leg(plant: LegPlant, start: LegStart) -> None:
@@ -292,7 +292,7 @@ def test_a_finished_run_has_the_metrics_of_a_batch(plant: LegPlant, start: LegSt
     schedule = PressureSchedule(levels, tuple((5e-3,) for _ in levels))
     run = simulate_leg(plant, schedule, start, duration=0.3, substeps=1, control_period=0.5e-3)
     over = {"start.upward_speed": [-1.0, -0.5]}
-    batch = simulate_legs(plant, schedule, start, over=over, duration=0.3, control_period=0.5e-3)
+    batch = simulate_legs(plant, schedule, start, over=over, duration=0.3, control_period=0.5e-3, substeps=1)
     assert np.isfinite(run.metrics["apex"]) and run.metrics["muscle_work"] != 0
     for name, value in run.metrics.items():
         np.testing.assert_allclose(value, batch[name][..., 0], rtol=1e-12, atol=1e-15, err_msg=name)
@@ -305,3 +305,19 @@ def test_a_finished_run_has_the_metrics_of_a_batch(plant: LegPlant, start: LegSt
     assert all(table[name].attrs["units"] for name in (*LegSample._fields, "command", "time"))
     assert run._repr_html_().count("<tr>") == 1 + len(run.metrics)
     assert batch._repr_html_().count("<tr>") == 1 + len(run.metrics) + 1  # the stops of two joints
+
+
+def test_steps_follow_from_the_accuracy_of_the_positions(plant: LegPlant, start: LegStart) -> None:
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    low = start._replace(clearance=0.0, upward_speed=-0.3)
+    found, fine = (
+        simulate_leg(plant, schedule, low, **STEP, **given) for given in ({"accuracy": 1e-5}, {"substeps": 64})
+    )
+    apart = max(float(np.abs(found[name] - fine[name]).max()) for name in ("angle", "z", "x", "pitch"))
+    assert found.resolution.error <= 1e-5 and apart <= 2e-5 and not found.resolution.chaotic
+    given = {"over": {"start.upward_speed": [-0.3, -0.2]}} | STEP
+    table = simulate_legs(plant, schedule, low, accuracy=1e-5, **given)
+    assert np.ptp(table["substeps"]) == 0 and np.all(table["error_estimate"] <= 1e-5)
+    with pytest.raises(SimulationError) as caught:
+        simulate_legs(plant, schedule, low, accuracy=1e-15, **given)
+    assert caught.value.field == "accuracy"

@@ -100,7 +100,7 @@ def test_stiffness_that_is_not_attainable(scenario: LegScenario) -> None:
 def test_step_that_is_too_long(scenario: LegScenario) -> None:
     for study in (study_landing, jumping.study_jump):
         with pytest.raises(ScenarioError) as caught:
-            study(scenario.model_copy(update={"step": 2e-3}))
+            study(scenario.model_copy(update={"step": 2e-3, "substeps": 1}))
         assert caught.value.problems[0].field == "step" and caught.value.problems[0].remedy
 
 
@@ -224,7 +224,7 @@ def test_gradient_of_the_apex_is_that_of_differences(scenario: LegScenario) -> N
     angles = (0.0, -0.35)
     pressures = plant.leg.pressures_for(angles, jumping.standing_torques(plant, angles).tolist(), (None, None))
     variables = jumping.ScheduleVariables(pressures, 0.0, 6e5, 0.05, timed=True)
-    runs = jumping.JumpRuns(plant, LegStart(angles, pressures), variables, 0.25, 0.25e-3)
+    runs = jumping.JumpRuns(plant, LegStart(angles, pressures), variables, 0.25, 0.25e-3, 1)
     tried = np.random.default_rng(1).uniform(0.1, 0.9, (16, 64))
     x = tried[:, runs.heights(tried).argmax()]
     height, gradient = runs.height_and_gradient(x)

@@ -509,4 +509,4 @@ def test_an_example_is_built_as_the_run_of_the_report(name):
     assert repr(example.control()) == repr(run.control())
     assert repr(example.reference()) == repr(run.reference())
     assert example.start == run.start
-    assert (example.duration, example.control_period, example.substeps) == (10.0, 1e-3, 4)
+    assert (example.duration, example.control_period, example.accuracy) == (10.0, 1e-3, 1e-6)

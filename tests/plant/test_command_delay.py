@@ -68,7 +68,7 @@ def test_between_two_periods_it_is_their_mean(late, playback, start):
 def test_runs_of_a_batch_are_those_alone(late, engine):
     scenario = Scenario.parse(SCENARIO)
     parts = {"controller": scenario.control(), "reference": scenario.reference()}
-    times = {"duration": 0.1, "control_period": PERIOD, "engine": engine}
+    times = {"duration": 0.1, "control_period": PERIOD, "engine": engine, "substeps": 4}
     delays = [0.0, 2.4 * PERIOD, 4 * PERIOD]
     if engine == "native" and mk.codegen.native.compiler() is None:
         pytest.skip("there is no C compiler")

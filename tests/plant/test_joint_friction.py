@@ -156,6 +156,7 @@ def test_both_engines_have_the_same_runs_and_batches(scenario):
         np.testing.assert_allclose(runs[0][name], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
     assert np.abs(runs[0]["joint_friction_torque"]).max() == pytest.approx(0.2, rel=1e-6)
     over = {"friction.torque": np.linspace(0.1, 0.3, 3)}
+    timing |= {"substeps": runs[0].resolution.substeps}
     batch = mk.simulate_many(*parts, over=over, keep=["angle"], every=0.01, **timing)
     np.testing.assert_allclose(batch["angle"][1], runs[0]["angle"][::10], rtol=0, atol=1e-9)
 

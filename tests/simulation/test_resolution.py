@@ -68,7 +68,7 @@ def heavily_damped(damping):
 
 def test_a_plant_too_stiff_for_its_substeps_is_refused_with_the_number_that_would_do():
     with pytest.raises(SimulationError) as caught:
-        simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05)
+        simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05, substeps=4)
     assert (caught.value.field, caught.value.value) == ("substeps", 4)
     result = simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05, substeps=int(caught.value.lower))
     assert result.outcome is not Outcome.DIVERGED

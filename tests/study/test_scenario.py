@@ -113,7 +113,8 @@ def test_the_parts_are_those_of_the_text():
     assert isinstance(reference.angle, mk.Multisine)
     np.testing.assert_allclose(reference.angle(0.0), 2 * deg)
     np.testing.assert_allclose(reference.stiffness(1.5), 13.75)
-    assert (scenario.duration, scenario.control_period, scenario.substeps) == (2.0, 0.002, 4)
+    assert (scenario.duration, scenario.control_period) == (2.0, 0.002)
+    assert (scenario.accuracy, scenario.substeps) == (1e-6, None)
     assert Scenario.parse(scenario.dumps()) == scenario
 
 
@@ -211,9 +212,9 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("control_period: 1 ms", "control_period: 0 ms", "control_period", "outside above 0"),
         ("control_period: 1 ms", "control_period: 3 ms", "control_period", "duration 10 s is not a whole number"),
         ("control_period: 1 ms", "control_period: 30 s", "control_period", "choose a duration of 30 s"),
-        ("substeps: 4 ", "substeps: 4.5 ", "substeps", "not a whole number"),
-        ("substeps: 4 ", f"substeps: {'9' * 5000} ", "substeps", "not a whole number"),
-        ("substeps: 4 ", "substeps: 0 ", "substeps", "outside 1 to 1000"),
+        ("accuracy: 1e-6 rad ", "substeps: 4.5 ", "substeps", "not a whole number"),
+        ("accuracy: 1e-6 rad ", f"substeps: {'9' * 5000} ", "substeps", "not a whole number"),
+        ("accuracy: 1e-6 rad ", "substeps: 0 ", "substeps", "outside 1 to 1000"),
         ("name: pre-contracted knee, stiffness step, PID", 'name: "a\\0b"', "name", "not one line"),
         ("name: pre-contracted knee, stiffness step, PID", "name:", "name", "not a name"),
         ("duration: 10 s", "duration: &d 10 s", None, ""),
@@ -408,3 +409,18 @@ def test_a_broken_fit_is_reported_with_both_lines(tmp_path):
     (tmp_path / "fit.yaml").write_text("law: nothing")
     found = only(changed("law: lei-mas-10-180n", "law: fit.yaml"), folder=tmp_path)
     assert found.field == "joint.muscle.law" and "fit.yaml: line 1" in found.message
+
+
+@pytest.mark.parametrize(
+    ("text", "accuracy", "substeps"),
+    [("accuracy: 2e-5 rad", 2e-5, None), ("accuracy: 0.001 deg", 0.001 * deg, None), ("substeps: 3", 1e-6, 3)],
+)
+def test_integration_steps_are_given_or_follow_from_an_accuracy(text, accuracy, substeps):
+    scenario = Scenario.parse(BASE.replace("accuracy: 1e-6 rad ", f"{text} "))
+    assert (scenario.accuracy, scenario.substeps) == (pytest.approx(accuracy, rel=1e-15), substeps)
+    assert Scenario.parse(scenario.dumps()) == scenario
+
+
+def test_an_accuracy_and_substeps_are_not_given_together():
+    with pytest.raises(ScenarioError):
+        Scenario.parse(BASE.replace("accuracy: 1e-6 rad ", "accuracy: 1e-6 rad\nsubsteps: 4 "))

@@ -71,6 +71,9 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
         "outcome": ("run", codes),
         "shortfall_max": ("run", short),
         "infeasible_time": ("run", np.where(np.arange(count) % 50 == 3, 0.5, 0.0)),
+        "substeps": ("run", np.full(count, 2)),
+        "error_estimate": ("run", np.full(count, 1e-9)),
+        "chaotic": ("run", np.zeros(count, np.int8)),
     }
     return SweepResult(xr.Dataset(table, attrs={"title": "made up", "kind": "mckibben sweep"}))
 

@@ -118,6 +118,7 @@ class ValveExperiment:
             initial=part.initial(plant),
             duration=part.duration,
             control_period=part.control_period,
+            accuracy=part.accuracy,
             substeps=part.substeps,
         )
         angle, share = ran["angle"], min(1.0, part.control_period / self.following)

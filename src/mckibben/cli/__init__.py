@@ -28,6 +28,7 @@ from mckibben.cli.identify import identify, points, validate
 from mckibben.cli.leg import leg
 from mckibben.cli.options import (
     INTERRUPTED,
+    Accuracy,
     Force,
     Json,
     Out,
@@ -39,6 +40,7 @@ from mckibben.cli.options import (
     progress,
     results_folder,
     table,
+    with_accuracy,
 )
 from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
 from mckibben.cli.rig import rig
@@ -106,6 +108,7 @@ def simulate(
     animate: Annotated[
         Path | None, Option(metavar="FILE", help="Write an animation of the joint, as .webp or .gif.")
     ] = None,
+    accuracy: Accuracy = "",
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -119,7 +122,7 @@ def simulate(
     results_folder(out, ("result.nc", "results.json", "scenario.yaml", "tracking.png", "tracking.svg"), force)
     from mckibben.scenario import Scenario
 
-    read = Scenario.read(scenario)
+    read = with_accuracy(Scenario.read(scenario), accuracy)
     from mckibben.scenario import run_scenario
     from mckibben.simulation.metrics import in_shown_units
 
@@ -129,6 +132,7 @@ def simulate(
         "scenario": read.name,
         "outcome": result.outcome.name.lower(),
         "described": result.describe(),
+        "integration": result.resolution._asdict() if result.resolution else {},
         "infeasible": infeasible,
         "metrics": in_shown_units(result.metrics),
     }
@@ -142,6 +146,8 @@ def simulate(
         if infeasible:
             echo(f"warning: {infeasible}", err=True)
         table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
+        if result.resolution:
+            echo(result.resolution.describe())
         echo(result.describe())
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
             echo("air is unknown: a specimen has no initial_diameter or braid_angle")

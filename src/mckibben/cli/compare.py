@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from mckibben.cli.options import Json, echo, keeping, long_job, metric, required_folder, table
+from mckibben.cli.options import Accuracy, Json, echo, keeping, long_job, metric, required_folder, table, with_accuracy
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import check_free, make_folder, make_subfolder, to_json, write_json
 
@@ -42,13 +42,14 @@ def compare(
             help="Print one run of the comparison in DIR as a scenario for `mckibben simulate`, such as 'PID 17'.",
         ),
     ] = None,
+    accuracy: Accuracy = "",
     json: Json = False,
 ) -> None:
     """Tune controllers with the same budget, and compare them on the same unseen runs."""
     out = required_folder(out, "comparison")
     from mckibben.study.benchmark import Suite
 
-    read = _smaller(Suite.read(suite), runs, quick)
+    read = _smaller(with_accuracy(Suite.read(suite), accuracy), runs, quick)
     if repeat is not None:
         echo(_alone(out, repeat), nl=False)
         return

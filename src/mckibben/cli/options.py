@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer import Argument, Option
@@ -19,7 +19,9 @@ from mckibben.units import parse_range, quantity
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
+    from mckibben.scenario import RunSettings
 
+Document = TypeVar("Document", bound="RunSettings")
 
 Json = Annotated[bool, Option("--json", help="Print machine-readable results instead of a table.")]
 Out = Annotated[Path | None, Option("--out", metavar="DIR", help="Write results, figures and data here.")]
@@ -36,6 +38,15 @@ Column = Annotated[
 ]
 
 
+Accuracy = Annotated[
+    str,
+    Option(
+        "--accuracy",
+        metavar="ANGLE",
+        help="Accuracy of the angle, such as '1e-6 rad', for which the integration steps are chosen. Default: accuracy "
+        "or substeps of the file.",
+    ),
+]
 Known = Annotated[
     list[str] | None,
     Option(
@@ -134,6 +145,17 @@ def parse_quantity(option: str, text: str, unit: str) -> float:
 def parse_optional_quantity(option: str, text: str, unit: str) -> float | None:
     """Value of an option in SI units, None if it was not given."""
     return parse_quantity(option, text, unit) if text else None
+
+
+def with_accuracy(document: Document, text: str) -> Document:
+    """A scenario or suite with the accuracy of --accuracy, if it was given."""
+    if not text:
+        return document
+    from mckibben.simulation.accuracy import check_accuracy
+
+    accuracy = parse_quantity("--accuracy", text, "rad")
+    check_accuracy(accuracy)
+    return document.model_copy(update={"accuracy": accuracy, "substeps": None})
 
 
 def check_choice(name: str, choices: Iterable[str], what: str) -> None:

@@ -262,7 +262,7 @@ def margins(
 
     read = Scenario.read(scenario)
     plant = read.plant()
-    settings = {"duration": read.duration, "control_period": read.control_period, "substeps": read.substeps}
+    settings = {"duration": read.duration, "control_period": read.control_period, "substeps": read.needed_substeps()}
     found = compute(plant, read.control(), read.reference(), read.initial(plant), points=points, **settings)
     shown = {
         "gain": (found.gain, 1.0, "1"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from mckibben.cli.options import (
+    Accuracy,
     Json,
     Known,
     check_choice,
@@ -20,6 +21,7 @@ from mckibben.cli.options import (
     parse_quantity,
     required_folder,
     table,
+    with_accuracy,
 )
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, to_json, write_json
@@ -65,6 +67,7 @@ def sweep(
         str | None,
         Option(metavar="CLUSTER", help="local (processes of this machine), or tcp://HOST:PORT of a dask scheduler."),
     ] = None,
+    accuracy: Accuracy = "",
     json: Json = False,
 ) -> None:
     """Run a scenario over ranges of its parameters; finished runs are kept, and the sweep can be resumed."""
@@ -77,7 +80,7 @@ def sweep(
         from mckibben.study.sweep import sweep as run
         from mckibben.study.sweep.sweep import JOURNAL
 
-        read = Scenario.read(scenario)
+        read = with_accuracy(Scenario.read(scenario), accuracy)
         if not resume and not (out / JOURNAL).exists():  # an existing sweep is reported by `run`
             check_free(out, ("results.json", "sweep.png", "sweep.svg"))
         names = None if metrics is None else [name.strip() for each in metrics for name in each.split(",")]
@@ -132,7 +135,13 @@ def _write_statistics(swept: SweepResult, out: Path) -> dict[str, Any]:
 
 
 def _print(runs: int, numbers: dict[str, Any]) -> None:
-    from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
+    from mckibben.study.sweep.result import (
+        correlation_rows,
+        feasibility_sentence,
+        integration_sentence,
+        metric_rows,
+        outcome_rows,
+    )
 
     table(f"{numbers['scenario']}: {runs} runs", ("runs", "share", "outcome"), outcome_rows(numbers))
     headers = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "")
@@ -140,6 +149,7 @@ def _print(runs: int, numbers: dict[str, Any]) -> None:
     ranked = ("parameter", "metric", "Spearman")
     table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
     echo(feasibility_sentence(numbers))
+    echo(integration_sentence(numbers))
 
 
 def _show(swept: SweepResult, out: Path, json: bool) -> None:
@@ -226,6 +236,7 @@ def tune(
     engine: Annotated[str, Option(metavar="|".join(_ENGINES), help=f"{_ENGINE} Not for gradients.")] = "auto",
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder: history, tuned scenarios, figure.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the search in DIR.")] = False,
+    accuracy: Accuracy = "",
     json: Json = False,
 ) -> None:
     """Minimise a cost over gains or other parameters of scenarios; a search can be resumed."""
@@ -233,7 +244,7 @@ def tune(
     check_choice(method, _METHODS, "a method")
     from mckibben.scenario import Scenario
 
-    read = [Scenario.read(path) for path in scenarios]
+    read = [with_accuracy(Scenario.read(path), accuracy) for path in scenarios]
     from mckibben.study.parameters import parse_sweeps, sample
     from mckibben.study.tune import Method, parse_cost, parse_ranges
     from mckibben.study.tune import tune as run

@@ -298,12 +298,17 @@ class Lowering(ArrayRules):
 
     def _while(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array] | None:
         """A loop until a condition fails; not for vectors, whose elements end at different iterations."""
-        varies = self._graph.lanes
-        if varies and not self._graph.threads:
-            return None
         outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
         given, constants = arguments[:outside], arguments[outside : outside + inside]
         carry = list(map(self.plain, arguments[outside + inside :]))
+        varying, ends_apart = [False] * len(carry), False
+        if self._graph.lanes:
+            kinds = ([not _is_uniform(x) for x in xs] for xs in (given, constants, carry))
+            varying, ends_apart = _varying_while(parameters, *kinds)
+            if ends_apart and not self._graph.threads:
+                return None
+            if ends_apart:
+                varying = [True] * len(carry)
 
         def condition(values: Sequence[Array]) -> Value:
             return self._closed(parameters["cond_jaxpr"], [*given, *values])[0].item()
@@ -312,10 +317,11 @@ class Lowering(ArrayRules):
 
         def passes(loop: ForLoop) -> list[list[Value]]:
             inner = [
-                array_of(one.shape, lambda at, one=one: self._graph.carry(loop, one[at], not varies)) for one in carry
+                array_of(one.shape, lambda at, one=one, u=not varies: self._graph.carry(loop, one[at], u))
+                for one, varies in zip(carry, varying, strict=True)
             ]
             results = list(map(self.plain, self._closed(parameters["body_jaxpr"], [*constants, *inner])))
-            self._graph.carry(loop, first, not varies)
+            self._graph.carry(loop, first, not ends_apart)
             loop.going = loop.carried[-1]
             following = [value for one in results for value in one.flat]
             for carried, value in zip(loop.carried, [*following, condition(results)], strict=True):
@@ -428,6 +434,14 @@ def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], 
         carry = following
 
 
+def _varying_while(
+    parameters: Any, given: Sequence[bool], constants: Sequence[bool], carry: Sequence[bool]
+) -> tuple[list[bool], bool]:
+    """Loop-carried variables of a `while` that vary over lanes, and whether its condition does."""
+    varying = _varying_carry(parameters["body_jaxpr"], constants, carry, ())
+    return varying, _varying(parameters["cond_jaxpr"].jaxpr, [*given, *varying])[0]
+
+
 def _scan_sizes(parameters: Any) -> tuple[int, int]:
     """Numbers of constants and of carried values of a scan."""
     if "ft_in" in parameters:  # JAX 0.12 and newer
@@ -454,6 +468,10 @@ def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
             end = begin + carries
             carry = _varying_carry(parameters["jaxpr"], given[:begin], given[begin:end], given[end:])
             results = carry + [True] * (len(results) - len(carry))
+        elif equation.primitive.name == "while":
+            begin = parameters["cond_nconsts"]
+            end = begin + parameters["body_nconsts"]
+            results = _varying_while(parameters, given[:begin], given[begin:end], given[end:])[0]
         elif equation.primitive.name == "cond":
             results = [True] * len(results)
         known.update(zip(equation.outvars, results, strict=True))

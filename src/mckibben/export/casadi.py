@@ -52,7 +52,8 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
     71.93
     """
     if isinstance(scenario, Scenario):
-        options = {"control_period": scenario.control_period, "substeps": scenario.substeps} | options
+        own = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
+        options = {"control_period": scenario.control_period} | own | options
     plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
     made = plant_module(plant, **options)
     moving = next((one for one in made.module.functions if "state" in one.arguments), None)

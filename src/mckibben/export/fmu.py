@@ -54,7 +54,7 @@ def plant_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> E
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
     given = scenario.plant()
     plant, initial = numeric((given.with_ideal_io(), scenario.initial(given)))
-    unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.substeps)
+    unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.needed_substeps())
     if not given.has_ideal_io:
         left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
     if given.command_delay is not None:

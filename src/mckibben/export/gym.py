@@ -64,7 +64,7 @@ class _Joint:
             raise ExportError(f"repeat is {repeat!r}", field="repeat", value=repeat, remedy=remedy)
         self.plants = plants_of(self.scenario, random_plant, plants, plants_seed)
         self.most_steps = -(-periods // repeat)
-        self.options = {"substeps": self.scenario.substeps, "repeat": repeat}
+        self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat}
         direct, unit, shown = nominal.valve.direct, bar, "bar"
         rated = [one.specimen.domain for one in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
         ranges = [(float(one.pressure_min), float(one.pressure_max)) for one in rated]

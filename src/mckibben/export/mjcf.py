@@ -314,7 +314,7 @@ def _mjcf(
 def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The plant of a scenario as MJCF, and the plugin for its muscles."""
     plant = scenario.plant()
-    timestep = scenario.control_period / scenario.substeps
+    timestep = scenario.control_period / scenario.needed_substeps()
     model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))
     left_out = ("controller and reference of the scenario: set data.ctrl yourself", *model.left_out)
     files = plugin_files(

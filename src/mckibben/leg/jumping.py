@@ -25,7 +25,8 @@ from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import compiled, numeric
-from mckibben.simulation.engine import BatchFunction
+from mckibben.plant.base import MOST_SUBSTEPS
+from mckibben.simulation.engine import BatchFunction, dynamic_steps
 from mckibben.simulation.problem import sampling_times
 from mckibben.simulation.table import Batch
 from mckibben.units import bar, deg, mm, ms
@@ -219,10 +220,12 @@ class JumpRuns(NamedTuple):
     variables: ScheduleVariables
     duration: float
     step: float
+    substeps: int  # those that the first schedule needs, so that all jumps have the same
 
     def simulate(self, plant: LegPlant, schedule: PressureSchedule) -> Batch:
         """Metrics of many jumps."""
-        return simulate_legs(plant, schedule, self.start, duration=self.duration, control_period=self.step)
+        steps = {"control_period": self.step, "substeps": self.substeps}
+        return simulate_legs(plant, schedule, self.start, duration=self.duration, **steps)
 
     def heights(self, variables: Floats) -> Floats:
         """Height [m] of the apex for columns of variables; 0 where the foot stays on the ground."""
@@ -233,7 +236,8 @@ class JumpRuns(NamedTuple):
         """Height [m] of `heights`, and its gradient by forward differentiation: a direction in each lane."""
         x = np.asarray(variables, float)
         times, period = sampling_times(self.duration, self.step), np.asarray(self.step)
-        shared = numeric((self.plant, self.start, self.variables, x, times, period))
+        steps = dynamic_steps(self.substeps)
+        shared = numeric((self.plant, self.start, self.variables, x, times, period)), steps
         (value, gradient), _ = _derivative(engine, shared, np.eye(x.size))
         return float(np.asarray(value)[0]), np.asarray(gradient)
 
@@ -241,10 +245,10 @@ class JumpRuns(NamedTuple):
 @BatchFunction
 def _derivative(shared: Any, direction: Any) -> tuple[Array, Array]:
     """Height of a jump, and its derivative in one direction."""
-    plant, start, given, variables, times, period = shared
+    (plant, start, given, variables, times, period), steps = shared
 
     def height(x: Array) -> Array:
-        return leg_metrics(plant, given.schedule(x), start, times, period, 1).apex
+        return leg_metrics(plant, given.schedule(x), start, times, period, steps).apex
 
     return jax.jvp(height, (variables,), (direction,))
 
@@ -271,23 +275,27 @@ def study_jump(
     try:
         pressures = leg.pressures_for(angles, standing_torques(plant, angles).tolist(), [None] * len(angles))
         start = LegStart(angles, pressures)
-        plant.check_substeps(angles, None, scenario.step, 1)
+        plant.check_substeps(angles, None, scenario.step, scenario.substeps or MOST_SUBSTEPS)
     except SimulationError as error:
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
     drawn = drawn_plant(scenario)
     standing, length = _standing_heights(plant, drawn)
-    found = []
+    found, duration, substeps = [], scenario.whole_steps(jump.duration), scenario.substeps
     best: Floats | None = None
     for timed in (False, True):
         variables = ScheduleVariables(pressures, jump.low, jump.high, jump.latest, timed)
-        runs = JumpRuns(plant, start, variables, scenario.whole_steps(jump.duration), scenario.step)
+        if substeps is None:
+            schedule = variables.schedule([0.5] * variables.size)
+            nominal = simulate_leg(plant, schedule, start, duration=duration, **scenario.steps)
+            substeps = max((nominal.resolution.substeps if nominal.resolution else 1) // 2, 1)
+        runs = JumpRuns(plant, start, variables, duration, scenario.step, substeps)
         # The constant jump is one of the timed ones.
         guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(pressures))])
         name = "timed pressures" if timed else "constant pressures"
         best = _highest(runs, guess, seed, lambda part, n=name, k=timed: progress and progress(n, (k + part) / 2))
-        found.append(_jump(runs, best, drawn, standing))
+        found.append(_jump(scenario, runs, best, drawn, standing))
     return JumpStudy(scenario, found[0], found[1], float(standing[0]), length)
 
 
@@ -319,10 +327,10 @@ def _highest(runs: JumpRuns, guess: Floats | None, seed: int, report: Callable[[
     return np.asarray(polished.x if polished.fun <= found.fun else found.x)
 
 
-def _jump(runs: JumpRuns, variables: Floats, drawn: LegPlant, standing: Floats) -> Jump:
+def _jump(scenario: LegScenario, runs: JumpRuns, variables: Floats, drawn: LegPlant, standing: Floats) -> Jump:
     """A jump with its traces, and its heights for plants that differ."""
     schedule = runs.variables.schedule([float(one) for one in variables])
-    run = simulate_leg(runs.plant, schedule, runs.start, duration=runs.duration, control_period=runs.step, substeps=1)
+    run = simulate_leg(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.steps)
     table = runs.simulate(drawn, schedule)
     valve: Any = runs.plant.valve
     supply = float(np.asarray(valve.supply if valve.holds_air else runs.variables.high)) + ATMOSPHERE

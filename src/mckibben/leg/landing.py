@@ -23,6 +23,7 @@ from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve
+from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.simulation.table import Batch
 from mckibben.storage.files import explain_write_errors, file_lock
@@ -117,8 +118,7 @@ class LandingStudy:
             start = LegStart(self.angles, commands, 0.0, -float(np.sqrt(2 * plant.gravity * drops[d])))
             schedule = PressureSchedule(tuple((one,) for one in commands))
             duration = self.scenario.whole_steps(self._landing.duration)
-            settings: dict[str, Any] = {"duration": duration, "control_period": self.scenario.step, "substeps": 1}
-            run = simulate_leg(plant, schedule, start, **settings)
+            run = simulate_leg(plant, schedule, start, duration=duration, **self.scenario.steps)
             found[f"{title}: {stiffness[k]:.3g} N*m/rad, {name}, drop of {drops[d] / mm:g} mm"] = plant, run
         return found
 
@@ -267,7 +267,7 @@ def study_landing(
         valves = _valves(nominal, landing.time_constants)
         for valve in valves.values():
             own = eqx.tree_at(lambda x: x.valve, nominal, valve)
-            own.check_substeps(angles, None, scenario.step, 1)
+            own.check_substeps(angles, None, scenario.step, scenario.substeps or MOST_SUBSTEPS)
     except SimulationError as error:
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
@@ -289,7 +289,7 @@ def study_landing(
             PressureSchedule(tuple((one,) for one in commands)),
             LegStart(angles, commands, 0.0, speeds),
             duration=scenario.whole_steps(landing.duration),
-            control_period=scenario.step,
+            **scenario.steps,
             engine=engine,
             progress=report,
         )

@@ -16,8 +16,10 @@ from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import Ground, LegPlant
 from mckibben.muscle import SpringLaw
 from mckibben.plant import IdealValve, PerfectSensors
-from mckibben.scenario.scenario import RunSettings, SensorsPart, ValvePart
+from mckibben.scenario.scenario import RunSettings, SensorsPart, Substeps, ValvePart
+from mckibben.simulation.accuracy import ACCURACY
 from mckibben.units import (
+    Accuracy,
     Angle,
     BoundedInt,
     CommandDelay,
@@ -120,6 +122,9 @@ class JumpSettings(ConfigModel):
 class LegScenario(RunSettings):
     """Leg, valves, ground, and studies; `read` and `dumps` know the units.
 
+    Forces are sampled every `step` [s], which has as many integration steps as the `accuracy` of the angles [rad]
+    needs, or `substeps`.
+
     Examples
     --------
     >>> scenario = LegScenario.read("examples/leg/lei-leg.yaml")
@@ -140,6 +145,8 @@ class LegScenario(RunSettings):
     jump: JumpSettings | None = None
     uncertainty: DrawSettings = DrawSettings()
     step: PositiveTime = 0.25e-3
+    accuracy: Accuracy = ACCURACY
+    substeps: Substeps | None = None
 
     @field_validator("ground", mode="after")
     @classmethod
@@ -209,6 +216,11 @@ class LegScenario(RunSettings):
                 "give a valve such as {class: regulator, ...}, or `time_constants: []`",
             )
         return self
+
+    @property
+    def steps(self) -> dict[str, Any]:
+        """Arguments of a simulation for its integration steps."""
+        return {"control_period": self.step, "accuracy": self.accuracy, "substeps": self.substeps}
 
     def whole_steps(self, duration: float) -> float:
         """The duration [s] as a multiple of the step."""

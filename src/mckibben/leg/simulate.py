@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -13,14 +14,28 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from mckibben.component.columns import Label, attributes, declare, labels_of
-from mckibben.errors import SimulationError
+from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.leg.control import LegController
 from mckibben.leg.metrics import LegMetrics, MetricSums, measure
 from mckibben.leg.plant import LegPlant, LegSample, LegStart
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import compiled
-from mckibben.simulation.engine import BatchFunction, compute_chunks, run_alone
-from mckibben.simulation.loop import Record, control_period, initial_loop
+from mckibben.simulation.accuracy import (
+    ACCURACY,
+    Positions,
+    Refinement,
+    Resolution,
+    Runs,
+    Steps,
+    check_accuracy,
+    full_vectors,
+    refine,
+    refine_blocks,
+    resolution_of,
+    spacing,
+)
+from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
+from mckibben.simulation.loop import Record, control_period, initial_loop, positions_over_time
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import sampling_times, single_run, split_runs
 from mckibben.simulation.table import Batch, RunResult, batch_table
@@ -46,15 +61,24 @@ class LegResult(RunResult):
 
     Columns have shape (periods,), those of joints (joints, periods) and of muscles (muscles, periods), in SI: the
     fields of `LegSample`, ``command``, ``saturated``, and the telemetry of the controller. `joints` and `muscles` are
-    their names, `control_period` is the time between two values [s], and `engine` what computed it, "native" or "xla".
+    their names, `control_period` is the time between two values [s], `engine` the one that computed it, "native" or
+    "xla", and `resolution` the integration steps with the estimated error of the positions.
     """
 
     kind = LegMetrics
 
-    def __init__(self, plant: LegPlant, record: Record, final: Any, control_period: float, engine: str) -> None:
+    def __init__(
+        self,
+        plant: LegPlant,
+        record: Record,
+        final: Any,
+        control_period: float,
+        engine: str,
+        resolution: Resolution | None = None,
+    ) -> None:
         columns = record.state._asdict() | {"command": record.commands, "saturated": record.limited} | record.telemetry
         stacked = {name: np.stack(one) if isinstance(one, tuple) else one for name, one in columns.items()}
-        super().__init__(stacked, control_period, engine=engine)
+        super().__init__(stacked, control_period, engine=engine, resolution=resolution)
         self.joints = tuple(joint.name for joint in plant.leg.joints)
         self.muscles = plant.leg.muscle_names
         self._run = record.state, final, plant
@@ -104,10 +128,12 @@ def simulate_leg(
     *,
     duration: float,
     control_period: float = 1e-3,
-    substeps: int = 4,
+    accuracy: float = ACCURACY,
+    substeps: int | None = None,
     engine: str = "auto",
 ) -> LegResult:
     """Simulate a leg; the result has all states, forces and commands over ``time``, and the metrics of the run.
+
 
     Parameters
     ----------
@@ -115,33 +141,56 @@ def simulate_leg(
         Leg, controller, and start of the run.
     duration, control_period
         [s]; the first is a multiple of the second.
+    accuracy
+        Accuracy of the angles [rad], and of the position of the trunk [m].
     substeps
-        Integration steps per control period.
+        Integration steps per control period. Default: as many as the accuracy needs.
     engine
         "native", "xla" or "auto", as for `mckibben.simulate`.
 
     Raises
     ------
     SimulationError
-        If the times do not fit together, the step is too long for ground, stops, friction or air, or the run diverges.
+        If the times do not fit together, the step is too long for ground, stops, friction or air, the accuracy cannot
+        be reached, or the run diverges.
     RangeError
         If the start is not possible; see `LegPlant.init_state`.
+
+    Warns
+    -----
+    McKibbenWarning
+        If the run is not resolved, with the time from which.
     """
-    times = sampling_times(duration, control_period, substeps)
+    check_accuracy(accuracy, substeps)
+    times = sampling_times(duration, control_period)
     run = single_run(LegProblem(plant, controller, start), control_period, "simulate_legs")
     plant.check_start(start)
-    plant.check_substeps(start.angles, None, control_period, substeps)
-    (final, record), used = run_alone(
-        engine, run.plant, run.controller, times, run.start, np.asarray(control_period), substeps
-    )
+    solutions: list[tuple[tuple[Any, Record], str]] = []
+
+    def solve(number: int, _: Any = None) -> Positions:
+        found = run_alone(engine, run.plant, run.controller, times, run.start, np.asarray(control_period), number)
+        solutions[:] = [found]
+        at = found[0][1].state
+        return np.stack([at.x, at.z, at.pitch, *at.angle])[..., None]
+
+    if substeps is None:
+        first = plant.needed_substeps(start.angles, None, control_period)
+        resolution = resolution_of(refine(solve, 1, accuracy=accuracy, spacing=control_period, first=first), accuracy)
+        if not resolution.resolved:
+            warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=2)
+    else:
+        plant.check_substeps(start.angles, None, control_period, substeps)
+        resolution = Resolution(substeps)
+        solve(substeps)
+    (final, record), used = solutions[0]
     record, final = jax.tree.map(np.asarray, (record, final))
-    result = LegResult(run.plant, record, final, control_period, used)
+    result = LegResult(run.plant, record, final, control_period, used, resolution)
     wrong = ~np.isfinite(result["z"])
     if wrong.any():
         raise SimulationError(
             f"the run diverges at {times[wrong.argmax()]:.4g} s",
             field="substeps",
-            value=substeps,
+            value=resolution.substeps,
             remedy="give more substeps, or softer stops and ground",
         )
     return result
@@ -160,7 +209,8 @@ def simulate_legs(
     over: Mapping[str, ArrayLike] | None = None,
     duration: float,
     control_period: float = 0.5e-3,
-    substeps: int = 1,
+    accuracy: float = ACCURACY,
+    substeps: int | None = None,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
@@ -175,8 +225,10 @@ def simulate_legs(
     over
         Arrays by the dotted name of a leaf, such as ``{"leg.trunk.mass": [0.9, 1.1]}``: parts of the plant,
         ``controller`` or ``start``.
-    duration, control_period, substeps
+    duration, control_period
         As for `simulate_leg`; forces are sampled once per control period.
+    accuracy, substeps
+        As for `mckibben.simulate_many`; the table has the columns ``substeps``, ``error_estimate`` and ``chaotic``.
     chunk, workers, engine, progress
         As for `mckibben.simulate_many`.
 
@@ -187,15 +239,32 @@ def simulate_legs(
     SimulationError
         If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """
-    times = sampling_times(duration, control_period, substeps)
+    check_accuracy(accuracy, substeps)
+    times = sampling_times(duration, control_period)
     lanes, shared, count = split_runs(LegProblem(plant, controller, start), over or {}, control_period, "simulate_leg")
     first = eqx.combine(jax.tree.map(lambda leaf: leaf[0], lanes), shared)
-    first.plant.check_substeps(first.start.angles, None, control_period, substeps)
-    given = shared, times, np.asarray(control_period), substeps
-    joined, used = compute_chunks(
-        lambda lane: _run(engine, given, lane),
+    given = shared, times, np.asarray(control_period)
+
+    def refine_runs(runs: Runs) -> Refinement:
+        some, every = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[runs], 0, -1), lanes), spacing(times.size)
+
+        def solve(number: int, which: Runs) -> Positions:
+            padded = jax.tree.map(lambda leaf: leaf[..., full_vectors(which)], some)
+            found, _ = _positions(engine, (*given, np.asarray(number), every), padded)
+            return np.stack(found)[..., : which.size]
+
+        least = first.plant.needed_substeps(first.start.angles, None, control_period)
+        return refine(solve, runs.size, accuracy=accuracy, spacing=every * control_period, first=least)
+
+    if substeps is None:
+        steps = refine_blocks(lanes, count, refine_runs, workers)
+    else:
+        first.plant.check_substeps(first.start.angles, None, control_period, substeps)
+        steps = Steps.given(substeps, count)
+    joined, used = compute_groups(
+        lambda lane, number: _run(engine, (*given, dynamic_steps(number)), lane),
         lanes,
-        count,
+        steps.substeps,
         chunk=chunk,
         workers=workers,
         engine=engine,
@@ -206,7 +275,7 @@ def simulate_legs(
         angle_max=np.where(finite, 0.0, np.inf), left_domain=joined.time_outside_domain > 0, saturated=False
     )
     columns: dict[str, Any] = {"joint": [joint.name for joint in plant.leg.joints]}
-    for name, column in joined._asdict().items():
+    for name, column in (joined._asdict() | steps.columns()).items():
         dims = ("joint", "run") if isinstance(column, tuple) else ("run",)
         columns[name] = (dims, np.stack(column) if isinstance(column, tuple) else column, attributes(name))
     return Batch(batch_table(columns, codes, over or {}, engine=used), LegMetrics)
@@ -217,3 +286,11 @@ def _run(given: Any, lane: Any) -> LegMetrics:
     """Metrics of one run."""
     shared, *rest = given
     return leg_metrics(*eqx.combine(lane, shared), *rest)
+
+
+@BatchFunction
+def _positions(given: Any, lane: Any) -> tuple[Array, ...]:
+    """Positions of one run over time."""
+    shared, times, period, substeps, every = given
+    own = eqx.combine(lane, shared)
+    return positions_over_time(own.plant, own.controller, times, own.start, period, substeps, every)

@@ -153,6 +153,10 @@ def _run_pid(scenario: Scenario) -> ControllerRun:
     return ControllerRun(scenario, run_scenario(scenario).result, None)
 
 
+def _steps(scenario: Scenario) -> tuple[float, int | None]:
+    return scenario.control_period, scenario.substeps
+
+
 def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
     plant = scenario.plant()
     _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
@@ -160,7 +164,7 @@ def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
 
     def metrics(seed: int) -> Metrics:
         seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
-        run = run_episode(plant, seeded, setpoints, initial, scenario.control_period, scenario.substeps)
+        run = run_episode(plant, seeded, setpoints, initial, *_steps(scenario))
         return Metrics(**run.metrics)  # type: ignore[arg-type]
 
     # One by one, with the program of the single run: a batch would need another compilation.
@@ -177,7 +181,7 @@ def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:
     control, start = scenario.control(), scenario.initial(plant)
 
     def late_error(setpoints: Setpoint) -> float:
-        run = run_episode(plant, control, setpoints, start, scenario.control_period, scenario.substeps)
+        run = run_episode(plant, control, setpoints, start, *_steps(scenario))
         late = run["angle"].size // 2
         return float(rms((run["stiffness"] - run["desired_stiffness"])[late:]))
 

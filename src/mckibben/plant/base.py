@@ -27,6 +27,9 @@ from mckibben.units import CommandDelay
 STABILITY_LIMIT = 2.785
 """Largest product of step and mode on the negative real axis at which the classical Runge-Kutta method is stable."""
 
+MOST_SUBSTEPS = 1000
+"""Largest number of integration steps per control period."""
+
 _SLOWER = {
     "the motion": "less damping and stiffness, or more inertia",
     "the air": "a valve with less conductance, a wider band, a slower spool or regulator, or more dead volume",
@@ -168,11 +171,21 @@ class Plant(Component):
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] that integration steps must resolve by their cause, near angles [rad]."""
 
+    def needed_substeps(self, angles: Any, stiffness: Any, period: float) -> int:
+        """Return the least number of integration steps in a period [s] that resolves the fastest rate of the plant.
+
+        At the first, the lowest and the highest of the angles [rad] of a joint, with a stiffness [N*m/rad], or at the
+        angles of all joints of a leg. Raises `SimulationError` if there is none up to 1000.
+        """
+        needed = max(self.fastest_rates(angles, stiffness).values()) * period / STABILITY_LIMIT
+        if not needed <= MOST_SUBSTEPS:
+            self.check_substeps(angles, stiffness, period, MOST_SUBSTEPS)
+        return max(math.ceil(needed * (1 - _ROUNDING)), 1) if math.isfinite(needed) else 1
+
     def check_substeps(self, angles: Any, stiffness: Any, period: float, substeps: int) -> None:
         """Raise `SimulationError` if integration steps do not resolve the fastest rate of the plant.
 
-        At the first, the lowest and the highest of the angles [rad] of a joint, with a stiffness [N*m/rad], or at the
-        angles of all joints of a leg.
+        At the angles and with the stiffness of `needed_substeps`.
         """
         what, fastest = max(self.fastest_rates(angles, stiffness).items(), key=lambda item: item[1])
         needed = fastest * period / STABILITY_LIMIT

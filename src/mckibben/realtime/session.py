@@ -182,7 +182,7 @@ def prepare(
         angle_resolution=float(plant.sensors.angle_resolution),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
-    conditions = RunConditions(period, rig.patience, scenario.substeps, paced, start if ideal else None)
+    conditions = RunConditions(period, rig.patience, scenario.needed_substeps(), paced, start if ideal else None)
     backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",

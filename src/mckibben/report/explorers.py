@@ -136,6 +136,7 @@ def _attainable(plant: JointPlant) -> Explorer:
 
 def _run(scenario: Scenario, plant: JointPlant) -> Explorer:
     controller: Any = scenario.control()
+    substeps = scenario.needed_substeps()
     initial = plant.complete_state(scenario.initial(plant))
     reference, loops = scenario.reference(), {"position": _GAINS, "stiffness": _STIFFNESS_GAINS}
     places = [(loop, gain) for loop, gains in loops.items() for gain in gains]
@@ -157,7 +158,7 @@ def _run(scenario: Scenario, plant: JointPlant) -> Explorer:
 
     def period(parameters: Any, state: Any, time: Any) -> dict[str, Any]:
         setpoint = Setpoint(reference.angle(time), reference.stiffness(time))
-        given = scenario.control_period, scenario.substeps
+        given = scenario.control_period, substeps
         state, record = control_period(plant, of(parameters), state, setpoint, *given)
         at = record.state
         stiffness = plant.joint.evaluate(at.angle, at.pressures)[1]

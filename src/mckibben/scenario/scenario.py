@@ -32,10 +32,11 @@ from mckibben.plant import (
     PlantState,
     Sensors,
 )
-from mckibben.simulation import AtRest, CheckedRun, checked_run
-from mckibben.units import Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
+from mckibben.simulation import ACCURACY, AtRest, CheckedRun, checked_run, needed_substeps
+from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
+Substeps = Annotated[int, BoundedInt(1, 1000)]
 
 JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
 LoadPart = Annotated[Load, Part(Load)]
@@ -62,6 +63,14 @@ class RunSettings(DocumentModel):
             warnings.warn(text, McKibbenWarning, stacklevel=2)
         return {key: one for key, one in value.items() if key != "packages"}
 
+    @model_validator(mode="before")
+    @classmethod
+    def _steps_once(cls, value: Any) -> Any:
+        both = isinstance(value, dict) and value.get("substeps") is not None and value.get("accuracy") is not None
+        if both and value["accuracy"] != ACCURACY:  # the default, as a number, is that of another scenario's fields
+            fail_validation("has an accuracy and substeps, which both set the integration steps", "give one of them")
+        return value
+
     @field_validator("control_period", mode="after", check_fields=False)
     @classmethod
     def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
@@ -86,6 +95,16 @@ class RunSettings(DocumentModel):
     def _written(self, folder: Path) -> dict[str, Any]:
         packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
         return super()._written(folder) | ({"packages": packages} if packages else {})
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        return _with_steps_once(handler(self))
+
+
+def _with_steps_once(written: dict[str, Any]) -> dict[str, Any]:
+    """A written document with its substeps or, without them, its accuracy."""
+    left_out = "accuracy" if written.get("substeps") is not None else "substeps"
+    return {key: one for key, one in written.items() if key != left_out}
 
 
 def _classes_in(part: Any) -> Iterator[type]:
@@ -129,8 +148,10 @@ class Scenario(RunSettings):
         The initial equilibrium.
     duration, control_period
         [s]; the first is a whole number of the second.
+    accuracy
+        Accuracy of the angle [rad], for which the number of integration steps is chosen.
     substeps
-        Integration steps per control period.
+        Integration steps per control period in place of the accuracy.
 
     Examples
     --------
@@ -154,7 +175,8 @@ class Scenario(RunSettings):
     start: Start = Start()
     duration: Duration = Field(examples=["10 s"])
     control_period: PositiveTime = Field(examples=["1 ms"])
-    substeps: Annotated[int, BoundedInt(1, 1000)] = 4
+    accuracy: Accuracy = ACCURACY
+    substeps: Substeps | None = None
 
     @field_validator("controller", mode="after")
     @classmethod
@@ -169,7 +191,7 @@ class Scenario(RunSettings):
 
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
-        written = handler(self)
+        written = _with_steps_once(handler(self))
         usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
         return {key: one for key, one in written.items() if usual.get(key) != one}
 
@@ -196,6 +218,21 @@ class Scenario(RunSettings):
     def initial(self, plant: JointPlant) -> PlantState:
         """Return the initial equilibrium of a plant; raises UnreachableError if there is none."""
         return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)
+
+    def needed_substeps(self) -> int:
+        """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
+        if self.substeps is not None:
+            return self.substeps
+        plant = self.plant()
+        return needed_substeps(
+            plant,
+            self.control(),
+            self.reference(),
+            self.initial(plant),
+            duration=self.duration,
+            control_period=self.control_period,
+            accuracy=self.accuracy,
+        )
 
 
 def initial_state(scenario: Scenario) -> AtRest:
@@ -245,6 +282,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
             scenario.reference(),
             duration=scenario.duration,
             control_period=scenario.control_period,
+            accuracy=scenario.accuracy,
             substeps=scenario.substeps,
             initial=initial_state(scenario),
             scenario=scenario.dumps(),

@@ -380,6 +380,7 @@ def run_many(
         many.reference(),
         duration=scenario.duration,
         control_period=scenario.control_period,
+        accuracy=scenario.accuracy,
         substeps=scenario.substeps,
         initial=initial_state(many),
         metrics=metrics,

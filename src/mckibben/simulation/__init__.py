@@ -1,5 +1,6 @@
 """The sampled-data loop, its result and metrics, and the static feasibility of a reference."""
 
+from mckibben.simulation.accuracy import ACCURACY, Resolution
 from mckibben.simulation.batch import simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
@@ -17,11 +18,20 @@ from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
 from mckibben.simulation.result import Result, compute_metrics, compute_trajectory
-from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
+from mckibben.simulation.simulate import (
+    CheckedRun,
+    Feasibility,
+    check_reference,
+    checked_run,
+    needed_substeps,
+    run_episode,
+    simulate,
+)
 from mckibben.simulation.stability import Margins, disk_margins, margins
 from mckibben.simulation.table import Batch, RunResult
 
 __all__ = [
+    "ACCURACY",
     "SETTLING_PART",
     "AtRest",
     "Batch",
@@ -34,6 +44,7 @@ __all__ = [
     "Mode",
     "OptimalCommands",
     "Outcome",
+    "Resolution",
     "Result",
     "RunResult",
     "Trajectory",
@@ -49,6 +60,7 @@ __all__ = [
     "episode",
     "margins",
     "measure",
+    "needed_substeps",
     "optimal_commands",
     "rms",
     "run_episode",

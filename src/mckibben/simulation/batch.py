@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -19,20 +20,33 @@ from mckibben.component.columns import attributes
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
-from mckibben.numerics.batching import cast
+from mckibben.numerics.batching import cast, pad_chunk
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.engine import BatchFunction, compute_chunks
-from mckibben.simulation.loop import streaming_episode
+from mckibben.simulation.accuracy import (
+    ACCURACY,
+    Positions,
+    Refinement,
+    Runs,
+    Steps,
+    check_accuracy,
+    full_vectors,
+    probed_runs,
+    refine,
+    refine_blocks,
+    spacing,
+)
+from mckibben.simulation.engine import BatchFunction, chunk_size, compute_groups, dynamic_steps
+from mckibben.simulation.loop import positions_over_time, streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
-from mckibben.simulation.outcome import outcomes
+from mckibben.simulation.outcome import SWUNG_OVER_AT, outcomes
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
     check_names,
+    first_substeps,
     float_type,
     sample_reference,
-    sampled_reference,
     sampling_times,
     split_runs,
 )
@@ -50,7 +64,8 @@ def simulate_many(
     over: Mapping[str, ArrayLike] | None = None,
     duration: float = 10.0,
     control_period: float = 1e-3,
-    substeps: int = 4,
+    accuracy: float = ACCURACY,
+    substeps: int | None = None,
     initial: PlantState | AtRest | None = None,
     metrics: Sequence[str] = Metrics._fields,
     keep: Sequence[str] = (),
@@ -71,6 +86,10 @@ def simulate_many(
     ----------
     plant, controller, reference, duration, control_period, substeps, initial, precision
         As for `simulate`. The feasibility of each reference is not checked; see `check_reference`.
+    accuracy
+        Accuracy of the angles [rad]. The number of integration steps is chosen for each 1024 consecutive runs, by
+        doubling it in the first run, in those with the lowest and highest value of each varied number, and in four
+        random ones. With 32 bits rounding adds about 3e-7 rad.
     over
         Arrays by the dotted name of a leaf, such as ``{"load.mass2": [0.4, 0.5]}``: parts of the plant as in a
         scenario, ``controller``, ``reference`` or ``initial``.
@@ -80,7 +99,7 @@ def simulate_many(
         Names of `Trajectory` to keep over time, and the time between two values [s], by default the control period.
     chunk
         Runs computed together. Default: 1024, 256 by XLA, up to 65,536 by CUDA, fewer where that would leave cores
-        idle. Results with different chunk sizes agree to 1e-12; they do not depend on the number of runs or workers.
+        idle. Results with different chunk sizes agree to 1e-12; they do not depend on the number of workers.
     workers
         Threads. Default: one per core.
     engine
@@ -93,7 +112,7 @@ def simulate_many(
     Warns
     -----
     McKibbenWarning
-        If friction, or the flow of valves, needs more substeps in the first run or in one with an extreme value.
+        If friction, or the flow of valves, needs more than the given substeps in a run with an extreme value.
 
     Raises
     ------
@@ -102,7 +121,8 @@ def simulate_many(
     DeviceError
         If the GPU fails, or has too little memory for a chunk.
     SimulationError
-        If an argument is of the wrong type, the times do not fit together, or a name is not known.
+        If an argument is of the wrong type, the times do not fit together, a name is not known, or the accuracy is
+        beyond rounding.
 
     Examples
     --------
@@ -115,76 +135,125 @@ def simulate_many(
     ...               over={"load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
     <Batch: 3 runs (3 completed), metrics angle_rmse>
     """
-    times = sampling_times(duration, control_period, substeps)
+    kind = float_type(precision)
+    check_accuracy(accuracy, substeps, np.finfo(kind).bits)
+    times = sampling_times(duration, control_period)
     stride = _stride(every, control_period, times.size)
     check_names("metric", metrics, Metrics._fields)
     check_names("column of a trajectory", keep, Trajectory._fields)
-    asked = _Asked(substeps, tuple(metrics), tuple(keep), stride, float_type(precision).name)
+    asked = _Asked(tuple(metrics), tuple(keep), stride, kind.name)
 
     problem = SimulationProblem.of(plant, controller, reference, initial)
     lanes, shared, count = split_runs(problem, over or {}, control_period, alone="simulate")
-    _warn_of_substeps(lanes, shared, times, control_period, substeps)
-    period = jnp.asarray(control_period, float)
-
-    def compute(lane: SimulationProblem) -> tuple[dict[str, Array], str]:
-        begun, span = _begun(lane, shared, times, asked)
-        each = bool(jax.tree.leaves(lane.reference))
-        spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
-        of_each, of_all = eqx.partition(begun, spec)
-        unused: Any = {"reference": None, "initial": None}
-        given = (shared._replace(**unused), of_all, period, asked), (lane._replace(**unused), of_each)
-        columns, used = _run(engine, *given, asked.precision)
-        return columns | {"_span": np.broadcast_to(span, begun.exist.shape)}, used
-
-    columns, used = compute_chunks(
-        compute,
+    varied = times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference))
+    numbers = len(asked.keep) * times.size // stride + varied
+    size = chunk_size(chunk, count, workers, engine, kind, numbers)
+    runs = _Runs(lanes, shared, times, control_period, asked, engine, size)
+    if substeps is None:
+        steps = refine_blocks(lanes, count, functools.partial(runs.refine, accuracy=accuracy), workers)
+    else:
+        runs.warn_of(substeps)
+        steps = Steps.given(substeps, count)
+    columns, used = compute_groups(
+        runs.compute,
         lanes,
-        count,
-        chunk=chunk,
+        steps.substeps,
+        chunk=size,
         workers=workers,
         engine=engine,
         precision=asked.precision,
-        numbers=len(asked.keep) * times.size // stride
-        + times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference)),
         progress=progress,
     )
-    table = _table(columns, over or {}, times[::stride], asked)
+    table = _table(columns, over or {}, times[::stride], asked, steps)
     return Batch(table.assign_attrs(engine=used))
-
-
-def _warn_of_substeps(
-    lanes: SimulationProblem, shared: SimulationProblem, times: NDArray[np.float64], period: float, substeps: int
-) -> None:
-    """Warn of too few substeps where friction or flow, which are bounded, keeps runs from diverging.
-
-    Checks the first run, and those with the lowest and the highest value of each varied number of the plant.
-    The text names no run, as in a part of a sweep it has another number, and is the same for most parts.
-    """
-    plant = eqx.combine(lanes, shared).plant
-    if not (plant.joint.has_friction or plant.friction is not None or plant.valve.holds_air):
-        return
-    varied = [np.reshape(leaf, (len(leaf), -1)).sum(axis=1) for leaf in jax.tree.leaves(lanes.plant)]
-    needed = 0
-    for run in sorted({0, *(int(find(values)) for values in varied for find in (np.argmin, np.argmax))}):
-        problem = eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), shared)
-        setpoints = sampled_reference(problem.reference, times)
-        try:
-            problem.plant.check_substeps(*setpoints, period, substeps)
-        except SimulationError as error:
-            needed = max(needed, int(error.lower or 0))
-    if needed:
-        text = f"substeps is {substeps}, too few for some runs, which friction or flow keeps from diverging"
-        warnings.warn(f"{text}: their numbers may be wrong; give at least {needed}", McKibbenWarning, stacklevel=3)
 
 
 class _Asked(NamedTuple):
     """Static arguments of the program of a chunk."""
 
-    substeps: int
     metrics: tuple[str, ...]
     keep: tuple[str, ...]
     stride: int
     precision: str
+
+
+class _Runs(NamedTuple):
+    """Runs of a batch, as parts that vary and parts that do not."""
+
+    lanes: SimulationProblem
+    shared: SimulationProblem
+    times: NDArray[np.float64]
+    period: float
+    asked: _Asked
+    engine: str
+    size: int  # runs per chunk
+
+    def begun(self, lanes: SimulationProblem) -> tuple[Any, Any, Array]:
+        """Shared and varying parts of the runs of a chunk, those of their beginnings included, and their spans."""
+        begun, span = _begun(lanes, self.shared, self.times, self.asked)
+        each = bool(jax.tree.leaves(lanes.reference))
+        spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
+        of_each, of_all = eqx.partition(begun, spec)
+        unused: Any = {"reference": None, "initial": None}
+        return (self.shared._replace(**unused), of_all), (lanes._replace(**unused), of_each), span
+
+    def compute(self, lanes: SimulationProblem, substeps: int) -> tuple[dict[str, Array], str]:
+        """Columns of a chunk of runs."""
+        shared, varying, span = self.begun(lanes)
+        given = *shared, jnp.asarray(self.period, float), self.asked, dynamic_steps(substeps)
+        columns, used = _run(self.engine, given, varying, self.asked.precision)
+        return columns | {"_span": np.broadcast_to(span, varying[1].exist.shape)}, used
+
+    def refine(self, runs: Runs, *, accuracy: float) -> Refinement:
+        """Step doubling of some runs, with 64 bits."""
+        some = jax.tree.map(lambda leaf: np.asarray(leaf)[runs], self.lanes)
+        pieces = [slice(start, min(start + self.size, runs.size)) for start in range(0, runs.size, self.size)]
+        begun = [self.begun(jax.tree.map(_last, pad_chunk(some, piece, self.size))) for piece in pieces]
+        shared = begun[0][0]
+        varying = jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., : runs.size], *(one[1] for one in begun))
+        every = spacing(self.times.size)
+        setpoints = eqx.combine(shared[1], varying[1]).setpoints.angle
+        desired = np.asarray(setpoints).reshape(self.times.size, -1)[::every]
+
+        def solve(substeps: int, which: Runs) -> Positions:
+            padded = full_vectors(which)
+            given = *shared, jnp.asarray(self.period, float), np.asarray(substeps), every
+            found, _ = _positions(self.engine, given, jax.tree.map(lambda leaf: leaf[..., padded], varying))
+            return np.stack(found)[..., : which.size]
+
+        def meaningful(angles: Positions, which: Runs) -> NDArray[np.bool_]:
+            near = np.abs(angles[0] - (desired if desired.shape[1] == 1 else desired[:, which])) <= SWUNG_OVER_AT
+            return near & np.asarray(varying[1].exist)[which]
+
+        first = self._first_substeps(some, runs.size)
+        return refine(
+            solve, runs.size, accuracy=accuracy, spacing=every * self.period, first=first, meaningful=meaningful
+        )
+
+    def warn_of(self, substeps: int) -> None:
+        """Warn of too few given steps where friction or flow, which are bounded, keeps runs from diverging.
+
+        The text names no run, as in a part of a sweep it has another number, and is the same for most parts.
+        """
+        plant = eqx.combine(self.lanes, self.shared).plant
+        if not (plant.joint.has_friction or plant.friction is not None or plant.valve.holds_air):
+            return
+        runs = probed_runs(self.lanes)
+        needed = self._first_substeps(jax.tree.map(lambda leaf: np.asarray(leaf)[runs], self.lanes), runs.size)
+        if needed > substeps:
+            text = f"substeps is {substeps}, too few for some runs, which friction or flow keeps from diverging"
+            warnings.warn(f"{text}: their numbers may be wrong; give at least {needed}", McKibbenWarning, stacklevel=3)
+
+    def _first_substeps(self, lanes: SimulationProblem, count: int) -> int:
+        """Number of steps at which the integration of all runs is stable."""
+        if not jax.tree.leaves(lanes.plant):
+            lanes, count = jax.tree.map(lambda leaf: leaf[:1], lanes), 1
+        each = (eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), self.shared) for run in range(count))
+        return max(first_substeps(one, self.times, self.period) for one in each)
+
+
+def _last(leaf: Any) -> Any:
+    return np.moveaxis(leaf, 0, -1)
 
 
 class _Beginnings(NamedTuple):
@@ -226,15 +295,23 @@ _begun = compiled_batch(_begin)
 
 
 @BatchFunction
+def _positions(shared: Any, lane: Any) -> tuple[Array, ...]:
+    """Positions of one run over time."""
+    problem, begun, period, substeps, every = shared
+    own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
+    return positions_over_time(own.plant, own.controller, begun.setpoints, begun.starts, period, substeps, every)
+
+
+@BatchFunction
 def _run(shared: Any, lane: Any) -> dict[str, Array]:
     """Columns of one run."""
-    problem, begun, period, asked = shared
+    problem, begun, period, asked, substeps = shared
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
     precision = jnp.dtype(asked.precision)
     parts = cast((own.plant, own.controller, begun.setpoints, begun.starts, period), precision)
     streamed = streaming_episode(
         *parts,
-        asked.substeps,
+        substeps,
         change=cast(begun.changes, precision),
         split=begun.split,
         keep=asked.keep,
@@ -249,7 +326,9 @@ def _run(shared: Any, lane: Any) -> dict[str, Array]:
 _DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated", "oscillation_amplitude")
 
 
-def _table(columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked) -> xr.Dataset:
+def _table(
+    columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked, steps: Steps
+) -> xr.Dataset:
     code = outcomes(
         angle_max=columns["_angle_max"],
         angle_at_end=columns["_angle_at_end"],
@@ -260,6 +339,7 @@ def _table(columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDA
         started=columns["_started"],
     )
     table: dict[str, Any] = {name: ("run", columns[name], attributes(name)) for name in asked.metrics}
+    table |= {name: ("run", column, attributes(name)) for name, column in steps.columns().items()}
     table |= {name: (("run", "time"), columns[name], attributes(name)) for name in asked.keep}
     if asked.keep:
         table |= {"time": ("time", times, {"units": "s", "long_name": "time"})}

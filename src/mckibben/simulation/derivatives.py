@@ -28,6 +28,7 @@ from mckibben.numerics.batching import (
 )
 from mckibben.numerics.compiled import compiled_as_given, compiled_batch
 from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.accuracy import ACCURACY, check_accuracy
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import Change, Metrics, last_change
@@ -36,9 +37,11 @@ from mckibben.simulation.problem import (
     SimulationProblem,
     check_names,
     sample_reference,
+    sampled_reference,
     sampling_times,
     split_problem,
 )
+from mckibben.simulation.simulate import episode_substeps, start_of
 
 _Begun = tuple[PlantState, Setpoint, Change]  # the last of the stiffness; some of their leaves
 _FEW = 10  # up to so many parameters forward differentiation is faster
@@ -77,7 +80,8 @@ def differentiate(
     over: Mapping[str, ArrayLike] | None = None,
     duration: float = 10.0,
     control_period: float = 1e-3,
-    substeps: int = 4,
+    accuracy: float = ACCURACY,
+    substeps: int | None = None,
     initial: PlantState | AtRest | None = None,
     mode: Mode | None = None,
 ) -> Derivatives:
@@ -89,8 +93,10 @@ def differentiate(
 
     Parameters
     ----------
-    plant, controller, reference, over, duration, control_period, substeps, initial
+    plant, controller, reference, over, duration, control_period, initial
         As for `simulate_many`; arrays in place of numbers, or `over`, give derivatives at many points at once.
+    accuracy, substeps
+        As for `simulate`; all runs have the integration steps that the first one needs.
     parameters
         Dotted names of floats such as "load.mass2", "controller.position.kp", "reference.angle.amplitude".
     metrics
@@ -108,7 +114,8 @@ def differentiate(
     check_names("metric", metrics, Metrics._fields)
     if isinstance(parameters, str):
         raise ParameterError(f"{parameters!r} is a text, not a list", value=parameters, remedy="give a list of names")
-    times = sampling_times(duration, control_period, substeps)
+    check_accuracy(accuracy, substeps)
+    times = sampling_times(duration, control_period)
     problem = SimulationProblem.of(plant, controller, reference, initial)
     lanes, shared, count = split_problem(problem, over or {}, control_period)
     numbers = select_leaves(_whole(lanes, shared)._asdict(), parameters)
@@ -119,6 +126,9 @@ def differentiate(
     size = sum(leaf[0].size if name in varying else leaf.size for name, leaf in numbers.items())
     if mode is None:
         mode = Mode.FORWARD if size <= _FEW else Mode.REVERSE
+    if substeps is None:
+        first = _whole(None if lanes is None else jax.tree.map(lambda leaf: leaf[0], lanes), shared)
+        substeps = _needed(first, times, control_period, accuracy)
     asked = _Asked(substeps, tuple(metrics), tuple(parameters), mode, count is not None)
     period = jnp.asarray(control_period, float)
     if count is None:
@@ -258,6 +268,14 @@ def _along(parts: Any, lane: Any) -> Any:
         return {name: getattr(found.metrics, name) for name in asked.metrics}
 
     return jax.jvp(measured, (flat, varying), lane)
+
+
+def _needed(run: SimulationProblem, times: NDArray[np.float64], period: float, accuracy: float) -> int:
+    """Integration steps per control period of a run; 1 if it cannot start."""
+    setpoints = sampled_reference(run.reference, times)
+    without: Any = {"reference": None, "controller": None}
+    start, exists = start_of(run._replace(**without), setpoints)
+    return episode_substeps(run.plant, run.controller, setpoints, start, period, accuracy) if exists else 1
 
 
 def _restored(run: SimulationProblem, flat: Array, asked: _Asked) -> SimulationProblem:

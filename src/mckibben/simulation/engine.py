@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.codegen.cuda import CudaFunction, device
 from mckibben.codegen.native import NativeFunction, compiler, warn_of_fallback
@@ -105,7 +106,7 @@ def run_alone(
     substeps: int,
 ) -> tuple[tuple[Any, Record], str]:
     """State after one run with its record, and the engine that computed them; `numeric` parts."""
-    parts = plant, controller, setpoints, start, period, substeps
+    parts: Any = plant, controller, setpoints, start, period, np.asarray(substeps)
     precision = np.asarray(period).dtype
     return compute_with(engine, precision, lambda: native_episode(parts), lambda: compiled_episode(*parts))
 
@@ -179,6 +180,43 @@ def compute_chunks(
             progress(f"{piece.stop} of {count} runs", piece.stop / count)
     parts, used = zip(*answers, strict=True)
     return jax.tree.map(lambda *each: np.concatenate(each), *parts), used[0]  # one program, so the same for all
+
+
+def compute_groups(
+    compute: Callable[[Any, int], tuple[R, str]],
+    lanes: Any,
+    substeps: NDArray[np.int64],
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> tuple[R, str]:
+    """`compute_chunks` of many runs, of which those with the same number of integration steps share chunks."""
+    progress = progress or notebook_progress()
+    count, done, parts, order = substeps.size, 0, [], []
+    for number in np.unique(substeps).tolist():
+        rows = np.flatnonzero(substeps == number)
+
+        def report(_: str, part: float, done: int = done, size: int = rows.size) -> None:
+            if progress:
+                now = done + round(part * size)
+                progress(f"{now} of {count} runs", now / count)
+
+        some = lanes if rows.size == count else jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lanes)
+        parts.append(
+            compute_chunks(lambda lane, n=number: compute(lane, n), some, rows.size, progress=report, **options)
+        )
+        order.append(rows)
+        done += rows.size
+    results, used = zip(*parts, strict=True)
+    if len(results) == 1:
+        return results[0], used[0]
+    back = np.argsort(np.concatenate(order))
+    return jax.tree.map(lambda *each: np.concatenate(each)[back], *results), used[0]
+
+
+def dynamic_steps(substeps: int) -> Any:
+    """Number of integration steps as an argument of a program, and a single step as part of it, which is faster."""
+    return substeps if substeps == 1 else np.asarray(substeps)
 
 
 def check_count(what: str, count: int) -> int:

@@ -88,6 +88,27 @@ compiled_episode = compiled_as_given(episode)
 """`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
 
 
+def positions_over_time(
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    setpoints: Any,
+    initial: Any,
+    period: ArrayLike,
+    substeps: Any,
+    every: int,
+) -> tuple[Array, ...]:
+    """Positions at the start of every n-th control period of an episode, each of shape (periods / n,)."""
+
+    def next_period(state: LoopState, setpoint: Any) -> tuple[LoopState, None]:
+        return control_period(plant, controller, state, setpoint, period, substeps)[0], None
+
+    def next_kept(state: LoopState, setpoints: Any) -> tuple[LoopState, tuple[Array, ...]]:
+        return lax.scan(next_period, state, setpoints)[0], tuple(jax.tree.leaves(state[0][0]))
+
+    rows = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
+    return lax.scan(next_kept, initial_loop(plant, controller, initial), rows)[1]
+
+
 class Streamed(NamedTuple):
     """Metrics of a whole episode, the RMS angle error at its end, the plant's final state, and the kept columns."""
 

@@ -145,7 +145,7 @@ def optimal_commands(
     ICINCO 2004; Y. Tassa, N. Mansard and E. Todorov, Control-limited differential dynamic programming, ICRA 2014.
     """
     plant = dataclasses.replace(plant, sensors=PerfectSensors()).with_period(control_period)
-    times = sampling_times(duration, control_period, substeps)
+    times = sampling_times(duration, control_period)
     begun = np.asarray(commands, float)
     if begun.shape != (times.size, 2):
         raise SimulationError(

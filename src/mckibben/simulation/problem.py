@@ -222,10 +222,14 @@ def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArr
     return times, sampled_reference(reference, times)
 
 
-def sampling_times(duration: float, period: float, substeps: int = 1) -> NDArray[np.float64]:
-    """Start times [s] of the control periods in a duration; raises as `sampled` does, and for wrong `substeps`."""
-    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
-        raise SimulationError(f"substeps is {substeps!r}", value=substeps, remedy="give an integer from 1 up")
+def first_substeps(problem: SimulationProblem, times: NDArray[np.float64], period: float) -> int:
+    """Least number of integration steps per control period [s] that resolves the fastest rate of a plant."""
+    setpoints = sampled_reference(problem.reference, times)
+    return problem.plant.needed_substeps(*setpoints, period)
+
+
+def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
+    """Start times [s] of the control periods in a duration; raises as `sampled` does."""
     for name, value in (("duration", duration), ("control_period", period)):
         if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
             given = f"{value:g} s" if isinstance(value, Real) else repr(value)

@@ -16,6 +16,7 @@ from mckibben.codegen.native import NativeFunction
 from mckibben.component.columns import Label, attributes, declare
 from mckibben.errors import FileError, Problem
 from mckibben.numerics.compiled import compiled, numeric
+from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction, compute_with
 from mckibben.simulation.metrics import (
     SETTLING_PART,
@@ -96,7 +97,8 @@ class Result(RunResult):
 
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty, `engine` the one that computed it, "native" or "xla", or empty, and
+    `scenario` the text of the scenario, or empty, `engine` the one that computed it, "native" or "xla", or empty,
+    `resolution` the integration steps per control period with the estimated error of the angle, None if unknown, and
     `angle_resolution` the step of the sensor of the angle [rad], 0 for none.
     """
 
@@ -109,9 +111,10 @@ class Result(RunResult):
         outcome: Outcome | None = None,
         scenario: str = "",
         engine: str = "",
+        resolution: Resolution | None = None,
         angle_resolution: float = 0.0,
     ) -> None:
-        super().__init__(columns, control_period, scenario, engine)
+        super().__init__(columns, control_period, scenario, engine, resolution)
         self.angle_resolution = angle_resolution
         if outcome is not None:
             self.outcome = outcome
@@ -212,8 +215,9 @@ class Result(RunResult):
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
         scenario, engine = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
-        resolution = float(table.attrs.get("angle_resolution", 0.0))  # files of earlier versions have none
-        return cls(values, float(period), Outcome[outcome], scenario, engine, resolution)
+        resolution = Resolution.of(table.attrs)
+        angle_resolution = float(table.attrs.get("angle_resolution", 0.0))  # files of earlier versions have none
+        return cls(values, float(period), Outcome[outcome], scenario, engine, resolution, angle_resolution)
 
 
 def _outside(columns: Mapping[str, np.ndarray]) -> str:

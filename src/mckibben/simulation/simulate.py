@@ -22,9 +22,21 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.accuracy import (
+    ACCURACY,
+    Positions,
+    Refinement,
+    Resolution,
+    Runs,
+    check_accuracy,
+    nominal_substeps,
+    refine,
+    resolution_of,
+)
 from mckibben.simulation.engine import BatchFunction, check_engine, compute_with, run_alone
 from mckibben.simulation.loop import Record
 from mckibben.simulation.metrics import Trajectory
+from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -167,7 +179,8 @@ def simulate(
     *,
     duration: float = 10.0,
     control_period: float = 1e-3,
-    substeps: int = 4,
+    accuracy: float = ACCURACY,
+    substeps: int | None = None,
     initial: PlantState | AtRest | None = None,
     precision: Any = 64,
     engine: str = "auto",
@@ -176,7 +189,9 @@ def simulate(
     """Run a controller on a plant.
 
     Commands are constant over each control period, in which the plant is integrated by the classical Runge-Kutta
-    method. The plant limits commands to the rated pressures of its specimens; the result reports for how long a law was
+    method. The run is computed with one integration step per period, with two, with four and so on, until the angles of
+    the last two solutions agree within the accuracy; the result is the finer one, and their distance its estimated
+    error. The plant limits commands to the rated pressures of its specimens; the result reports for how long a law was
     outside its domain.
 
     Parameters
@@ -185,8 +200,11 @@ def simulate(
         The joint with its load and valves, its controller, and the desired angle and stiffness.
     duration, control_period
         Time of the run, a multiple of that between two steps of the controller [s].
+    accuracy
+        Accuracy of the angle [rad].
     substeps
-        Integration steps per control period.
+        Integration steps per control period. Default: as many as the accuracy needs; a given number is used as it is,
+        and the error is not estimated.
     initial
         The initial state, or `AtRest`. Default: at rest at the first desired angle, at mid co-contraction.
     precision
@@ -203,13 +221,15 @@ def simulate(
         If the joint cannot statically hold all of the reference, or not with the controller's minimum tension: when,
         and by how much.
     McKibbenWarning
-        If samples of the reference end in motion before the run does, or last ten times as long.
+        If samples of the reference end in motion before the run does, or last ten times as long; or if the run is
+        not resolved, with the time from which: it is chaotic, or needs more than 64 times the fewest steps.
 
     Raises
     ------
     SimulationError
         If an argument is of the wrong type, a number is NaN, the times do not fit together, a frequency of the
-        reference is at or above half the control rate, or the plant needs more substeps.
+        reference is at or above half the control rate, the plant needs more substeps than are given, or the accuracy
+        cannot be reached.
     UnreachableError, RangeError
         If no pressures hold the joint at the start, or a muscle would leave its domain there.
     """
@@ -219,6 +239,7 @@ def simulate(
         reference,
         duration=duration,
         control_period=control_period,
+        accuracy=accuracy,
         substeps=substeps,
         initial=initial,
         precision=precision,
@@ -237,33 +258,37 @@ def checked_run(
     *,
     duration: float,
     control_period: float,
-    substeps: int,
+    accuracy: float,
+    substeps: int | None,
     initial: PlantState | AtRest | None,
     precision: Any = 64,
     engine: str = "auto",
     scenario: str,
 ) -> CheckedRun:
     """`simulate`, with the feasibility of the reference returned instead of warned of."""
-    times = sampling_times(duration, control_period, substeps)
+    times = sampling_times(duration, control_period)
     kind = float_type(precision)
+    check_accuracy(accuracy, substeps, np.finfo(kind).bits)
     check_engine(engine, kind)
     problem = single_run(SimulationProblem.of(plant, controller, reference, initial), control_period, "simulate_many")
     amplitude = problem.controller.stiffness_amplitude
     setpoints = sampled_reference(problem.reference, times)
     without: Any = {"controller": None, "reference": None}  # others compile nothing new
-    start, exists = _start(engine, problem._replace(**without), setpoints)
+    start, exists = start_of(problem._replace(**without), setpoints, engine=engine)
     feasibility = _feasibility(times, setpoints, _band(problem.plant, setpoints.angle, amplitude, engine=engine))
-    parts = problem.plant, problem.controller, setpoints, start
-    if kind != np.float64:
-        parts = cast(parts, kind)
     for name, signal in (("angle", reference.angle), ("stiffness", reference.stiffness)):
         if mismatch := time_range_mismatch(signal, duration):
             warnings.warn(f"reference of the {name}: {mismatch}", McKibbenWarning, stacklevel=3)
     known = dict(zip(BAND, (feasibility.lowest, feasibility.highest), strict=True))
-    result = _episode_result(*parts, control_period, substeps, engine=engine, known=known, scenario=scenario)
     if not exists:
         _raise_why(plant, initial, float(setpoints.angle[0]))
-    plant.check_substeps(*setpoints, control_period, substeps)
+    if substeps is not None:
+        plant.check_substeps(*setpoints, control_period, substeps)
+    run = _Run(problem.plant, problem.controller, setpoints, start, control_period, engine, kind)
+    record, used, resolution = run.solved(accuracy, substeps)
+    result = _result(run, record, used, resolution, known=known, scenario=scenario)
+    if not resolution.resolved:
+        warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=3)
     low, high = plant.joint.geometry.angle_range
     if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
         text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
@@ -283,34 +308,115 @@ def run_episode(
     setpoints: Setpoint,
     start: PlantState,
     control_period: float,
-    substeps: int,
+    substeps: int | None = None,
+    *,
+    accuracy: float = ACCURACY,
 ) -> Result:
     """The result of an episode from a start that exists, without the attainable stiffness."""
     plant, controller = plant.with_period(control_period), controller.with_period(control_period)
     plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
-    return _episode_result(plant, controller, setpoints, start, control_period, substeps)
+    run = _Run(plant, controller, setpoints, start, control_period)
+    record, used, resolution = run.solved(accuracy, substeps)
+    return _result(run, record, used, resolution)
 
 
-def _episode_result(
+def needed_substeps(
+    plant: JointPlant,
+    controller: Controller,
+    reference: Reference,
+    initial: PlantState,
+    *,
+    duration: float,
+    control_period: float,
+    accuracy: float = ACCURACY,
+) -> int:
+    """Return the integration steps per control period that a run needs for an accuracy of its angle [rad].
+
+    Raises `SimulationError` if the accuracy cannot be reached. It is 4 or more if the run is chaotic.
+    """
+    check_accuracy(accuracy)
+    _, setpoints = sampled(reference, duration, control_period)
+    plant, controller = plant.with_period(control_period), controller.with_period(control_period)
+    plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(initial)))
+    return episode_substeps(plant, controller, setpoints, start, control_period, accuracy)
+
+
+def episode_substeps(
     plant: JointPlant,
     controller: Controller,
     setpoints: Setpoint,
     start: PlantState,
     control_period: float,
-    substeps: int,
+    accuracy: float,
+) -> int:
+    """`needed_substeps` of an episode of `numeric` parts."""
+    run = _Run(plant, controller, setpoints, start, control_period)
+    return nominal_substeps(run.refined(accuracy, []), accuracy)
+
+
+class _Run(NamedTuple):
+    """`numeric` parts of a run."""
+
+    plant: JointPlant
+    controller: Controller
+    setpoints: Setpoint
+    start: PlantState
+    control_period: float
+    engine: str = "auto"
+    kind: Any = np.dtype(np.float64)
+
+    def record(self, substeps: int) -> tuple[Record, str]:
+        """The record with a number of integration steps per period, and the engine that computed it."""
+        parts = self.plant, self.controller, self.setpoints, self.start
+        parts = parts if self.kind == np.float64 else cast(parts, self.kind)
+        (_, record), used = run_alone(self.engine, *parts, np.asarray(self.control_period, self.kind), substeps)
+        return record, used
+
+    def refined(self, accuracy: float, solutions: list[tuple[Record, str]]) -> Refinement:
+        """Step doubling with 64 bits; `solutions` keeps the last one."""
+        exact, desired = self._replace(kind=np.dtype(np.float64)), np.asarray(self.setpoints.angle)[:, None]
+
+        def solve(substeps: int, _: Runs) -> Positions:
+            solutions[:] = [exact.record(substeps)]
+            return np.asarray(solutions[0][0].state.angle)[None, :, None]
+
+        return refine(
+            solve,
+            1,
+            accuracy=accuracy,
+            spacing=self.control_period,
+            first=self.plant.needed_substeps(*self.setpoints, self.control_period),
+            meaningful=lambda angles, _: np.abs(angles[0] - desired) <= SWUNG_OVER_AT,
+        )
+
+    def solved(self, accuracy: float, substeps: int | None) -> tuple[Record, str, Resolution]:
+        """The record, and the engine that computed it, with the given steps or as many as the accuracy needs."""
+        if substeps is not None:
+            return *self.record(substeps), Resolution(substeps)
+        solutions: list[tuple[Record, str]] = []
+        found = resolution_of(self.refined(accuracy, solutions), accuracy)
+        if self.kind == np.float64:
+            return *solutions[0], found
+        rounded, used = self.record(found.substeps)
+        if found.resolved:
+            found = found.with_rounding(solutions[0][0].state.angle, rounded.state.angle, accuracy)
+        return rounded, used, found
+
+
+def _result(
+    run: _Run,
+    record: Record,
+    used: str,
+    resolution: Resolution,
     *,
-    engine: str = "auto",
     known: Mapping[str, Any] = MappingProxyType({}),
     scenario: str = "",
 ) -> Result:
-    """Result of an episode of `numeric` parts; much is computed when it is first asked for."""
-    period = np.asarray(control_period, setpoints.angle.dtype)
-
-    def run(setpoints: Setpoint) -> tuple[Record, str]:
-        (_, record), used = run_alone(engine, plant, controller, setpoints, start, period, substeps)
-        return record, used
-
-    record, used = run(setpoints)
+    """Result of a run; much is computed when it is first asked for."""
+    plant, controller, setpoints = run.plant, run.controller, run.setpoints
+    period = np.asarray(run.control_period, run.kind)
+    if run.kind != np.float64:
+        plant, controller, setpoints = cast((plant, controller, setpoints), run.kind)
     state, telemetry = record.state, dict(record.telemetry)
     commands = plant.arriving(state, record.commands, period)
     telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
@@ -331,13 +437,16 @@ def _episode_result(
         **known,
     }
 
+    def unchanged(setpoints: Setpoint) -> Array:
+        return run._replace(setpoints=setpoints).record(resolution.substeps)[0].state.angle
+
     def without_step() -> dict[str, Array]:
         constant = without_last_change(setpoints)
-        return {"angle_without_step": state.angle if constant is None else run(constant)[0].state.angle}
+        return {"angle_without_step": state.angle if constant is None else unchanged(constant)}
 
     def derived() -> dict[str, Array]:
         amplitude = controller.stiffness_amplitude
-        moved = compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=engine)._asdict()
+        moved = compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=run.engine)._asdict()
         return {name: value for name, value in moved.items() if name != "angle_without_step"}
 
     computed: list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]] = [
@@ -350,9 +459,15 @@ def _episode_result(
         ),
     ]
     names = (*Trajectory._fields, *known, *telemetry)
-    resolution = float(plant.sensors.angle_resolution)
-    columns = Columns(names, immediate, computed)
-    return Result(columns, control_period, scenario=scenario, engine=used, angle_resolution=resolution)
+    columns, encoder = Columns(names, immediate, computed), float(plant.sensors.angle_resolution)
+    return Result(
+        columns,
+        run.control_period,
+        scenario=scenario,
+        engine=used,
+        resolution=resolution,
+        angle_resolution=encoder,
+    )
 
 
 def _padded(values: ArrayLike) -> Any:
@@ -360,8 +475,8 @@ def _padded(values: ArrayLike) -> Any:
     return np.pad(values, (0, -np.size(values) % _BLOCK), mode="edge")
 
 
-def _start(engine: str, problem: SimulationProblem, setpoints: Setpoint) -> tuple[PlantState, Array]:
-    """The initial state, and whether it exists."""
+def start_of(problem: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto") -> tuple[PlantState, Array]:
+    """Return the initial state, and whether it exists, of a problem without controller and reference."""
     parts = problem, jax.tree.map(lambda one: np.asarray(one)[:1], setpoints)
     return compute_with(engine, np.float64, lambda: _native_start(parts), lambda: _start_by_xla(*parts))[0]
 

@@ -101,7 +101,7 @@ def margins(
     """
     plant = _without_noise(plant, control_period).with_period(control_period)
     controller = controller.with_period(control_period)
-    times = sampling_times(duration, control_period, substeps)
+    times = sampling_times(duration, control_period)
     chosen = _chosen(times.size, points)
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
     setpoints = sample_reference(reference, times)
@@ -136,7 +136,7 @@ def disk_margins(
     SimulationError
         If the times do not fit together.
     """
-    times = sampling_times(duration, control_period, substeps)
+    times = sampling_times(duration, control_period)
     problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
     period, chosen = jnp.asarray(control_period), jnp.asarray(_chosen(times.size, points))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mckibben.component.columns import attributes, labels_of
 from mckibben.errors import SimulationError
 from mckibben.notebook import html_table
+from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.metrics import Metrics
 from mckibben.simulation.outcome import OUTCOMES, Outcome
 
@@ -60,18 +61,27 @@ class RunResult(abc.ABC):
     """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
 
     Columns have shape (periods,), those of several joints or muscles (joints, periods) or (muscles, periods), in SI.
-    `control_period` is the time between two values [s], `scenario` the text of the scenario, or empty, and `engine`
-    what computed it, "native" or "xla", or empty.
+    `control_period` is the time between two values [s], `scenario` the text of the scenario, or empty, `engine` the one
+    that computed it, "native" or "xla", or empty, and `resolution` the integration steps per control period with the
+    estimated error of the angle, None if unknown.
     """
 
     kind: ClassVar[type]
     """Class of the metrics."""
 
-    def __init__(self, columns: Mapping[str, Any], control_period: float, scenario: str = "", engine: str = "") -> None:
+    def __init__(
+        self,
+        columns: Mapping[str, Any],
+        control_period: float,
+        scenario: str = "",
+        engine: str = "",
+        resolution: Resolution | None = None,
+    ) -> None:
         self.columns = columns
         self.control_period = control_period
         self.scenario = scenario
         self.engine = engine
+        self.resolution = resolution
 
     @abc.abstractmethod
     def _measure(self) -> Any:
@@ -115,7 +125,8 @@ class RunResult(abc.ABC):
             shown, size = label.displayed
             values = np.atleast_1d(self.metrics[name]) / size
             rows.append((label.meaning, ", ".join(f"{value:.4g}" for value in values), shown))
-        return html_table(self.describe(), ("metric", "value", "unit"), rows)
+        about = [self.describe(), *([self.resolution.describe()] if self.resolution else [])]
+        return html_table("; ".join(about), ("metric", "value", "unit"), rows)
 
     def to_xarray(self) -> xr.Dataset:
         """Columns along ``time`` [s], with ``units`` and ``long_name``; period, scenario and engine as attributes."""
@@ -133,7 +144,8 @@ class RunResult(abc.ABC):
 
     def _attributes(self) -> dict[str, Any]:
         """Attributes of the dataset."""
-        return {"control_period": self.control_period, "scenario": self.scenario, "engine": self.engine}
+        found = {"control_period": self.control_period, "scenario": self.scenario, "engine": self.engine}
+        return found | (self.resolution.attributes if self.resolution else {})
 
     def _rows_of(self, name: str) -> tuple[str, ...]:
         """Dimensions of a column other than time."""
@@ -173,6 +185,11 @@ class RunTable:
         """Mask of the runs that did not fail, and did not end in a limit cycle."""
         return np.array([outcome.usable for outcome in OUTCOMES])[self["outcome"]]
 
+    @property
+    def chaotic(self) -> NDArray[np.bool_]:
+        """Mask of the runs that were found to be chaotic: they do not converge with the number of integration steps."""
+        return self["chaotic"].astype(bool)
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.table[name].to_numpy()
 
@@ -182,8 +199,9 @@ class Batch(RunTable):
     """Results of a batch; ``batch["angle_rmse"]`` is a column as an array.
 
     `table` has along ``run`` the metrics (SI; those of several joints along ``joint`` and ``run``), ``outcome`` (a
-    code; its attribute ``flag_meanings`` lists the names) and the values of `over`; along ``run`` and ``time`` the kept
-    parts of the trajectories. `kind` is the class of the metrics.
+    code; its attribute ``flag_meanings`` lists the names), ``substeps`` (integration steps per control period),
+    ``error_estimate`` (of the angle by the integration [rad]), ``chaotic``, and the values of `over`; along ``run`` and
+    ``time`` the kept parts of the trajectories. `kind` is the class of the metrics.
     """
 
     kind: type = Metrics
@@ -200,7 +218,8 @@ class Batch(RunTable):
 
     def _counted(self) -> str:
         counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))
-        return ", ".join(f"{n} {outcome.name.lower()}" for n, outcome in zip(counts, OUTCOMES, strict=True) if n)
+        counted = [f"{n} {outcome.name.lower()}" for n, outcome in zip(counts, OUTCOMES, strict=True) if n]
+        return ", ".join(counted + [f"{n} chaotic" for n in (int(self.chaotic.sum()),) if n])
 
     def __repr__(self) -> str:
         return f"<Batch: {self.count} runs ({self._counted()}), metrics {', '.join(self.metrics)}>"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,12 @@ def oracle(
     controlled = run_scenario(scenario).result
     plant, reference = scenario.plant(), scenario.reference()
     initial = scenario.initial(plant)
-    settings = {"duration": scenario.duration, "control_period": scenario.control_period, "substeps": scenario.substeps}
+    substeps = controlled.resolution.substeps if controlled.resolution else scenario.needed_substeps()
+    settings: Any = {
+        "duration": scenario.duration,
+        "control_period": scenario.control_period,
+        "substeps": substeps,
+    }
     commands = np.stack([controlled["command1"], controlled["command2"]], axis=1)
     first, second = (
         optimal_commands(

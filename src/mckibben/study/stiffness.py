@@ -133,7 +133,7 @@ def stiffness_tests(
     report = progress or silent
     plant, controller = scenario.plant(), scenario.control()
     closed = closed_valves(plant)
-    period, substeps = scenario.control_period, scenario.substeps
+    period, substeps = scenario.control_period, scenario.needed_substeps()
     setpoint = scenario.reference()(0.0)
     plant.check_substeps(setpoint.angle, setpoint.stiffness, period, substeps)
     held = Setpoint(*(jnp.full(round(_SETTLING / period), float(value)) for value in setpoint))

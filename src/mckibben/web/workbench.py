@@ -104,7 +104,7 @@ class Workbench:
 def parse(text: str, folder: Path) -> Scenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
     found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
-    steps = found.duration / found.control_period * found.substeps
+    steps = found.duration / found.control_period * (found.substeps or 1)
     if steps > MOST_STEPS:
         raise ParameterError(
             f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}",

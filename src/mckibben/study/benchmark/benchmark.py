@@ -227,6 +227,15 @@ class ControllerTuning:
     def _scenario(self) -> Scenario:
         return self.suite.scenario(self.controller, next(iter(self.suite.references)))
 
+    @cached_property
+    def _training(self) -> Runs:
+        """The runs with the integration steps that the nominal values need, which all trials have."""
+        table = dict(zip(self.space.names, self.space.nominal[:, None], strict=True))
+        if self.suite.substeps is not None or not valid_rows(self._scenario, table).all():
+            return self.runs
+        batch = _simulated_all(self.runs, self.controller, table, 1, ("angle_rmse",))
+        return replace(self.runs, suite=self.suite.model_copy(update={"substeps": int(batch["substeps"].max())}))
+
     @property
     def _starts(self) -> int:
         return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
@@ -241,7 +250,7 @@ class ControllerTuning:
         if not good.any():
             return Evaluated(np.full(len(values), FAILED_COST))
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-        batch = _simulated_all(self.runs, self.controller, table, len(values), self._metrics, engine)
+        batch = _simulated_all(self._training, self.controller, table, len(values), self._metrics, engine)
         started, shape = _started(batch), (len(values), self.runs.count)
         if not started.any():
             raise _none_starts("training")
@@ -254,7 +263,7 @@ class ControllerTuning:
 
         costs = costs_of(batch)
         if margin := self.suite.tuning.delay_margin:
-            delayed = self.runs.delayed(margin)
+            delayed = self._training.delayed(margin)
             late = _simulated_all(delayed, self.controller, table, len(values), self._metrics, engine)
             costs = np.maximum(costs, costs_of(late))
         costs = np.where(good, costs, FAILED_COST)
@@ -303,6 +312,7 @@ class ControllerTuning:
             "runs": hashlib.sha256(content.encode()).hexdigest(),
             "duration": self.suite.duration,
             "control_period": self.suite.control_period,
+            "accuracy": self.suite.accuracy,
             "substeps": self.suite.substeps,
             "parameters": [each.text for each in self.space.swept],
             "cost": tuning.cost,
@@ -455,6 +465,7 @@ def _simulated(
         reference,
         duration=suite.duration,
         control_period=suite.control_period,
+        accuracy=suite.accuracy,
         substeps=suite.substeps,
         metrics=metrics,
         engine=engine,

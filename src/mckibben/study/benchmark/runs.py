@@ -170,7 +170,8 @@ def _groups(runs: Runs, setpoints: Column) -> tuple[Group, ...]:
     for name in dict.fromkeys(runs.joint):
         rows = _rows(runs.joint, name)
         scenario = suite.example(joint=name)
-        scenario.plant().check_substeps(setpoints[0], setpoints[1], suite.control_period, suite.substeps)
+        if suite.substeps is not None:
+            scenario.plant().check_substeps(setpoints[0], setpoints[1], suite.control_period, suite.substeps)
         taken = runs.conditions_of(name, rows)
         plant = (batched(scenario, taken) if taken else scenario).plant()
         parts.setdefault(jax.tree.structure(plant), []).append((rows, plant))

@@ -27,12 +27,22 @@ from mckibben.scenario.scenario import (
     RunSettings,
     SensorsPart,
     Start,
+    Substeps,
     ValvePart,
     model_scope,
 )
+from mckibben.simulation import ACCURACY
 from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
-from mckibben.units import AngularAcceleration, AngularVelocity, BoundedInt, CommandDelay, Duration, PositiveTime
+from mckibben.units import (
+    Accuracy,
+    AngularAcceleration,
+    AngularVelocity,
+    BoundedInt,
+    CommandDelay,
+    Duration,
+    PositiveTime,
+)
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
 _LONGEST_NAME = 80
@@ -203,7 +213,7 @@ class ValveSetup(ConfigModel):
     command_delay: CommandDelay | None = None
     conditions: tuple[str, ...] = ()
     max_angular_velocity: AngularVelocity | None = None
-    substeps: Annotated[int, BoundedInt(1, 1000)] | None = None
+    substeps: Substeps | None = None
 
 
 class ReferenceCase(ConfigModel):
@@ -296,7 +306,8 @@ class Suite(RunSettings):
     evaluation: EvaluationSettings = EvaluationSettings()
     duration: Duration
     control_period: PositiveTime
-    substeps: Annotated[int, BoundedInt(1, 1000)] = 4
+    accuracy: Accuracy = ACCURACY
+    substeps: Substeps | None = None
 
     @field_validator("evaluation", mode="after")
     @classmethod
@@ -359,6 +370,7 @@ class Suite(RunSettings):
         control = self.controllers[controller]
         if controller not in self.true_model:
             control = independent(inherit(control, model_scope(self)))
+        steps: Any = {"accuracy": self.accuracy} if self.substeps is None else {"substeps": self.substeps}
         signals, plant = self.references[reference].reference, self.plants[joint]
         assert plant.joint is not None and plant.valve is not None
         return Scenario(
@@ -375,7 +387,7 @@ class Suite(RunSettings):
             start=start_of(signals),
             duration=self.duration,
             control_period=self.control_period,
-            substeps=self.substeps,
+            **steps,
         )
 
     def conditions_over(self) -> tuple[SweptParameter, ...]:

@@ -27,6 +27,7 @@ from mckibben.numerics.batching import cores, lanes_of, map_chunks, pad_chunk
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, run_many
+from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.problem import sample_reference, sampling_times
 from mckibben.simulation.simulate import attainable_band
 from mckibben.simulation.software import software
@@ -131,7 +132,7 @@ class BatchTask:
             workers=1,
             engine=self.software["engine"],
         )
-        results = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome")}
+        results = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome", *STEP_COLUMNS)}
         results |= feasibility(self.scenario, full, self.batch_size)
         return {name: column[:rows] for name, column in results.items()}
 

@@ -25,7 +25,7 @@ from mckibben.study.parameters import Distribution, SweptParameter, Table, parse
 from mckibben.study.parameters.sampling import count_rows
 from mckibben.study.sweep.compute import BatchTask
 
-FORMAT, VERSION = "mckibben sweep", 4
+FORMAT, VERSION = "mckibben sweep", 5
 _SAMPLES = 1024
 _MIN_BATCHES = 16  # of a sweep on a CPU, as long as they fill a vector
 _MAX_BLOCKS = 256

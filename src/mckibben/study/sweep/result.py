@@ -19,6 +19,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
+from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.table import RunTable, outcome_variable
@@ -42,8 +43,9 @@ class SweepResult(RunTable):
 
     The table has along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their
     unit in files), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), ``shortfall_max`` (largest
-    distance of the stiffness reference from the attainable stiffness) and ``infeasible_time`` (share of the time at
-    which no pressures hold the angle). Its attributes identify the sweep.
+    distance of the stiffness reference from the attainable stiffness), ``infeasible_time`` (share of the time at which
+    no pressures hold the angle), and ``substeps``, ``error_estimate`` and ``chaotic`` as in a `Batch`. Its attributes
+    identify the sweep.
     """
 
     computed: int = 0
@@ -62,6 +64,8 @@ class SweepResult(RunTable):
         for name in plan.task.metrics:
             variables[name] = ("run", columns[name], attributes(name))
         variables |= outcome_variable(columns["outcome"])
+        for name in STEP_COLUMNS:
+            variables[name] = ("run", columns[name], attributes(name))
         for name, (unit, meaning) in FEASIBILITY.items():
             variables[name] = ("run", columns[name], {"units": unit, "long_name": meaning})
         manifest = plan.manifest
@@ -142,7 +146,13 @@ class SweepResult(RunTable):
         """
         source = str(path)
         table = load_netcdf(Path(path), lazy=lazy)
-        missing = [name for name in ("outcome", *FEASIBILITY) if name not in table or table[name].dims != ("run",)]
+        missing = [
+            name
+            for name in ("outcome", *STEP_COLUMNS, *FEASIBILITY)
+            if name not in table or table[name].dims != ("run",)
+            for name in ("outcome", *STEP_COLUMNS, *FEASIBILITY)
+            if name not in table or table[name].dims != ("run",)
+        ]
         if table.attrs.get("kind") != _KIND or missing:
             raise FileError(source, [Problem("it is not a sweep", remedy="give the sweep.nc of `mckibben sweep`")])
         codes = table["outcome"].to_numpy()
@@ -194,7 +204,8 @@ def summary(sweep: SweepResult) -> dict[str, Any]:
         results, over the runs that did not fail: ``median``, ``percentile_5``, ``percentile_95``, ``worst``,
         ``worst_run`` (from 0), and the number of ``runs`` with a value; None if there is none. ``correlations``:
         Spearman's rank correlation of each input with each main metric and with failing, the strongest first.
-        ``feasibility``: numbers of runs with references that the joint cannot hold.
+        ``feasibility``: numbers of runs with references that the joint cannot hold. ``integration``: largest number of
+        integration steps and largest estimated error, and the number of runs found to be chaotic.
     """
     failed = sweep.failed
     codes = sweep.table["outcome"].to_numpy()
@@ -207,6 +218,17 @@ def summary(sweep: SweepResult) -> dict[str, Any]:
         "metrics": {_SHOWN[name]: _percentiles(sweep, name, ~failed) for name in sweep.metrics},
         "correlations": _correlations(sweep, failed),
         "feasibility": _infeasible_runs(sweep),
+        "integration": _integration(sweep),
+    }
+
+
+def _integration(sweep: SweepResult) -> dict[str, Any]:
+    errors = sweep.table["error_estimate"].to_numpy()
+    errors = errors[np.isfinite(errors)]
+    return {
+        "substeps": int(sweep.table["substeps"].max()),
+        "error_estimate_rad": float(errors.max()) if errors.size else None,
+        "runs_chaotic": int(sweep.table["chaotic"].sum()),
     }
 
 
@@ -353,6 +375,16 @@ def feasibility_sentence(numbers: Mapping[str, Any]) -> str:
     if count := found["runs_angle_infeasible"]:
         parts.append(f"{count} of {runs} runs have an angle reference that no pressures within limits hold")
     return "; ".join(parts) if parts else "all references are statically feasible"
+
+
+def integration_sentence(numbers: Mapping[str, Any]) -> str:
+    """Sentence on the integration error."""
+    found = numbers["integration"]
+    error, chaotic = found["error_estimate_rad"], found["runs_chaotic"]
+    known = "not estimated" if error is None else f"estimated at no more than {error:.1e} rad"
+    some = f"; {chaotic} runs were found to be chaotic: their metrics hold as statistics only" if chaotic else ""
+    steps = "1 integration step" if found["substeps"] == 1 else f"up to {found['substeps']} integration steps"
+    return f"integration error of the angle {known} ({steps} per control period){some}"
 
 
 def _label(name: str) -> str:

@@ -255,6 +255,7 @@ class TuningProblem:
     conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs under every row of them
     engine: str = "auto"  # of `costs`; gradients are computed by XLA
     _leaf_names: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
+    _given: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for scenario in self.scenarios:
@@ -338,7 +339,7 @@ class TuningProblem:
             initial_state(many),
             duration=scenario.duration,
             control_period=scenario.control_period,
-            substeps=scenario.substeps,
+            substeps=self._given_steps(scenario).substeps or 1,
         )
         return np.where(good, np.nan_to_num(found), 0.0).reshape(self._draws, -1).min(axis=0)
 
@@ -364,6 +365,18 @@ class TuningProblem:
                 batch = run_many(scenario, table, known=self._known(scenario), metrics=self.cost.metrics)
                 used.add(batch.table.attrs["engine"])
         return used
+
+    def _given_steps(self, scenario: Scenario) -> Scenario:
+        """The scenario with the integration steps that its nominal values need, which all trials have."""
+        if scenario.substeps is not None:
+            return scenario
+        if id(scenario) not in self._given:
+            good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
+            table, known = self._table(scenario, rows), self._known(scenario)
+            batch = run_many(scenario, table, known=known, metrics=("angle_rmse",), engine=self.engine)
+            steps = int(batch["substeps"][good].max()) if good.any() else None
+            self._given[id(scenario)] = scenario.model_copy(update={"substeps": steps})
+        return self._given[id(scenario)]
 
     def check_smooth(self) -> None:
         """Raise an error if the cost is not differentiable with respect to the parameters."""
@@ -427,8 +440,8 @@ class TuningProblem:
         good, rows = self._valid(scenario, rows)
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
-        table, known = self._table(scenario, rows), self._known(scenario)
-        batch = run_many(scenario, table, known=known, metrics=self.cost.metrics, workers=workers, engine=self.engine)
+        table, known, stepped = self._table(scenario, rows), self._known(scenario), self._given_steps(scenario)
+        batch = run_many(stepped, table, known=known, metrics=self.cost.metrics, workers=workers, engine=self.engine)
         good &= batch.usable
         return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
 
@@ -437,8 +450,8 @@ class TuningProblem:
         good, rows = self._valid(scenario, rows)
         if not good.any():
             return np.full(len(rows), np.nan), np.zeros_like(rows)
-        table, known = self._table(scenario, rows), self._known(scenario)
-        good &= run_many(scenario, table, known=known, metrics=self.cost.metrics, engine=self.engine).usable
+        table, known, stepped = self._table(scenario, rows), self._known(scenario), self._given_steps(scenario)
+        good &= run_many(stepped, table, known=known, metrics=self.cost.metrics, engine=self.engine).usable
         many = batched(scenario, table, known=known)
         leaves = [self._leaves(scenario, each) for each in self.space.swept]
         found = differentiate(
@@ -449,7 +462,8 @@ class TuningProblem:
             metrics=self.cost.metrics,
             duration=scenario.duration,
             control_period=scenario.control_period,
-            substeps=scenario.substeps,
+            accuracy=scenario.accuracy,
+            substeps=stepped.substeps,
             initial=initial_state(many),
         )
         slopes = [

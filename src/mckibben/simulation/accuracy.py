@@ -1,0 +1,292 @@
+"""Integration steps per control period, chosen by step doubling over whole runs for an accuracy of the angle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from numbers import Real
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.component.columns import Label, declare
+from mckibben.errors import SimulationError
+from mckibben.numerics.batching import map_chunks
+
+ACCURACY = 1e-6
+"""Default accuracy of the angle [rad]."""
+BLOCK = 1024
+"""Consecutive runs of a batch that share a number of integration steps."""
+
+_LOWEST = {32: 1e-6, 64: 1e-12}  # accuracy [rad] above rounding, by the bits of the floats
+STEP_COLUMNS = {
+    "substeps": Label("1", "integration steps per control period"),
+    "error_estimate": Label("rad", "estimated integration error of the angle"),
+    "chaotic": Label("1", "found to be chaotic: solutions with more integration steps do not converge"),
+}
+"""Columns of `Steps`."""
+declare(__name__, STEP_COLUMNS)
+
+_DOUBLINGS = 6  # from 1 to 64 steps
+_FALLING = 1 / 4  # change of the error over three doublings, below which the solution still converges
+_FALLBACK_DOUBLINGS = 2  # of a block without a resolved run
+_RANDOM, _EXTREME = 4, 28  # probed runs of a block
+
+Positions = NDArray[np.floating]
+"""Positions [rad], those of a trunk [m], shape (positions, periods, runs)."""
+Runs = NDArray[np.int64]
+"""Indices of runs."""
+Solve = Callable[[int, Runs], Positions]
+"""Positions of some runs with a number of integration steps per control period."""
+
+
+class Resolution(NamedTuple):
+    """Integration steps per control period of a run, and its error as estimated by step doubling.
+
+    Attributes
+    ----------
+    substeps
+        Integration steps per control period.
+    error
+        Largest distance of the angle from that with half as many steps [rad]; NaN if the number of steps was given.
+    unresolved_from
+        Time [s] from which the two solutions are further apart than the accuracy; NaN if they are not.
+    chaotic
+        Whether the error does not fall with the number of steps.
+    """
+
+    substeps: int
+    error: float = math.nan
+    unresolved_from: float = math.nan
+    chaotic: bool = False
+
+    @classmethod
+    def of(cls, attributes: Mapping[Any, Any]) -> Resolution | None:
+        """From the attributes of a table; None without them."""
+        if any(name not in attributes for name in cls._fields):
+            return None
+        substeps, error, unresolved_from, chaotic = (attributes[name] for name in cls._fields)
+        return cls(int(substeps), float(error), float(unresolved_from), bool(chaotic))
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of a table."""
+        return self._asdict() | {"chaotic": int(self.chaotic)}
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the two solutions agree; true as well for a given number of steps."""
+        return math.isnan(self.unresolved_from)
+
+    def with_rounding(self, exact: ArrayLike, rounded: ArrayLike, accuracy: float) -> Resolution:
+        """With the error of an angle in 32 bits; raises `SimulationError` if it is above the accuracy [rad]."""
+        error = float(np.nanmax(np.abs(np.asarray(exact) - np.asarray(rounded, float))))
+        if error > accuracy:
+            _raise_unreachable(accuracy, error, "rounding to 32 bits", ", or 64 bits")
+        return self._replace(error=max(error, self.error))
+
+    def describe(self) -> str:
+        """The estimated error in a sentence."""
+        steps = f"{self.substeps} integration step{'s' if self.substeps > 1 else ''} per control period"
+        if math.isnan(self.error):
+            return f"{steps}, the integration error is not estimated"
+        if self.resolved:
+            return f"estimated integration error of the angle: {self.error:.1e} rad ({steps})"
+        if not self.chaotic:
+            return (
+                f"not resolved: from {self.unresolved_from:.4g} s on the angle is less accurate than asked; estimated "
+                f"integration error: {self.error:.1e} rad ({steps})"
+            )
+        return (
+            f"not resolved: this run is chaotic; from {self.unresolved_from:.4g} s on, solutions with "
+            f"{self.substeps // 2} and {self.substeps} integration steps per control period separate, by up to "
+            f"{self.error:.2g} rad, so that its metrics hold as statistics only"
+        )
+
+
+def check_accuracy(accuracy: Any, substeps: Any = None, bits: int = 64) -> None:
+    """Raise `SimulationError` unless an accuracy [rad] can be reached, or a given number of steps is an integer."""
+    if substeps is not None:
+        if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
+            remedy = "give an integer from 1 up, or leave it out to reach the accuracy"
+            raise SimulationError(f"substeps is {substeps!r}", field="substeps", value=substeps, remedy=remedy)
+        return
+    number = float(accuracy) if isinstance(accuracy, Real) and not isinstance(accuracy, bool) else math.nan
+    if not 0 < number < math.inf:
+        raise SimulationError(
+            f"accuracy is {accuracy!r}", field="accuracy", value=accuracy, remedy="give an angle in rad above 0"
+        )
+    if number < _LOWEST[bits] * (1 - 1e-9):
+        _raise_unreachable(number, _LOWEST[bits], f"rounding to {bits} bits", ", or 64 bits" if bits == 32 else "")
+
+
+def _raise_unreachable(accuracy: float, reachable: float, why: str, otherwise: str = "") -> None:
+    digits = 10 ** (math.floor(math.log10(reachable)) - 1)
+    lowest = float(f"{math.ceil(reachable / digits - 1e-9) * digits:.1e}")
+    raise SimulationError(
+        f"an accuracy of {accuracy:g} rad is beyond {why}",
+        field="accuracy",
+        value=accuracy,
+        lower=lowest,
+        unit="rad",
+        remedy=f"give {lowest:g} rad or more{otherwise}",
+    )
+
+
+_KEPT = 20_000  # instants at which step doubling compares solutions
+
+
+def spacing(periods: int) -> int:
+    """Control periods between two instants at which solutions are compared: a divisor of their number."""
+    least = -(-periods // _KEPT)
+    return next((every for every in range(least, 10 * least) if periods % every == 0), 1)
+
+
+_VECTOR = 16
+
+
+def full_vectors(runs: Runs) -> Runs:
+    """Runs repeated to fill vectors: XLA compiles a program for each number of them."""
+    return np.resize(runs, -(-runs.size // _VECTOR) * _VECTOR)
+
+
+class Refinement(NamedTuple):
+    """Result of step doubling by run: the least number of steps that agrees with twice as many, and the error [rad].
+
+    Of a run without agreement, `unresolved_from` [s] is the time at which the last two solutions separate, and
+    `converges` is whether its error falls with the number of steps. `errors` has the error by doubling and run, NaN
+    after agreement.
+    """
+
+    substeps: NDArray[np.int64]
+    error: NDArray[np.float64]
+    unresolved_from: NDArray[np.float64]
+    converges: NDArray[np.bool_]
+    errors: NDArray[np.float64]
+    first: int
+
+    @property
+    def resolved(self) -> NDArray[np.bool_]:
+        """Mask of the runs with agreement."""
+        return np.isnan(self.unresolved_from)
+
+
+def refine(
+    solve: Solve,
+    count: int,
+    *,
+    accuracy: float,
+    spacing: float,
+    first: int = 1,
+    meaningful: Callable[[Positions, Runs], NDArray[np.bool_]] | None = None,
+) -> Refinement:
+    """Double the number of steps of so many runs, from `first`, until the positions of each agree with the last ones.
+
+    Positions are `spacing` [s] apart. Those of a run count while they are finite and, where given, `meaningful`, a mask
+    of shape (periods, runs).
+    """
+    runs, substeps = np.arange(count), first
+    errors = np.full((_DOUBLINGS, count), np.nan)
+    found = Refinement(
+        np.full(count, first), np.zeros(count), np.full(count, np.nan), np.ones(count, bool), errors, first
+    )
+    coarse = solve(substeps, runs)
+    for doubling in range(_DOUBLINGS):
+        fine = solve(2 * substeps, runs)
+        counts = np.isfinite(fine).all(axis=0)
+        if meaningful is not None:
+            counts &= meaningful(fine, runs)
+        counts = np.logical_and.accumulate(counts, axis=0)
+        with np.errstate(invalid="ignore", over="ignore"):
+            apart = np.where(counts, np.nan_to_num(np.abs(fine - coarse), nan=np.inf).max(axis=0), 0.0)
+        found.substeps[runs] = substeps
+        found.error[runs] = errors[doubling, runs] = apart.max(axis=0)
+        within = found.error[runs] <= accuracy
+        found.unresolved_from[runs] = np.where(within, np.nan, (apart > accuracy).argmax(axis=0) * spacing)
+        if within.all():
+            break
+        runs, coarse, substeps = runs[~within], fine[..., ~within], 2 * substeps
+    found.converges[:] = found.resolved | (errors[-1] < _FALLING * errors[-4])
+    return found
+
+
+def resolution_of(refined: Refinement, accuracy: float) -> Resolution:
+    """Resolution of one run that is computed with the finer of the last two solutions.
+
+    Raises `SimulationError` if the run converges, but does not reach an accuracy that is finer than the default.
+    """
+    substeps, error, unresolved_from, converges = (column[0].item() for column in refined[:4])
+    if converges and not math.isnan(unresolved_from) and accuracy < ACCURACY:
+        _raise_unreachable(accuracy, error, f"{2 * substeps} integration steps per control period")
+    return Resolution(2 * substeps, error, unresolved_from, not converges)
+
+
+def nominal_substeps(refined: Refinement, accuracy: float) -> int:
+    """Integration steps per control period of one run that reach the accuracy; 4 or more if the run is chaotic."""
+    found = resolution_of(refined, accuracy)
+    return 2**_FALLBACK_DOUBLINGS * refined.first if found.chaotic else found.substeps // 2
+
+
+class Steps(NamedTuple):
+    """Integration steps per control period of the runs of a batch, and their estimated errors [rad].
+
+    The error of a run that was not probed is the largest of the probed ones of its block; that of a chaotic run is NaN,
+    as are all if the number of steps was given.
+    """
+
+    substeps: NDArray[np.int64]
+    error: NDArray[np.float64]
+    chaotic: NDArray[np.bool_]
+
+    @classmethod
+    def given(cls, substeps: int, count: int) -> Steps:
+        """The same number of steps for all runs."""
+        return cls(np.full(count, substeps), np.full(count, np.nan), np.zeros(count, bool))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Columns of a table of runs."""
+        return {"substeps": self.substeps, "error_estimate": self.error, "chaotic": self.chaotic.astype(np.int8)}
+
+
+def refine_blocks(
+    lanes: Any, count: int, refine_runs: Callable[[Runs], Refinement], workers: int | None = None
+) -> Steps:
+    """Number of steps for each block of runs, by `refine_runs` of some of its runs.
+
+    The choice depends on the parameters of the runs of a block alone.
+    """
+    blocks = range(0, count, BLOCK)
+
+    def refined(piece: slice) -> tuple[Runs, Refinement]:
+        start = blocks[piece.start]
+        runs = start + probed_runs(jax.tree.map(lambda leaf: leaf[start : start + BLOCK], lanes))
+        return runs, refine_runs(runs)
+
+    steps = Steps.given(1, count)
+    for piece, (runs, found) in map_chunks(refined, len(blocks), 1, workers):
+        block = slice(blocks[piece.start], blocks[piece.start] + BLOCK)
+        first, resolved = found.first, found.resolved
+        doublings = round(math.log2(found.substeps[resolved].max() / first)) if resolved.any() else _FALLBACK_DOUBLINGS
+        errors = np.where(np.isnan(found.errors[doublings]), found.error, found.errors[doublings])
+        steps.substeps[block] = first * 2**doublings
+        steps.error[block] = errors[found.converges].max(initial=0.0) if found.converges.any() else np.nan
+        steps.error[runs] = np.where(found.converges, errors, np.nan)
+        steps.chaotic[runs] = ~found.converges
+    return steps
+
+
+def probed_runs(lanes: Any) -> Runs:
+    """Runs of a block that represent it: first, lowest and highest of each varied number, and a few random ones."""
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(lanes)]
+    count = len(leaves[0])
+    if count <= _RANDOM + _EXTREME:
+        return np.arange(count)
+    random = np.random.default_rng(0)
+    numbers = [np.reshape(leaf, (count, -1)).astype(float).sum(axis=1) for leaf in leaves]
+    extremes = list(dict.fromkeys(int(find(x)) for x in numbers for find in (np.argmin, np.argmax)))
+    if len(extremes) > _EXTREME:
+        extremes = random.choice(extremes, _EXTREME, replace=False).tolist()
+    return np.unique([0, *extremes, *random.choice(count, _RANDOM, replace=False)])

@@ -1,0 +1,194 @@
+"""Integration steps by step doubling: the estimated error is the true one, chaos is found, batches choose alike."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mckibben import (
+    PID,
+    AntagonisticJoint,
+    FirstOrderValve,
+    JointFriction,
+    JointPlant,
+    KneeGeometry,
+    PositionStiffnessControl,
+    Reference,
+    Sine,
+    Step,
+    catalog,
+    differentiate,
+    simulate,
+    simulate_many,
+)
+from mckibben.errors import McKibbenWarning, SimulationError
+from mckibben.simulation import Result
+from mckibben.simulation.accuracy import BLOCK, probed_runs, refine, spacing
+from mckibben.units import bar, deg, mm
+
+PRINTED = catalog.joint("knee-table-2")
+KNEE = AntagonisticJoint(
+    KneeGeometry(PRINTED.geometry.joint_length, PRINTED.geometry.joint_radius, 208 * mm),
+    PRINTED.muscle1,
+    PRINTED.muscle2,
+)
+PLANT = JointPlant(KNEE, catalog.load("knee-table-2"), FirstOrderValve(0.02))
+CONTROL = PositionStiffnessControl(PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar, 0.0), model=KNEE)
+START = PLANT.equilibrium(0.0, stiffness=12.0)
+SMOOTH = Reference(Sine(10 * deg, 0.5), 15.0)
+RUN = {"duration": 0.5, "initial": START}
+
+
+def slack(amplitude, frequency, low, high):
+    """A reference that slackens the muscles, so that the angle has kinks in its acceleration."""
+    return Reference(Sine(amplitude * deg, frequency), Step(low, high, 5.0))
+
+
+def angle_error(result, *, reference, **options):
+    fine = simulate(PLANT, CONTROL, reference, initial=START, substeps=256, **options)
+    return np.abs(result["angle"] - fine["angle"]).max()
+
+
+def test_a_smooth_run_needs_one_step_and_says_how_far_it_is_from_two():
+    run = simulate(PLANT, CONTROL, SMOOTH, **RUN)
+    assert run.resolution.resolved and run.resolution.substeps == 2 and 0 < run.resolution.error < 1e-10
+    assert angle_error(run, reference=SMOOTH, duration=0.5) <= run.resolution.error
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")
+def test_slack_muscles_get_the_steps_that_they_need():
+    reference = slack(20, 1.0, 6.0, 20.0)
+    run = simulate(PLANT, CONTROL, reference, initial=START)
+    assert run.resolution.substeps > 4 and run.resolution.error <= 1e-6
+    assert angle_error(run, reference=reference) <= 2 * run.resolution.error
+    four = simulate(PLANT, CONTROL, reference, initial=START, substeps=4)
+    assert angle_error(four, reference=reference) > 1e-4  # the former default
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")
+def test_a_chaotic_run_is_reported_with_the_time_from_which_solutions_separate():
+    reference = slack(25, 2.0, 3.0, 25.0)
+    with pytest.warns(McKibbenWarning, match="chaotic"):
+        run = simulate(PLANT, CONTROL, reference, initial=START)
+    assert not run.resolution.resolved and run.resolution.error > 1e-6
+    half = simulate(PLANT, CONTROL, reference, initial=START, substeps=run.resolution.substeps // 2)
+    apart = np.abs(half["angle"] - run["angle"]) > 1e-6
+    assert run.times[apart.argmax()] == pytest.approx(run.resolution.unresolved_from)
+
+
+def test_a_given_number_of_steps_is_used_as_it_is():
+    run = simulate(PLANT, CONTROL, SMOOTH, substeps=3, **RUN)
+    assert run.resolution.substeps == 3 and np.isnan(run.resolution.error)
+
+
+def test_friction_and_a_finer_accuracy_need_more_steps():
+    plant = dataclasses.replace(PLANT, friction=JointFriction(0.3, 1 * deg))
+    runs = [simulate(plant, CONTROL, SMOOTH, accuracy=accuracy, **RUN).resolution for accuracy in (1e-6, 1e-8)]
+    assert runs[0].substeps < runs[1].substeps and runs[1].error <= 1e-8
+
+
+@pytest.mark.parametrize("run", [simulate, simulate_many])
+@pytest.mark.parametrize(("precision", "lowest"), [(64, 1e-12), (32, 1e-6)])
+def test_an_accuracy_below_rounding_is_refused_with_the_one_that_can_be_reached(run, precision, lowest):
+    with pytest.raises(SimulationError) as caught:
+        run(PLANT, CONTROL, SMOOTH, accuracy=0.5 * lowest, precision=precision, **RUN)
+    assert (caught.value.field, caught.value.lower, caught.value.unit) == ("accuracy", lowest, "rad")
+
+
+@pytest.mark.parametrize("accuracy", [0.0, -1e-6, np.nan, np.inf, "fine", True])
+def test_an_accuracy_is_a_positive_angle(accuracy):
+    with pytest.raises(SimulationError) as caught:
+        simulate(PLANT, CONTROL, SMOOTH, accuracy=accuracy, **RUN)
+    assert caught.value.field == "accuracy"
+
+
+def test_an_accuracy_between_rounding_and_the_finest_steps_is_refused_with_the_one_that_can_be_reached():
+    plant = dataclasses.replace(PLANT, friction=JointFriction(0.3, 1 * deg))
+    with pytest.raises(SimulationError) as caught:
+        simulate(plant, CONTROL, SMOOTH, accuracy=1e-12, **RUN)
+    lowest = caught.value.lower
+    assert caught.value.field == "accuracy" and 1e-12 < lowest < 1e-7
+    assert simulate(plant, CONTROL, SMOOTH, accuracy=lowest, **RUN).resolution.error <= lowest
+
+
+def test_the_resolution_is_kept_in_a_file(tmp_path):
+    run = simulate(PLANT, CONTROL, SMOOTH, **RUN)
+    run.to_netcdf(tmp_path / "run.nc")
+    again = Result.from_netcdf(tmp_path / "run.nc").resolution
+    assert again[:2] == run.resolution[:2] and again.resolved
+
+
+MANY = {"load.mass2": np.linspace(0.3, 0.7, 40)}
+
+
+def test_a_batch_has_the_steps_and_the_error_that_its_extreme_runs_need():
+    batch = simulate_many(PLANT, CONTROL, SMOOTH, over=MANY, metrics=["angle_rmse"], keep=["angle"], **RUN)
+    assert np.all(batch["substeps"] == 1) and np.all(batch["error_estimate"] < 1e-10) and not batch.chaotic.any()
+    fine = simulate_many(PLANT, CONTROL, SMOOTH, over=MANY, metrics=["angle_rmse"], keep=["angle"], substeps=8, **RUN)
+    assert np.abs(batch["angle"] - fine["angle"]).max() <= 2 * batch["error_estimate"].max()
+    assert np.isnan(fine["error_estimate"]).all() and np.all(fine["substeps"] == 8)
+
+
+def test_a_batch_does_not_depend_on_workers():
+    given = {"over": MANY, "metrics": ["angle_rmse"], "engine": "native"} | RUN
+    one, two = (simulate_many(PLANT, CONTROL, SMOOTH, workers=count, **given) for count in (1, 2))
+    assert one.table.equals(two.table)
+
+
+@pytest.mark.slow
+def test_blocks_of_a_batch_choose_for_themselves():
+    strengths = np.where(np.arange(2 * BLOCK) < BLOCK, 1e-3, 0.5)  # of the friction, N*m
+    plant = dataclasses.replace(PLANT, friction=JointFriction(0.1, 1 * deg))
+    given = {"metrics": ["angle_rmse"], "duration": 0.1, "initial": START, "accuracy": 1e-8}
+    whole = simulate_many(plant, CONTROL, SMOOTH, over={"friction.torque": strengths}, **given)
+    first, second = whole["substeps"][:BLOCK], whole["substeps"][BLOCK:]
+    assert np.ptp(first) == np.ptp(second) == 0 and first[0] < second[0]
+    alone = simulate_many(plant, CONTROL, SMOOTH, over={"friction.torque": strengths[BLOCK:]}, **given)
+    assert np.array_equal(alone["angle_rmse"], whole["angle_rmse"][BLOCK:])
+
+
+def test_derivatives_have_the_steps_of_the_nominal_run():
+    found, two = (
+        differentiate(PLANT, CONTROL, SMOOTH, ["load.mass2"], metrics=["angle_rmse"], **given, **RUN)
+        for given in ({}, {"substeps": 1})
+    )
+    assert found.values["angle_rmse"] == two.values["angle_rmse"]
+
+
+def test_probed_runs_are_extreme_or_random_and_all_of_a_small_block():
+    values = np.random.default_rng(1).random((3, 500))
+    found = probed_runs(tuple(values))
+    extremes = {0, *values.argmin(axis=1), *values.argmax(axis=1)}
+    assert extremes <= set(found.tolist()) and len(found) <= 4 + len(extremes)
+    assert np.array_equal(found, probed_runs(tuple(values)))
+    assert np.array_equal(probed_runs((values[0, :20],)), np.arange(20))
+    assert len(probed_runs(tuple(np.random.default_rng(2).random((50, 500))))) <= 33
+
+
+def exponential(substeps, runs):
+    """Solutions whose error falls with the fourth power of the steps, faster for the first run; 10 s apart."""
+    size = np.array([1e-6, 1e-3, np.nan])[runs]
+    error = np.where(np.isnan(size), (-1.0) ** round(np.log2(substeps)), size / substeps**4)
+    return (error * np.array([0.0, 0.5, 1.0])[:, None])[None]
+
+
+def test_doubling_stops_for_each_run_when_it_agrees():
+    found = refine(exponential, 3, accuracy=1e-6, spacing=10.0)
+    assert found.substeps[:2].tolist() == [1, 8] and np.all(found.error[:2] <= 1e-6)
+    assert np.isnan(found.unresolved_from[:2]).all()
+    assert found.unresolved_from[2] == 10.0 and not found.converges[2] and found.converges[:2].all()
+
+
+def test_a_run_counts_until_it_diverges():
+    def diverging(substeps, runs):
+        return np.array([0.0, 1.0 / substeps, np.inf])[None, :, None]
+
+    found = refine(diverging, 1, accuracy=1e-6, spacing=1.0, meaningful=lambda x, _: np.abs(x[0]) < 1e-3)
+    assert found.error[0] == 0
+
+
+@pytest.mark.parametrize("periods", [7, 20_000, 20_001, 3_600_000])
+def test_long_runs_are_compared_at_a_part_of_their_periods(periods):
+    assert periods % spacing(periods) == 0 and periods / spacing(periods) <= 20_001
