@@ -122,7 +122,7 @@ def test_other_spellings(scenario, spelling, name):
     [
         ("duration", "one number for all runs"),
         ("control_period", "one number for all runs"),
-        ("substeps", "one number for all runs"),
+        ("accuracy", "one number for all runs"),
         ("name", "a text"),
         ("joint.muscle.specimen.name", "a text"),
         ("joint.muscle.specimen", "a group of parameters"),

@@ -21,7 +21,8 @@ from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, json_record, read_header
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
-from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, Cost, TuningProblem, parse_cost
+from mckibben.study.tune.cost import Cost, parse_cost
+from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProblem
 from mckibben.study.tune.search import (
     Method,
     SearchSpace,

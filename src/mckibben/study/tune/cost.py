@@ -1,0 +1,206 @@
+"""Cost of a tuning: a weighted sum of metrics, and its text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.component.columns import attributes
+from mckibben.errors import ParameterError, UnitError, suggest
+from mckibben.simulation import Metrics
+from mckibben.units import quantity
+
+_PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not the sign of 1e+3
+_TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(?:/\s*(?P<scale>.+))?")
+
+
+@dataclass(frozen=True)
+class Term:
+    """A metric, its scale [SI] and its weight in a cost."""
+
+    metric: str
+    scale: float
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.metric not in Metrics._fields:
+            raise ParameterError(
+                f"{self.metric!r} is not a metric", value=self.metric, remedy=suggest(self.metric, Metrics._fields)
+            )
+        for name, value in (("scale", self.scale), ("weight", self.weight)):
+            if not (np.isfinite(value) and value > 0):
+                raise ParameterError(
+                    f"the {name} of {self.metric} is {value:g}", value=value, remedy="give a number above 0"
+                )
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Weighted sum of metrics over their scales.
+
+    Errors alone would drive gains to the stability limit. With margins the cost is the larger of two: that of the
+    parameters, and that with all tuned controller gains multiplied by the gain margin and the commands delayed further
+    by the delay margin.
+
+    Parameters
+    ----------
+    terms
+        Summands.
+    gain_margin
+        Factor by which the gains may increase; 1 for no margin.
+    delay_margin
+        Further delay of the commands [s], which the controllers do not know; 0 for no margin.
+    worst
+        Whether to use the worst of several scenarios or conditions instead of the mean.
+    percentile
+        Use this percentile of the cost over several scenarios or conditions instead of the mean.
+    disk_margin
+        Least disk margin of the linearised loop (`mckibben.simulation.disk_margins`) in every scenario and condition; 0
+        for none. Parameters without it cost more than any that have it.
+
+    Examples
+    --------
+    >>> from mckibben.units import deg
+    >>> cost = Cost.of({"angle_rmse": 0.1 * deg, "stiffness_rmse": 0.5})
+    >>> round(float(cost({"angle_rmse": 0.2 * deg, "stiffness_rmse": 1.0})), 9)
+    4.0
+    """
+
+    terms: tuple[Term, ...]
+    gain_margin: float = 1.0
+    worst: bool = False
+    percentile: float | None = None
+    delay_margin: float = 0.0
+    disk_margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        names = [term.metric for term in self.terms]
+        twice = [name for name in names if names.count(name) > 1]
+        if not names or twice:
+            raise ParameterError(
+                f"{twice[0]} appears twice" if twice else "the cost has no term", remedy="name each metric once"
+            )
+        if not (np.isfinite(self.gain_margin) and self.gain_margin >= 1):
+            raise ParameterError(
+                f"the gain margin is {self.gain_margin:g}", value=self.gain_margin, remedy="give 1 (none) or more"
+            )
+        if not (np.isfinite(self.delay_margin) and self.delay_margin >= 0):
+            raise ParameterError(
+                f"the delay margin is {self.delay_margin:g} s", value=self.delay_margin, remedy="give 0 (none) or more"
+            )
+        if not 0 <= self.disk_margin < 2:
+            raise ParameterError(
+                f"the disk margin is {self.disk_margin:g}",
+                value=self.disk_margin,
+                remedy="give 0 (none) or more, below 2: no loop has more",
+            )
+        if self.percentile is not None:
+            if not 0 < self.percentile <= 100:
+                raise ParameterError(
+                    f"the percentile is {self.percentile:g}",
+                    value=self.percentile,
+                    remedy="give a number above 0, up to 100",
+                )
+            if self.worst:
+                raise ParameterError("the worst is the percentile 100", remedy="give one of the two")
+
+    @classmethod
+    def of(
+        cls,
+        scales: Mapping[str, float],
+        *,
+        gain_margin: float = 1.0,
+        worst: bool = False,
+        percentile: float | None = None,
+        delay_margin: float = 0.0,
+        disk_margin: float = 0.0,
+    ) -> Self:
+        """Cost from metrics and their scales [SI]."""
+        terms = tuple(Term(name, scale) for name, scale in scales.items())
+        return cls(terms, gain_margin, worst, percentile, delay_margin, disk_margin)
+
+    @property
+    def has_margin(self) -> bool:
+        """Whether it covers other gains or a longer delay."""
+        return self.gain_margin != 1.0 or self.delay_margin != 0.0
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Metrics that the cost needs."""
+        return tuple(term.metric for term in self.terms)
+
+    def __call__(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
+        """Return the cost of metrics [SI], elementwise."""
+        return np.asarray(sum(term.weight * np.asarray(values[term.metric]) / term.scale for term in self.terms))
+
+    @property
+    def text(self) -> str:
+        """Text from which `parse_cost` restores the cost exactly."""
+        return " + ".join(_written(term) for term in self.terms)
+
+
+def parse_cost(
+    text: str,
+    *,
+    gain_margin: float = 1.0,
+    worst: bool = False,
+    percentile: float | None = None,
+    delay_margin: float = 0.0,
+    disk_margin: float = 0.0,
+) -> Cost:
+    """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
+
+    A single metric needs no scale; each of several metrics needs one, since their units differ.
+
+    Raises
+    ------
+    ParameterError
+        If a term is invalid, or its unit does not fit its metric.
+
+    Examples
+    --------
+    >>> parse_cost("angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad").terms[1]
+    Term(metric='stiffness_rmse', scale=0.5, weight=2.0)
+    """
+    parts = [part.strip() for part in _PLUS.split(text)]
+    terms = []
+    for part in parts:
+        found = _TERM.fullmatch(part)
+        if found is None:
+            raise ParameterError(
+                f"{part!r} is not a term of a cost", value=part, remedy="write it like angle_rmse/0.1 deg"
+            )
+        metric, scale = found["metric"], found["scale"]
+        Term(metric, 1.0)  # raises for an unknown metric
+        if scale is None and len(parts) > 1:
+            unit = _unit(metric).replace("ratio", "%")
+            unit = "deg" if unit == "rad" else unit
+            raise ParameterError(
+                f"{metric} has no scale, and cannot be added to other metrics",
+                remedy=f"write it like {metric}/0.1 {unit}",
+            )
+        try:
+            weight = float(found["weight"] or 1.0)
+            size = 1.0 if scale is None else quantity(scale, _unit(metric))
+        except UnitError as error:
+            raise ParameterError(f"{part!r}: {error}", value=part) from None
+        except ValueError:
+            raise ParameterError(f"{found['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
+        terms.append(Term(metric, size, weight))
+    return Cost(tuple(terms), gain_margin, worst, percentile, delay_margin, disk_margin)
+
+
+def _written(term: Term) -> str:
+    weight = "" if term.weight == 1 else f"{term.weight!r}*"
+    return f"{weight}{term.metric}/{term.scale!r} {_unit(term.metric)}".replace("+", "")
+
+
+def _unit(metric: str) -> str:
+    """SI unit of a metric; "ratio" for a plain number."""
+    unit = attributes(metric)["units"]
+    return "ratio" if unit == "1" else unit
