@@ -25,7 +25,7 @@ from rows import Row, Table
 from tables import as_markdown, as_text
 from timing import failure
 
-SECTIONS = ("single", "batch", "gpu", "gradient", "cold", "identification", "leg")
+SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "identification", "leg")
 
 
 def main() -> int:
@@ -80,12 +80,14 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from gradient import gradient
     from identification import identification
     from leg import leg
+    from precision import precision
     from reference import reference_problem
     from single import single
 
     problem = reference_problem()
     return {
         "single": lambda: single(problem, folder, quick=quick),
+        "precision": lambda: precision(quick=quick),
         "batch": lambda: batch(problem, folder, quick=quick),
         "gpu": lambda: gpu(quick=quick),
         "gradient": lambda: gradient(problem, folder, quick=quick),
