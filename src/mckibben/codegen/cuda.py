@@ -40,7 +40,7 @@ _MAJOR, _MINOR = 75, 76  # attributes of a device: its compute capability
 _OTHER_ENGINE = "use engine='native' or 'xla'"
 
 
-class Program(NamedTuple):
+class Kernel(NamedTuple):
     """A compiled kernel: its binary or PTX, the registers per thread, and the bytes per thread that spill to memory."""
 
     image: bytes
@@ -62,7 +62,7 @@ class Nvrtc:
         self._call("nvrtcGetSupportedArchs", known)
         self.architectures = list(known)
 
-    def compile(self, source: str, architecture: int) -> Program:
+    def compile(self, source: str, architecture: int) -> Kernel:
         """Compile for a compute capability, such as 90; as PTX if it is newer than the compiler."""
         if architecture < min(self.architectures):
             raise DeviceError(
@@ -88,7 +88,7 @@ class Nvrtc:
         finally:
             self._call("nvrtcDestroyProgram", byref(program))
         registers, spilled = (re.findall(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
-        return Program(image, ptx.decode(), max(map(int, registers), default=0), sum(map(int, spilled)))
+        return Kernel(image, ptx.decode(), max(map(int, registers), default=0), sum(map(int, spilled)))
 
     @property
     def name(self) -> str:

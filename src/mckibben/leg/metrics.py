@@ -84,7 +84,7 @@ class LegMetrics(NamedTuple):
     time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
 
 
-class MetricSample(NamedTuple):
+class LegMetricSample(NamedTuple):
     """Quantities of a sample that metrics are made of; flags are 0 or 1."""
 
     ground_up: Scalar  # [N]
@@ -114,7 +114,7 @@ class Flight(NamedTuple):
         zero = jnp.zeros_like(first.z)
         return cls(zero - 1, first.z, first.speed, zero, zero, first.air_mass, zero - jnp.inf, zero, zero, zero)
 
-    def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> tuple[Flight, MetricSample]:
+    def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> tuple[Flight, LegMetricSample]:
         """Return the state after a further sample, a period [s] later, and what metrics are made of."""
         gravity, force = plant.gravity, sample.ground_up
         before = self.touched < 0
@@ -139,7 +139,7 @@ class Flight(NamedTuple):
             muscle_work=jnp.where(counts, work, self.muscle_work),
             air_mass=jnp.where(counts, drawn, self.air_mass),
         )
-        return following, MetricSample(
+        return following, LegMetricSample(
             ground_up=force,
             force_after_impact=jnp.where(touched > IMPACT, force, 0.0),
             trunk_force=plant.leg.trunk.mass * ((sample.speed - self.speed) / period + gravity),
@@ -158,7 +158,7 @@ class MetricSums(NamedTuple):
     @classmethod
     def of(cls, first: LegSample) -> MetricSums:
         zero = jnp.zeros_like(first.z)
-        nothing = MetricSample(zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
+        nothing = LegMetricSample(zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
         return cls(_totals(nothing).empty(), Flight.of(first))
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:

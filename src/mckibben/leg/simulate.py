@@ -26,7 +26,7 @@ from mckibben.simulation.accuracy import (
     Refinement,
     Resolution,
     Runs,
-    Steps,
+    StepCounts,
     check_accuracy,
     full_vectors,
     refine,
@@ -260,7 +260,7 @@ def simulate_legs(
         steps = refine_blocks(lanes, count, refine_runs, workers)
     else:
         first.plant.check_substeps(first.start.angles, None, control_period, substeps)
-        steps = Steps.given(substeps, count)
+        steps = StepCounts.given(substeps, count)
     joined, used = compute_groups(
         lambda lane, number: _run(engine, (*given, dynamic_steps(number)), lane),
         lanes,

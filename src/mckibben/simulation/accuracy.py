@@ -27,7 +27,7 @@ STEP_COLUMNS = {
     "error_estimate": Label("rad", "estimated integration error of the angle"),
     "chaotic": Label("1", "found to be chaotic: solutions with more integration steps do not converge"),
 }
-"""Columns of `Steps`."""
+"""Columns of `StepCounts`."""
 declare(__name__, STEP_COLUMNS)
 
 _DOUBLINGS = 6  # from 1 to 64 steps
@@ -230,7 +230,7 @@ def nominal_substeps(refined: Refinement, accuracy: float) -> int:
     return 2**_FALLBACK_DOUBLINGS * refined.first if found.chaotic else found.substeps // 2
 
 
-class Steps(NamedTuple):
+class StepCounts(NamedTuple):
     """Integration steps per control period of the runs of a batch, and their estimated errors [rad].
 
     The error of a run that was not probed is the largest of the probed ones of its block; that of a chaotic run is NaN,
@@ -242,7 +242,7 @@ class Steps(NamedTuple):
     chaotic: NDArray[np.bool_]
 
     @classmethod
-    def given(cls, substeps: int, count: int) -> Steps:
+    def given(cls, substeps: int, count: int) -> StepCounts:
         """The same number of steps for all runs."""
         return cls(np.full(count, substeps), np.full(count, np.nan), np.zeros(count, bool))
 
@@ -253,7 +253,7 @@ class Steps(NamedTuple):
 
 def refine_blocks(
     lanes: Any, count: int, refine_runs: Callable[[Runs], Refinement], workers: int | None = None
-) -> Steps:
+) -> StepCounts:
     """Number of steps for each block of runs, by `refine_runs` of some of its runs.
 
     The choice depends on the parameters of the runs of a block alone.
@@ -265,7 +265,7 @@ def refine_blocks(
         runs = start + probed_runs(jax.tree.map(lambda leaf: leaf[start : start + BLOCK], lanes))
         return runs, refine_runs(runs)
 
-    steps = Steps.given(1, count)
+    steps = StepCounts.given(1, count)
     for piece, (runs, found) in map_chunks(refined, len(blocks), 1, workers):
         block = slice(blocks[piece.start], blocks[piece.start] + BLOCK)
         first, resolved = found.first, found.resolved

@@ -28,7 +28,7 @@ from mckibben.simulation.accuracy import (
     Positions,
     Refinement,
     Runs,
-    Steps,
+    StepCounts,
     check_accuracy,
     full_vectors,
     probed_runs,
@@ -153,7 +153,7 @@ def simulate_many(
         steps = refine_blocks(lanes, count, functools.partial(runs.refine, accuracy=accuracy), workers)
     else:
         runs.warn_of(substeps)
-        steps = Steps.given(substeps, count)
+        steps = StepCounts.given(substeps, count)
     columns, used = compute_groups(
         runs.compute,
         lanes,
@@ -327,7 +327,7 @@ _DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_satura
 
 
 def _table(
-    columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked, steps: Steps
+    columns: Mapping[str, Any], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked, steps: StepCounts
 ) -> xr.Dataset:
     code = outcomes(
         angle_max=columns["_angle_max"],
