@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from mckibben.codegen.cuda import Program
+from mckibben.codegen.cuda import Kernel
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("c++")
@@ -34,10 +34,10 @@ class Compiler:
         self.name = f"of the tests {known.hexdigest()}"
         self.sources: list[str] = []
 
-    def compile(self, source: str, architecture: int) -> Program:
+    def compile(self, source: str, architecture: int) -> Kernel:
         self.sources.append(source)
         library = build(f'#include "before.h"\n{source}\n#include "after.h"\n')
-        return Program(struct.pack("q", len(library)) + library, "", 0, 0)
+        return Kernel(struct.pack("q", len(library)) + library, "", 0, 0)
 
 
 def driver(folder: Path) -> ctypes.CDLL:
