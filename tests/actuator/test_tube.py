@@ -250,3 +250,10 @@ def test_a_controller_that_knows_the_tube_has_less_than_half_of_the_error():
         changed = {"valve": tube, "controller": controller, "substeps": 12}
         errors.append(run_scenario(scenario.model_copy(update=changed)).result.metrics["angle_rmse"])
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_its_time_constant_is_that_of_a_compiled_step():
+    """Controllers compute it in each step."""
+    tube = Tube(PressureRegulator(1e-9, 7e5, time_constant=0.02), volume=6e-6, conductance=0.8e-9)
+    compiled = jax.jit(lambda valve: valve.time_constant_at(3e5, 2e-5))(tube)
+    assert float(compiled) == pytest.approx(float(tube.time_constant_at(3e5, 2e-5)), rel=1e-12)

@@ -89,8 +89,7 @@ def test_a_process_that_is_done_ends_with_0(tmp_path):
         (["identify", "nowhere.csv"], "error: nowhere.csv: 1 problem\n  there is no such file\n"),
         (
             ["identify", "festo-tool-10mm", "--law", "x"],
-            "error: there is no law 'x'; known are chou, tondu-lopez, tondu-lopez-variable, tsagarakis-caldwell, "
-            "martens-boblan, repperger, reynolds, hunt, sarosi, exponential, smooth-affine, smooth; load the "
+            f"error: there is no law 'x'; known are {', '.join(LAWS)}; load the "
             "module of a user-defined law first (--extension)\n",
         ),
     ],

@@ -1,6 +1,7 @@
 """mckibben rig control: a run in full, what it keeps, and what it refuses."""
 
 import json
+import re
 import signal
 from pathlib import Path
 
@@ -19,7 +20,7 @@ NAME = "pre-contracted-step-pid"
 
 @pytest.fixture
 def short(shortened, tmp_path):
-    (tmp_path / "short.yaml").write_text(shortened(NAME), encoding="utf-8")
+    (tmp_path / "short.yaml").write_text(re.sub("accuracy:.*", "substeps: 4", shortened(NAME)), encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -115,6 +115,7 @@ def test_a_batch_is_what_single_runs_are(run, rubbing, inner):
         duration=4.0,
         initial=AtRest(0.0),
         metrics=("angle_rmse",),
+        substeps=4,
     )
     for k, width in enumerate(widths):
         slip = dataclasses.replace(SLIP, half_width=float(width))

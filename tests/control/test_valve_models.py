@@ -40,7 +40,7 @@ def make(knee, load):
 def run(knee, load):
     def run(valve, control, reference=SINE, **more):
         plant = mk.JointPlant(knee, load, valve, sensors=SENSORS, **more)
-        return mk.simulate(plant, control, reference, duration=2.0)
+        return mk.simulate(plant, control, reference, duration=2.0, substeps=8)
 
     return run
 

@@ -66,8 +66,8 @@ def test_legs_on_cuda_are_those_of_the_c_compiler(
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     over = {"start.upward_speed": np.linspace(-1.4, -0.5, 5)}
     tables = [simulate_legs(plant, schedule, start, over=over, engine=engine, **STEP) for engine in ("native", "cuda")]
-    assert tables[1].attrs["engine"] == "cuda"
-    for name in tables[0]:
+    assert tables[1].engine == "cuda"
+    for name in tables[0].metrics:
         assert np.allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, equal_nan=True), name
     if cuda_device is not None:
         assert 0 < nvrtc.compile(cuda_device.sources[0], 90).registers <= 255

@@ -49,7 +49,13 @@ def test_the_record_is_the_same_to_the_last_bit(both):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "limits",
-    [{"highest_angle": 2 * deg}, {"pressure": 1 * bar}, {"pressure_rate": 5 * bar}, {"pressure_error": 0.02 * bar}],
+    [
+        {"highest_angle": 2 * deg},
+        {"pressure": 1 * bar},
+        {"pressure_rate": 5 * bar},
+        {"pressure_rate": 5 * bar, "window": 2 * TOGETHER * PERIOD},
+        {"pressure_error": 0.02 * bar},
+    ],
 )
 def test_it_stops_at_the_same_sample(both, limits):
     (outcome, kept, _), (together, chunks, _) = both(dataclasses.replace(LIMITS, **limits))

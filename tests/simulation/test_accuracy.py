@@ -23,7 +23,7 @@ from mckibben import (
 )
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.simulation import Result
-from mckibben.simulation.accuracy import BLOCK, probed_runs, refine, spacing
+from mckibben.simulation.accuracy import BLOCK, Refinement, probed_runs, refine, refine_blocks, spacing
 from mckibben.units import bar, deg, mm
 
 PRINTED = catalog.joint("knee-table-2")
@@ -192,3 +192,14 @@ def test_a_run_counts_until_it_diverges():
 @pytest.mark.parametrize("periods", [7, 20_000, 20_001, 3_600_000])
 def test_long_runs_are_compared_at_a_part_of_their_periods(periods):
     assert periods % spacing(periods) == 0 and periods / spacing(periods) <= 20_001
+
+
+def test_runs_that_converge_slowly_decide_the_steps_of_their_block():
+    """The second run needs more than 64 steps: it gets the most, not as few as the first."""
+    errors = np.array([[1e-9, np.nan, np.nan, np.nan, np.nan, np.nan], [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4]]).T
+    unresolved, converges = np.array([np.nan, 0.5]), np.array([True, True])
+    refined = Refinement(np.array([1, 32]), np.array([1e-9, 3e-4]), unresolved, converges, errors, 1)
+    steps = refine_blocks({"x": np.arange(2.0)}, 2, lambda runs: refined)
+    assert steps.substeps.tolist() == [32, 32] and steps.error.max() == 3e-4
+    with pytest.warns(McKibbenWarning):
+        steps.warn_of(1e-6)

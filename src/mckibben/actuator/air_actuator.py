@@ -44,9 +44,10 @@ class AirActuator(Actuator):
         gauge pressure [Pa], over the step; the mean of filling and venting. For the valve model of a controller.
         """
 
-    def model_lag(self, joint: AntagonisticJoint) -> Any:
-        """Return `time_constant_at` the middle of the first muscle's pressures and contractions."""
-        muscle = joint.muscle2 if joint.springs[0] else joint.muscle1
+    def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Any:
+        """Return `time_constant_at` the middle of a muscle's pressures and contractions; default: of the first one."""
+        index = int(joint.springs[0]) if index is None else index
+        muscle = (joint.muscle1, joint.muscle2)[index]
         domain = muscle.domain
         volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
         return self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)

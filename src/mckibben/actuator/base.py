@@ -240,8 +240,8 @@ class Actuator(Labelled, Component):
         each = enumerate(zip(air.valves, commands, pressures, strict=True))
         return air._replace(valves=tuple(self.for_muscle(i).before_step(*one, step) for i, one in each))
 
-    def model_lag(self, joint: AntagonisticJoint) -> Any:
-        """Return the first-order time constant [s] of small changes in a joint; None if unknown."""
+    def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Any:
+        """Return the first-order time constant [s] of small changes in a joint, at one muscle; None if unknown."""
         return self.lag
 
     def init_model(self, pressure: Scalar) -> Any:

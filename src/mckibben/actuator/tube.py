@@ -7,7 +7,6 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator
@@ -140,7 +139,7 @@ class Tube(AirActuator):
         return jnp.where(choked, -jnp.inf, self._tight.command_for(outlet - ATMOSPHERE, rate, at_valve))
 
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
-        slope = ENERGY * DENSITY * flow_share(self.critical_ratio, LAMINAR, np) / (1 - LAMINAR)
+        slope = ENERGY * DENSITY * flow_share(self.critical_ratio, LAMINAR) / (1 - LAMINAR)
         tube = volume / (self.polytropic_index * self.conductance * slope)
         return self.valve.time_constant_at(pressure, volume + self.volume) + tube
 

@@ -94,7 +94,7 @@ class UnequalValves(Actuator):
     def reservoir(self) -> Reservoir | None:
         if self.reservoir_volume is None or self.line_conductance is None:
             return None
-        first: Any = self.muscle1
+        first: Any = getattr(self.muscle1, "valve", self.muscle1)  # of a tube
         volume, line = self.reservoir_volume, self.line_conductance
         return Reservoir(volume, line, first.supply, first.critical_ratio, first.polytropic_index)
 
@@ -108,8 +108,11 @@ class UnequalValves(Actuator):
         second: Any = self.muscle2
         return dataclasses.replace(self, muscle1=first.scaled(factor), muscle2=second.scaled(factor))
 
-    def model_lag(self, joint: AntagonisticJoint) -> Any:
-        return _mean(lambda one: one.model_lag(joint), self.muscle1, self.muscle2)
+    def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Any:
+        """Return the mean of the lags of the muscles that are not springs, or that of one muscle."""
+        chosen = [i for i in (0, 1) if not joint.springs[i]] if index is None else [index]
+        lags = [self.for_muscle(i).model_lag(joint, i) for i in chosen]
+        return None if None in lags else sum(lags) / len(lags)
 
     def fastest_rate_in(self, volume: float) -> float:
         each: Any = (self.muscle1, self.muscle2)

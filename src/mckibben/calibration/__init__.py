@@ -17,6 +17,7 @@ from mckibben.calibration.valve_experiment import (
     ValveExperiment,
     calibrate_scenario_valves,
     scenario_with_valves,
+    valve_for,
     valve_statements,
 )
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
@@ -43,5 +44,6 @@ __all__ = [
     "run_parts",
     "run_sweeps",
     "scenario_with_valves",
+    "valve_for",
     "valve_statements",
 ]

@@ -164,20 +164,28 @@ def calibrate_scenario_valves(
 def scenario_with_valves(scenario: Scenario, found: ValveCalibration) -> Scenario:
     """Return the scenario with the estimates as the controller's own model of valve and delay.
 
-    Where the controller has none, or takes it from the plant, they become the plant's.
+    Where the controller has none, or takes it from the plant, they become the plant's. A controller that adapts its
+    model of first-order valves gets the mean of both valves.
     """
-    control, fields = scenario.controller, {"valve": found.valve, "command_delay": found.delay}
+    control, fields = scenario.controller, {"valve": valve_for(scenario, found), "command_delay": found.delay}
     own = {name: one for name, one in fields.items() if holds(control, name)}
     others = {name: one for name, one in fields.items() if name not in own}
     return scenario.model_copy(update={**others, "controller": with_fields(control, own)})
 
 
-def valve_statements(found: ValveCalibration) -> list[str]:
-    """Return one sentence for each quantity of the model in which the valves differ."""
-    said = []
+def valve_for(scenario: Scenario, found: ValveCalibration) -> Actuator:
+    """Return the valve of the controller model: a pair if the valves differ, unless the controller adapts one lag."""
+    adapts = any(field_of(scenario.control(), name) for name in ("valve_adaptation", "actuator_adaptation"))
+    valve = found.valve
+    return found.mean_valve if adapts and valve.muscle_count and not valve.holds_air else valve
+
+
+def valve_statements(found: ValveCalibration, valve: Actuator | None = None) -> list[str]:
+    """Return a sentence per quantity in which the valves differ; `valve` is the model, by default the found one."""
+    said, pair = [], (valve or found.valve).muscle_count
     for name in found.differing:
         both = [found.quantities[f"valve{number}.{name}"] for number in (1, 2)]
         texts = " and ".join(show(one.value, SHOWN[one.unit], 3) for one in both)
-        model = "the mean of both" if name == "delay" else "both"
+        model = "both" if pair and name != "delay" else "the mean of both"
         said.append(f"the valves differ: {name} is {texts}; the model has {model}")
     return said

@@ -120,7 +120,14 @@ class ValveCalibration:
         one, other = self._problems.values()
         if one.parameters != other.parameters or set(self.differing) - {"delay"}:
             return UnequalValves(*self.valves)
-        return _valve_of(one, sum(self._estimates) / 2, sum(self._deviations) / 2)  # type: ignore[arg-type]
+        return self.mean_valve
+
+    @property
+    def mean_valve(self) -> Actuator:
+        """The mean of the estimates of both valves, or of their logarithms, for equal kinds of valves."""
+        problem = next(iter(self._problems.values()))
+        count = len(self.valves)
+        return _valve_of(problem, sum(self._estimates) / count, sum(self._deviations) / count)  # type: ignore[arg-type]
 
     @property
     def differing(self) -> tuple[str, ...]:

@@ -206,6 +206,7 @@ def _valves(
         read_joint_recording,
         run_parts,
         scenario_with_valves,
+        valve_for,
         valve_statements,
     )
     from mckibben.calibration.experiment import recording_of
@@ -238,14 +239,14 @@ def _valves(
     }
     with keeping(out):
         with atomic_write(out / "valve.yaml", overwrite=True) as part:
-            part.write_bytes(sealed((_VALVE_HEAD + write_text(found.valve, folder=out)).encode()))
+            part.write_bytes(sealed((_VALVE_HEAD + write_text(valve_for(scenario, found), folder=out)).encode()))
         _keep(out, scenario_with_valves(scenario, found), numbers, draw(found, recordings))
     if json:
         echo(to_json(numbers))
     else:
         _show_quantities(found.quantities)
         echo(f"residual {found.residual / kPa:.2g} kPa, noise {found.noise / kPa:.2g} kPa")
-        for line in valve_statements(found):
+        for line in valve_statements(found, valve_for(scenario, found)):
             echo(line)
     echo(f"wrote valve.yaml (for `valve: valve.yaml`), scenario.yaml and figure to {out}", err=json)
 

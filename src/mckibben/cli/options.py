@@ -155,7 +155,10 @@ def with_accuracy(document: Document, text: str) -> Document:
 
     accuracy = parse_quantity("--accuracy", text, "rad")
     check_accuracy(accuracy)
-    return document.model_copy(update={"accuracy": accuracy, "substeps": None})
+    changes: dict[str, Any] = {"accuracy": accuracy, "substeps": None}
+    if setups := getattr(document, "setups", None):
+        changes["setups"] = {name: one.model_copy(update={"substeps": None}) for name, one in setups.items()}
+    return document.model_copy(update=changes)
 
 
 def check_choice(name: str, choices: Iterable[str], what: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -11,14 +11,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import air_volumes, delay_periods
+from mckibben.actuator.base import Actuator, air_volumes, delay_periods
 from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
 from mckibben.control.actuator_adaptation import ActuatorAdaptation, ActuatorAdaptationState, with_speed
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.model_based import Estimates, ModelBasedControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
 from mckibben.units import CommandDelay
@@ -96,9 +96,15 @@ class DelayCompensation(ModelBasedControl):
     def __check_init__(self) -> None:
         super().__check_init__()
         if self.actuator_adaptation is not None:
-            self.actuator_adaptation.check_valve(self.valve)
-            if isinstance(self.controller, ModelBasedControl):
-                self.actuator_adaptation.check_valve(self.controller.valve)
+            for one in _with_valves(self):
+                self.actuator_adaptation.check_valve(one.valve)
+                if getattr(one, "valve_adaptation", None) is not None:
+                    raise RangeError(
+                        f"DelayCompensation: actuator_adaptation and the valve_adaptation of a {type(one).__name__} "
+                        "estimate the same valves",
+                        field="actuator_adaptation",
+                        remedy="leave one of them out",
+                    )
 
     @property
     def observers(self) -> tuple[Observer, PressureObserver]:
@@ -176,12 +182,12 @@ class DelayCompensation(ModelBasedControl):
         """The controller with estimates in place of delay and speed of its models."""
         if not isinstance(adapted, ActuatorAdaptationState):
             return self
-        changed = eqx.tree_at(
-            lambda one: (one.valve, one.command_delay), self, (with_speed(self.valve, adapted.speed), adapted.delay)
-        )
-        if not isinstance(self.controller, ModelBasedControl):
-            return changed
-        return eqx.tree_at(lambda one: one.controller.valve, changed, with_speed(self.controller.valve, adapted.speed))
+        valves = [with_speed(one.valve, adapted.speed) for one in _with_valves(self)]
+
+        def replaced(control: Any) -> list[Any]:
+            return [control.command_delay, *(one.valve for one in _with_valves(control))]
+
+        return eqx.tree_at(replaced, self, [adapted.delay, *valves])
 
     def _predicted(
         self, model: AntagonisticJoint, estimates: Estimates, sent: tuple[Pair, ...], period: ArrayLike
@@ -208,6 +214,16 @@ class DelayCompensation(ModelBasedControl):
         start = motion.angle, motion.velocity, estimates.pressures, estimates.actuators
         (angle, _, pressures, _), _ = lax.scan(advance, start, commands)
         return Measurement(angle, pressures)
+
+
+def _with_valves(controller: Any) -> Iterator[Any]:
+    """The controllers with a model of the valves: this one, and those that it wraps."""
+    if isinstance(getattr(controller, "valve", None), Actuator):
+        yield controller
+    for field in dataclasses.fields(controller):
+        inner = getattr(controller, field.name)
+        if isinstance(inner, Controller):
+            yield from _with_valves(inner)
 
 
 def _means(sent: tuple[Pair, ...], newest: ArrayLike, oldest: ArrayLike) -> Pair:

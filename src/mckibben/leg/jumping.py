@@ -289,7 +289,8 @@ def study_jump(
         if substeps is None:
             schedule = variables.schedule([0.5] * variables.size)
             nominal = simulate_leg(plant, schedule, start, duration=duration, **scenario.steps)
-            substeps = max((nominal.resolution.substeps if nominal.resolution else 1) // 2, 1)
+            assert nominal.resolution is not None
+            substeps = 4 if nominal.resolution.chaotic else max(nominal.resolution.substeps // 2, 1)
         runs = JumpRuns(plant, start, variables, duration, scenario.step, substeps)
         # The constant jump is one of the timed ones.
         guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(pressures))])

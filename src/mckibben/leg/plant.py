@@ -170,6 +170,15 @@ class LegPlant(Plant):
     def __repr__(self) -> str:
         return f"LegPlant({self.leg!r}, {type(self.valve).__name__})"
 
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.valve.muscle_count is not None:
+            raise RangeError(
+                f"LegPlant: a {type(self.valve).__name__} is for the two muscles of a joint",
+                field="valve",
+                remedy="give an actuator that all muscles have",
+            )
+
     @property
     def muscles(self) -> tuple[Muscle, ...]:
         return self.leg.muscles

@@ -258,6 +258,7 @@ def simulate_legs(
 
     if substeps is None:
         steps = refine_blocks(lanes, count, refine_runs, workers)
+        steps.warn_of(accuracy)
     else:
         first.plant.check_substeps(first.start.angles, None, control_period, substeps)
         steps = StepCounts.given(substeps, count)

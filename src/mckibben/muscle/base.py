@@ -49,7 +49,7 @@ class ForceLaw(Component):
 
     domain: eqx.AbstractVar[Domain]
 
-    equation: ClassVar[str]
+    equation: ClassVar[str] = ""
     """Formula in the symbols of the source."""
     source: ClassVar[str]
     """Paper and equation."""
@@ -95,7 +95,7 @@ class ForceLaw(Component):
         kind = find_class(cls, section.get("class", ""))
         if kind is None or not is_foreign(kind.__module__):
             return section
-        return section | {"equation": kind.equation}
+        return section | {"equation": kind.equation} if kind.equation else section
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:

@@ -283,7 +283,8 @@ class ControlLoop:
         self._stepped: int | None = None  # sample of its last step
         self._inputs = np.zeros(6)
         self._commands: tuple[float, float] | None = None
-        self._together = together if isinstance(backend, SimulatedJoint) and backend.can_run_ahead else 1
+        simulated = type(backend) is SimulatedJoint and backend.can_run_ahead
+        self._together = together if simulated else 1
         self._detection = LimitCycleDetection(plan.period, plan.angle_resolution)
         self._first = 0  # sample of the controller's first step
         self._limit_cycle: LimitCycle | None = None
@@ -331,6 +332,8 @@ class ControlLoop:
         self._next, self._commands = first + count, (float(found.commands[-1, 0]), float(found.commands[-1, 1]))
         if not raising:
             self._state, self._stepped = found.controller, first + count - 1
+            for number, angle, reference in zip(numbers, found.reading[:, 0], references[:, 0], strict=True):
+                self._detect(int(number) - self._first, float(angle), float(reference))
         references = np.full((count, 2), np.nan) if raising else references
         own = {
             "sample": numbers,
@@ -346,7 +349,8 @@ class ControlLoop:
         if self._progress is not None:
             duration, phase = plan.periods * plan.period, plan.phase(self._next - 1)
             reading = JointReading(*found.reading[-1].tolist())
-            self._progress(RunProgress(time[-1], duration, phase, reading, float(references[-1, 0]), self._missed))
+            state = time[-1], duration, phase, reading, float(references[-1, 0]), self._missed, self._limit_cycle
+            self._progress(RunProgress(*state))
         return True
 
     def record_venting(self, block: Block) -> None:

@@ -182,7 +182,8 @@ def prepare(
         angle_resolution=float(plant.sensors.angle_resolution),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
-    conditions = RunConditions(period, rig.patience, scenario.needed_substeps(), paced, start if ideal else None)
+    substeps = 1 if rig.physical else scenario.needed_substeps()
+    conditions = RunConditions(period, rig.patience, substeps, paced, start if ideal else None)
     backend = rig.rig.backend(plant, conditions)
     header = {
         "what": "joint rig",
@@ -198,11 +199,12 @@ def prepare(
 
 
 def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Ranges of the rated pressures [Pa] of both muscles."""
-    one, two = plant.joint.muscle1.specimen.domain, plant.joint.muscle2.specimen.domain
+    """Ranges of the commands [Pa] of both muscles: their rated pressures, and the supply if known."""
+    valve, muscles = plant.valve, enumerate(plant.muscles)
+    (low1, high1), (low2, high2) = (valve.for_muscle(i).command_range(one.specimen.domain) for i, one in muscles)
     return (
-        (float(one.pressure_min), float(one.pressure_max)),
-        (float(two.pressure_min), float(two.pressure_max)),
+        (float(low1), float(high1)),
+        (float(low2), float(high2)),
     )
 
 

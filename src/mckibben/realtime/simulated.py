@@ -136,8 +136,8 @@ class SimulatedJoint(Backend):
         state = plant.init_state(vented_angle(plant), (0.0, 0.0)) if start is None else plant.complete_state(start)
         self._start = self._program.state(state)
         self._initial_commands = (0.0, 0.0) if start is None else (float(start.pressures[0]), float(start.pressures[1]))
-        rated = plant.joint.muscle1.specimen.domain, plant.joint.muscle2.specimen.domain
-        self._rated = tuple((float(domain.pressure_min), float(domain.pressure_max)) for domain in rated)
+        ranges = [plant.valve.for_muscle(i).command_range(one.specimen.domain) for i, one in enumerate(plant.muscles)]
+        self._rated = tuple((float(low), float(high)) for low, high in ranges)
         self._volts_of = tuple((c.gain, c.offset, c.tare) for c in self._wiring.sensors)
         self.is_open = False
         self._reset()

@@ -448,6 +448,7 @@ class JointMonitor(SafetyMonitor):
         for k, (_, one) in enumerate(self._rated, start=1):
             if not np.all(np.abs(change[:, k]) / elapsed <= one.rate * (1 - _ROUNDING)):
                 return False
+        self._recent.clear()  # `rows` begins with them
         self._recent.extend(rows[-2 * width :].tolist())
         self._newer = rows[-width:].sum(axis=0).tolist()
         self._older = rows[-2 * width : -width].sum(axis=0).tolist()

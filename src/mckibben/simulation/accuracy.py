@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from numbers import Real
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.columns import Label, declare
-from mckibben.errors import SimulationError
+from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.numerics.batching import map_chunks
 
 ACCURACY = 1e-6
@@ -81,12 +82,10 @@ class Resolution(NamedTuple):
         """Whether the two solutions agree; true as well for a given number of steps."""
         return math.isnan(self.unresolved_from)
 
-    def with_rounding(self, exact: ArrayLike, rounded: ArrayLike, accuracy: float) -> Resolution:
-        """With the error of an angle in 32 bits; raises `SimulationError` if it is above the accuracy [rad]."""
-        error = float(np.nanmax(np.abs(np.asarray(exact) - np.asarray(rounded, float))))
-        if error > accuracy:
-            _raise_unreachable(accuracy, error, "rounding to 32 bits", ", or 64 bits")
-        return self._replace(error=max(error, self.error))
+    def with_rounding(self, exact: ArrayLike, rounded: ArrayLike) -> Resolution:
+        """With the error of an angle in 32 bits, if it is larger."""
+        apart = np.abs(np.asarray(exact) - np.asarray(rounded, float))
+        return self._replace(error=max(float(np.max(apart, initial=0.0, where=np.isfinite(apart))), self.error))
 
     def describe(self) -> str:
         """The estimated error in a sentence."""
@@ -246,6 +245,13 @@ class StepCounts(NamedTuple):
         """The same number of steps for all runs."""
         return cls(np.full(count, substeps), np.full(count, np.nan), np.zeros(count, bool))
 
+    def warn_of(self, accuracy: float) -> None:
+        """Warn of runs whose estimated error is above the accuracy [rad]."""
+        count = int(np.sum(self.error > accuracy))
+        if count:
+            text = f"{count} runs are less accurate than {accuracy:g} rad: up to {np.nanmax(self.error):.1e} rad"
+            warnings.warn(f"{text}, with {int(self.substeps.max())} substeps at most", McKibbenWarning, stacklevel=3)
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """Columns of a table of runs."""
         return {"substeps": self.substeps, "error_estimate": self.error, "chaotic": self.chaotic.astype(np.int8)}
@@ -268,8 +274,9 @@ def refine_blocks(
     steps = StepCounts.given(1, count)
     for piece, (runs, found) in map_chunks(refined, len(blocks), 1, workers):
         block = slice(blocks[piece.start], blocks[piece.start] + BLOCK)
-        first, resolved = found.first, found.resolved
-        doublings = round(math.log2(found.substeps[resolved].max() / first)) if resolved.any() else _FALLBACK_DOUBLINGS
+        first, converging = found.first, found.converges
+        most = found.substeps[converging].max() / first if converging.any() else 2**_FALLBACK_DOUBLINGS
+        doublings = round(math.log2(most))
         errors = np.where(np.isnan(found.errors[doublings]), found.error, found.errors[doublings])
         steps.substeps[block] = first * 2**doublings
         steps.error[block] = errors[found.converges].max(initial=0.0) if found.converges.any() else np.nan

@@ -151,6 +151,7 @@ def simulate_many(
     runs = _Runs(lanes, shared, times, control_period, asked, engine, size)
     if substeps is None:
         steps = refine_blocks(lanes, count, functools.partial(runs.refine, accuracy=accuracy), workers)
+        steps.warn_of(accuracy)
     else:
         runs.warn_of(substeps)
         steps = StepCounts.given(substeps, count)
@@ -207,8 +208,9 @@ class _Runs(NamedTuple):
     def refine(self, runs: Runs, *, accuracy: float) -> Refinement:
         """Step doubling of some runs, with 64 bits."""
         some = jax.tree.map(lambda leaf: np.asarray(leaf)[runs], self.lanes)
-        pieces = [slice(start, min(start + self.size, runs.size)) for start in range(0, runs.size, self.size)]
-        begun = [self.begun(jax.tree.map(_last, pad_chunk(some, piece, self.size))) for piece in pieces]
+        size = min(self.size, full_vectors(runs).size)
+        pieces = [slice(start, min(start + size, runs.size)) for start in range(0, runs.size, size)]
+        begun = [self.begun(jax.tree.map(_last, pad_chunk(some, piece, size))) for piece in pieces]
         shared = begun[0][0]
         varying = jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., : runs.size], *(one[1] for one in begun))
         every = spacing(self.times.size)

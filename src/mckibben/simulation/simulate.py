@@ -399,7 +399,7 @@ class _Run(NamedTuple):
             return *solutions[0], found
         rounded, used = self.record(found.substeps)
         if found.resolved:
-            found = found.with_rounding(solutions[0][0].state.angle, rounded.state.angle, accuracy)
+            found = found.with_rounding(solutions[0][0].state.angle, rounded.state.angle)
         return rounded, used, found
 
 

@@ -101,10 +101,13 @@ class Workbench:
     form: int = 0
 
 
+_ADAPTIVE = 3  # integration steps per control period of a smooth run: with one step, and with two
+
+
 def parse(text: str, folder: Path) -> Scenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
     found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
-    steps = found.duration / found.control_period * (found.substeps or 1)
+    steps = found.duration / found.control_period * (found.substeps or _ADAPTIVE)
     if steps > MOST_STEPS:
         raise ParameterError(
             f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}",

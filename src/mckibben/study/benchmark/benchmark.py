@@ -227,13 +227,19 @@ class ControllerTuning:
     def _scenario(self) -> Scenario:
         return self.suite.scenario(self.controller, next(iter(self.suite.references)))
 
-    @cached_property
-    def _training(self) -> Runs:
+    _given: dict[str, Runs] = field(default_factory=dict, repr=False)
+
+    def _training(self, engine: str) -> Runs:
         """The runs with the integration steps that the nominal values need, which all trials have."""
+        if engine not in self._given:
+            self._given[engine] = self._with_steps(engine)
+        return self._given[engine]
+
+    def _with_steps(self, engine: str) -> Runs:
         table = dict(zip(self.space.names, self.space.nominal[:, None], strict=True))
         if self.suite.substeps is not None or not valid_rows(self._scenario, table).all():
             return self.runs
-        batch = _simulated_all(self.runs, self.controller, table, 1, ("angle_rmse",))
+        batch = _simulated_all(self.runs, self.controller, table, 1, ("angle_rmse",), engine)
         return replace(self.runs, suite=self.suite.model_copy(update={"substeps": int(batch["substeps"].max())}))
 
     @property
@@ -250,7 +256,7 @@ class ControllerTuning:
         if not good.any():
             return Evaluated(np.full(len(values), FAILED_COST))
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-        batch = _simulated_all(self._training, self.controller, table, len(values), self._metrics, engine)
+        batch = _simulated_all(self._training(engine), self.controller, table, len(values), self._metrics, engine)
         started, shape = _started(batch), (len(values), self.runs.count)
         if not started.any():
             raise _none_starts("training")
@@ -263,7 +269,7 @@ class ControllerTuning:
 
         costs = costs_of(batch)
         if margin := self.suite.tuning.delay_margin:
-            delayed = self._training.delayed(margin)
+            delayed = self._training(engine).delayed(margin)
             late = _simulated_all(delayed, self.controller, table, len(values), self._metrics, engine)
             costs = np.maximum(costs, costs_of(late))
         costs = np.where(good, costs, FAILED_COST)

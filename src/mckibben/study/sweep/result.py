@@ -150,8 +150,6 @@ class SweepResult(RunTable):
             name
             for name in ("outcome", *STEP_COLUMNS, *FEASIBILITY)
             if name not in table or table[name].dims != ("run",)
-            for name in ("outcome", *STEP_COLUMNS, *FEASIBILITY)
-            if name not in table or table[name].dims != ("run",)
         ]
         if table.attrs.get("kind") != _KIND or missing:
             raise FileError(source, [Problem("it is not a sweep", remedy="give the sweep.nc of `mckibben sweep`")])

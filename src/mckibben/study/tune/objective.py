@@ -180,8 +180,10 @@ class TuningProblem:
         if id(scenario) not in self._given:
             good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
             table, known = self._table(scenario, rows), self._known(scenario)
-            batch = run_many(scenario, table, known=known, metrics=("angle_rmse",), engine=self.engine)
-            steps = int(batch["substeps"][good].max()) if good.any() else None
+            steps = None
+            if good.any():
+                batch = run_many(scenario, table, known=known, metrics=("angle_rmse",), engine=self.engine)
+                steps = int(batch["substeps"][good].max())
             self._given[id(scenario)] = scenario.model_copy(update={"substeps": steps})
         return self._given[id(scenario)]
 
