@@ -10,8 +10,6 @@ from scipy.optimize import linprog
 
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, SeriesSpring
-from mckibben.joint.attainable import solve_static, solve_static_and_range
-from mckibben.numerics.compiled import numeric
 from mckibben.units import bar, deg
 
 
@@ -223,22 +221,6 @@ def test_with_a_spring_the_pressures_found_give_what_was_asked(as_printed):
     torque, stiffness = jax.jit(springy.torque_and_stiffness)(0.05, held)
     assert float(torque) == pytest.approx(-0.5, abs=1e-9)
     assert float(stiffness) == pytest.approx(20.0, abs=1e-6)
-
-
-together = jax.jit(solve_static_and_range)  # one program a kind of joint, for all stiffnesses
-
-
-@pytest.mark.parametrize("stiffness", [12.0, math.nan])
-@pytest.mark.parametrize("spring", [None, pytest.param(SeriesSpring(20e3, 50.0, 0.018), marks=pytest.mark.slow)])
-def test_one_pass_holds_the_first_of_many_angles_and_gives_the_range_at_all(knee, spring, stiffness):
-    joint = knee if spring is None else dataclasses.replace(knee, tendon=spring)
-    angles, torques = np.linspace(0.0, 0.3, 4), np.linspace(-1.0, 1.0, 4)
-    found, band = together(numeric(joint), angles, torques, stiffness)
-    alone = solve_static(joint, angles[0], torques[0], stiffness)
-    assert bool(found.exists) == bool(alone.exists)
-    if alone.exists:
-        np.testing.assert_allclose(found.pressures, alone.pressures, rtol=1e-9)
-    np.testing.assert_allclose(band, attainable(numeric(joint), angles, torques), rtol=1e-12)
 
 
 def test_pressures_for_broadcast(knee):

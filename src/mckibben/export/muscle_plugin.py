@@ -77,7 +77,9 @@ class MuscleFunctions:
         self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
         self._layout = FlatTree.like(self._start)
         slips = bool(state.friction or state.creep)
-        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, valve.is_first_order)
+        self.summary = PluginMuscle(
+            self._layout.size, len(state.friction), slips, valve.is_first_order and valve.is_linear
+        )
         self.activations = self._layout.pack(self._start)
         """Activations at the start."""
 

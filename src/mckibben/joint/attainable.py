@@ -88,16 +88,6 @@ def _solve_many(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: Ar
     return jax.vmap(lambda *numbers: _solve_static(joint, *numbers))(angle, torque, stiffness)
 
 
-def solve_static_and_range(
-    joint: Joint, angle: Array, torque: Array, stiffness: ArrayLike, amplitude: ArrayLike | None = None
-) -> tuple[StaticSolution, Pair]:
-    """Return `solve_static` at the first of several angles, shape (n,), and `stiffness_range` at all."""
-    segment = cocontraction_segment(joint, angle, torque, None, 0.0)
-    profile = segment.profile()
-    first = _solve(profile.first(), segment.feasible[0], stiffness, _fractions(joint))
-    return first, _range(segment, profile, amplitude)
-
-
 def pressures_for(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
     """See `AntagonisticJoint.pressures_for`."""
     check_finite(angle=angle, torque=torque, stiffness=0.0 if stiffness is None else stiffness)
@@ -227,9 +217,6 @@ class _AffineProfile(NamedTuple):
         )
         return (pressure1, pressure2), stiffness
 
-    def first(self) -> _AffineProfile:
-        return jax.tree.map(lambda values: values[0], self)
-
 
 class _EvaluatedProfile(NamedTuple):
     """Pressures and stiffness along a segment, evaluated at each fraction."""
@@ -239,13 +226,9 @@ class _EvaluatedProfile(NamedTuple):
     def __call__(self, fraction: ArrayLike) -> tuple[Pair, Array]:
         return self.segment.at(fraction)
 
-    def first(self) -> _EvaluatedProfile:
-        joint, *numbers = self.segment
-        return _EvaluatedProfile(Segment(joint, *jax.tree.map(lambda values: values[0], numbers)))
-
 
 Profile = _AffineProfile | _EvaluatedProfile
-"""Pressures and stiffness as functions of the fraction of a segment; `first` returns the first of several."""
+"""Pressures and stiffness as functions of the fraction of a segment."""
 
 
 class Segment(NamedTuple):
