@@ -92,7 +92,8 @@ class FirstOrderValve(Valve):
         command, elapsed = jnp.asarray(command), jnp.asarray(elapsed)
         error = pressure - command
         if self.rate is not None:
-            limited = jnp.minimum(jnp.maximum(jnp.abs(error) / self.rate - self.time_constant, 0.0), elapsed)  # [s]
+            excess = jnp.maximum(jnp.abs(error) / self.rate - self.time_constant, 0.0)  # [s]
+            limited = jnp.where(excess > elapsed, elapsed, excess)  # the minimum, with its derivative at 0
             error, elapsed = error - jnp.sign(error) * self.rate * limited, elapsed - limited
         return command + error * jnp.exp(-elapsed / self.time_constant)
 

@@ -29,7 +29,7 @@ from mckibben.export.mjcf import (
     plugin_actuator,
     transmissions,
 )
-from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
+from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filter, plugin_files
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, check_name, write_exported
 from mckibben.joint import RigidTendon, Tendon
@@ -354,7 +354,7 @@ def _functions(
             known[f"{side.name}{number}"] = state, inside, air
     found = []
     for number, one in enumerate(driven, 1):
-        found.append(MuscleFunctions(fixed, number, one.muscle, one.path, known[one.name]))
+        found.append(MuscleFunctions(fixed, number, one.muscle, one.path, known[one.name], is_filter(plant.valve)))
         found[-1].add_to(module)
     return module, found
 

@@ -16,7 +16,7 @@ import mckibben
 from mckibben.actuator.base import held_states
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
-from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, plugin_files
+from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filter, plugin_files
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported
 from mckibben.joint import (
@@ -144,13 +144,14 @@ def muscle_module(
     """The functions of both muscles, their kinds, and their activations at the start."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
-    first, second = (_functions(fixed, index, one, start) for index, one in enumerate(moved))
+    filters = [is_filter(plant.valve.for_muscle(index)) for index in (0, 1)]
+    first, second = (_functions(fixed, index, one, start, filters[index]) for index, one in enumerate(moved))
     for one in (first, second):
         one.add_to(module)
     return module, (first.summary, second.summary), [first.activations, second.activations]
 
 
-def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState) -> MuscleFunctions:
+def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState, filtered: bool) -> MuscleFunctions:
     """Functions of one muscle."""
 
     def path(plant: JointPlant, length: Any) -> Any:
@@ -160,7 +161,8 @@ def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState) -
         return (plant.joint.muscle1, plant.joint.muscle2)[index], plant.joint.tendon
 
     air = held_states(start.air, 2)[index]
-    return MuscleFunctions(fixed, index + 1, muscle, path, (start.muscles[index], start.pressures[index], air))
+    begun = start.muscles[index], start.pressures[index], air
+    return MuscleFunctions(fixed, index + 1, muscle, path, begun, filtered)
 
 
 class MassPoint(NamedTuple):

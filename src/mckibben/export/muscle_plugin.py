@@ -45,6 +45,11 @@ class PluginMuscle(NamedTuple):
         return f'actdim="{self.activations}" dyntype="{"filter" if lag else "none"}" {lag}'
 
 
+def is_filter(valve: Any) -> bool:
+    """Return whether MuJoCo's filter models a valve."""
+    return valve.is_first_order and valve.is_linear
+
+
 class MuscleFunctions:
     """Functions of one muscle of a plant: force, rates of its activations, and slip after a step.
 
@@ -58,6 +63,8 @@ class MuscleFunctions:
         Functions for the plant's muscle with its tendon, and for its path [m] at MuJoCo's length.
     start
         State, pressure [Pa], and state of the valve at the start.
+    filtered
+        Whether the valve is a first-order lag without a limited rate, as MuJoCo's filter is.
     """
 
     def __init__(
@@ -67,6 +74,7 @@ class MuscleFunctions:
         muscle_of: Callable[[Any], tuple[Muscle, Tendon]],
         path_of: Callable[[Any, Any], Any],
         start: tuple[MuscleState, Any, Any],
+        filtered: bool,
     ) -> None:
         self._fixed, self._number, self._muscle_of, self._path_of = fixed, number, muscle_of, path_of
         valve = fixed.valve.for_muscle(number - 1)
@@ -77,9 +85,7 @@ class MuscleFunctions:
         self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
         self._layout = FlatTree.like(self._start)
         slips = bool(state.friction or state.creep)
-        self.summary = PluginMuscle(
-            self._layout.size, len(state.friction), slips, valve.is_first_order and valve.is_linear
-        )
+        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, filtered)
         self.activations = self._layout.pack(self._start)
         """Activations at the start."""
 
