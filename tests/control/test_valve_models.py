@@ -2,11 +2,13 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mckibben as mk
 from mckibben.control import DelayCompensation, ExtendedStateObserver, PressureObserver
+from mckibben.control.delay import _means
 from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.plant import PressureRegulator, SampledSensors
@@ -157,3 +159,11 @@ def test_the_control_period_has_to_be_known(knee, load, make):
     control = DelayCompensation(knee, load, controller=make("decoupling", valve, 60.0), command_delay=8 * ms)
     with pytest.raises(McKibbenError, match="with_period"):
         control.init(mk.JointPlant(knee, load, valve).true_measurement(mk.JointPlant(knee, load, valve).equilibrium()))
+
+
+def test_commands_on_their_way_keep_their_precision():
+    """A batch in 32 bits cannot carry 64-bit numbers from one period to the next."""
+    sent = ((np.float32(1e5), np.float32(2e5)),) * 3
+    means = _means(tuple((jnp.asarray(one), jnp.asarray(other)) for one, other in sent), 0.3, 1.3)
+    assert [one.dtype for one in means] == [np.float32, np.float32]
+    assert [float(one) for one in means] == pytest.approx([1e5, 2e5])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import operator
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
@@ -234,4 +236,5 @@ def _means(sent: tuple[Pair, ...], newest: ArrayLike, oldest: ArrayLike) -> Pair
         for age in range(len(sent))
     ]
     weighed = [(share * one, share * other) for share, (one, other) in zip(shares, sent, strict=True)]
-    return sum((one for one, _ in weighed), jnp.zeros(())), sum((other for _, other in weighed), jnp.zeros(()))
+    first, second = (functools.reduce(operator.add, side) for side in zip(*weighed, strict=True))
+    return first, second
