@@ -17,22 +17,23 @@ from mckibben.storage.journal import HEADER, JournalReader
 from mckibben.study.sweep import SweepResult
 
 HOLDING = """
-import signal, threading, time
+import signal, time
 from pathlib import Path
 from mckibben.study.sweep.sweep import SweepStore
 
-keep, kept, interrupted = SweepStore.keep, [], threading.Event()
+keep, kept, interrupted = SweepStore.keep, [], []
 
 def slowly(store, block, columns):  # the third block is kept; then nothing goes on but an interruption
     keep(store, block, columns)
     kept.append(block)
     if len(kept) >= 3:
         Path("holding").touch()
-        interrupted.wait()
+        while not interrupted:  # no lock, which the handler could wait for in the same thread
+            time.sleep(0.01)
         time.sleep(0.3)
 
 def interrupt(*_):
-    interrupted.set()
+    interrupted.append(True)
     raise KeyboardInterrupt
 
 SweepStore.keep = slowly
