@@ -208,7 +208,7 @@ class Batch(RunTable):
 
     @property
     def engine(self) -> str:
-        """What computed the runs: "native" or "xla"; empty if unknown."""
+        """Engine that computed the runs, "native", "xla" or "cuda"; empty if unknown."""
         return self.table.attrs.get("engine", "")
 
     @property
