@@ -207,6 +207,8 @@ def read_numbers(
 ) -> tuple[NDArray[np.float64], list[Problem]]:
     """Values of a column (NaN where there is no number), and a problem for each cell that is not a finite number."""
     if isinstance(cells, np.ndarray):
+        if np.isfinite(cells).all():
+            return cells, []
         wrong = ~np.isfinite(cells) & ~(np.isnan(cells) & may_be_empty)
         found = [
             kind(f"{cells[at]:g} is not a finite number", line=lines[int(at)], field=field)
