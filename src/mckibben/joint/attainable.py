@@ -288,7 +288,7 @@ def cocontraction_segment(
     if any(joint.springs):
         last = last + _ROUNDING * jnp.abs(last)  # its range is a single tension, possibly rounded twice
         high = high[0] + _ROUNDING * jnp.abs(high[0]), high[1] + _ROUNDING * jnp.abs(high[1])
-    feasible = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
+    feasible = (first <= last) & (low[1] <= high[1])  # then low[0] <= high[0], too
     return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
 
 
