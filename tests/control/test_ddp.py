@@ -144,7 +144,6 @@ def floats(tree):
         ),
     ],
 )
-@pytest.mark.slow
 def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, saturated, near):
     start = start_of(problem, error, rate, pressures)
     command = first_command(8, problem, start, pressures)
@@ -160,7 +159,6 @@ def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, satura
     assert (cost_and_margins(problem, start, pressures, found.x)[1][:4].min() < 1e-9) == saturated
 
 
-@pytest.mark.slow
 def test_one_step_is_next_to_it():
     """From a plan to stand still, at that; in a loop it begins with the plan of the last period."""
     problem = joint_problem(highest=2.5)
