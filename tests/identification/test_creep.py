@@ -75,7 +75,6 @@ def test_noise_in_common_within_a_plateau_is_allowed_for():
     np.testing.assert_allclose(np.std(scatter, axis=0), np.median(stated, axis=0), rtol=0.5)
 
 
-@pytest.mark.slow
 def test_what_it_says_of_each_point_is_what_the_rig_had(crept):
     data, found = crept
     truth = (
