@@ -8,9 +8,9 @@ import pytest
 import mckibben as mk
 from mckibben.actuator import FirstOrderValve
 from mckibben.control import ExtendedStateObserver, PressureObserver
-from mckibben.plant import SampledSensors
+from mckibben.plant import PerfectSensors, SampledSensors
 from mckibben.simulation import Outcome, disk_margins, margins
-from mckibben.simulation.stability import LinearLoop, _margins_of
+from mckibben.simulation.stability import LinearLoop, _margins_of, _without_noise
 from mckibben.units import deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -67,6 +67,18 @@ def test_a_reading_delay_of_the_sensors_takes_from_the_delay_margin(loop, found)
     late = dataclasses.replace(plant, sensors=SampledSensors(delay=1.0))
     again = margins(late, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
     assert again.delay.min() == pytest.approx(found.delay.min() - 1 * ms, abs=0.05 * ms)
+
+
+@pytest.mark.parametrize(
+    ("of_sensors", "of_commands", "expected"), [(0.0, None, None), (0.5, None, 0.5), (0.0, 3.0, 3.0), (0.5, 3.0, 3.5)]
+)
+def test_delays_of_sensors_and_commands_add_up(loop, of_sensors, of_commands, expected):
+    """In milliseconds, the control period."""
+    delay = None if of_commands is None else of_commands * ms
+    plant = dataclasses.replace(loop[0], sensors=SampledSensors(delay=of_sensors), command_delay=delay)
+    found = _without_noise(plant, 1 * ms)
+    assert found.sensors == PerfectSensors()
+    assert found.command_delay == (None if expected is None else pytest.approx(expected * ms))
 
 
 @pytest.mark.slow
