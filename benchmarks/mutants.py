@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "build" / "mutants"
 PACKAGES = "numerics muscle joint actuator plant control simulation identification storage rig"
 SECONDS = 600  # of the processor, and three times as long by the clock, for a run of tests
-MOST = 150  # tests that execute a mutant, those of its package first
+MOST = 150  # tests for a mutant, those that execute its line and those of its package first
 FIRST = 8  # of them: where these notice it, no other file of tests is imported
 SWAPPED = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -163,15 +163,19 @@ def tests_of(package: str) -> list[str]:
 
 
 def executing(data: CoverageData, copy: Path, mutant: Mutant) -> list[str]:
-    """Tests that execute a mutant's line, or its file where it runs at import: those that stand nearest first."""
+    """Tests that execute a mutant's line, then those that execute its file: those that stand nearest first.
+
+    The line alone is not enough: a compiled function is traced in the first test that calls it, and reused in others.
+    """
     lines = data.contexts_by_lineno(str(copy / mutant.path))
     recorded = max((line for line in lines if line <= mutant.line), default=0)  # the line where an expression begins
-    for contexts in (lines.get(recorded, []), [one for each in lines.values() for one in each]):
-        if names := sorted({context.partition("|")[0] for context in contexts} - {""}):
-            break
-    random.Random(0).shuffle(names)
     near = f"/{mutant.path.parts[2]}/", f"/test_{mutant.path.stem}.py"
-    return sorted(names, key=lambda name: [part in name for part in near], reverse=True)[:MOST]
+    found: dict[str, None] = {}
+    for contexts in (lines.get(recorded, []), [one for each in lines.values() for one in each]):
+        names = sorted({context.partition("|")[0] for context in contexts} - {""})
+        random.Random(0).shuffle(names)
+        found |= dict.fromkeys(sorted(names, key=lambda name: [part in name for part in near], reverse=True))
+    return list(found)[:MOST]
 
 
 def _files(names: list[str]) -> list[str]:
