@@ -119,6 +119,7 @@ def test_the_fastest_mode_is_that_of_the_linearised_plant(parts, friction):
 def test_the_limit_is_that_of_the_runge_kutta_method():
     damping = STABILITY_LIMIT / 0.25e-3 * float(LOAD.total_inertia)
     heavily_damped(0.99 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
+    assert [heavily_damped(part * damping).needed_substeps([0.0], [72.5], 1e-3) for part in (0.99, 1.01)] == [4, 5]
     with pytest.raises(SimulationError) as caught:
         heavily_damped(1.01 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
     assert caught.value.lower == 5
