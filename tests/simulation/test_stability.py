@@ -10,7 +10,7 @@ from mckibben.actuator import FirstOrderValve
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.plant import PerfectSensors, SampledSensors
 from mckibben.simulation import Outcome, disk_margins, margins
-from mckibben.simulation.stability import LinearLoop, _margins_of, _without_noise
+from mckibben.simulation.stability import LinearLoop, _crossings, _margins_of, _without_noise
 from mckibben.units import deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -103,9 +103,20 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
     np.testing.assert_allclose(largest, np.abs(1 / (1 + open_loop)).max(axis=1), rtol=1e-9)
     assert radius == pytest.approx(max(np.abs(np.roots([1, -1, k])).max() for k in gains))
     assert gain == pytest.approx(1 / max(gains), rel=0.01)
-    assert phase == pytest.approx(phases.min(), rel=1e-3)
-    assert delay == pytest.approx((phases / crossover).min() * period, rel=1e-3)
+    assert phase == pytest.approx(phases.min(), rel=5e-5)
+    assert delay == pytest.approx((phases / crossover).min() * period, rel=5e-5)
     assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=1e-9)
+
+
+def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
+    """A locus with a gain of 1.5 that falls below 1 late, where its phase has moved away from -180 degrees."""
+    angles, period = np.linspace(0.01, 1.0, 400), 1e-3
+    locus = (1.5 - 0.7 * angles**4) * np.exp(-1j * (np.pi - 0.2 - angles))
+    crossover = (0.5 / 0.7) ** 0.25
+    gain, phase, delay = _crossings(np.stack([locus, 0.1 * locus], axis=1), angles, period)
+    assert gain == np.inf
+    assert phase == pytest.approx(0.2 + crossover, rel=1e-4)
+    assert delay == pytest.approx((0.2 + crossover) / crossover * period, rel=1e-4)
 
 
 def test_an_unstable_loop_has_no_margins():
