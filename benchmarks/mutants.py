@@ -37,8 +37,8 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "build" / "mutants"
 PACKAGES = "numerics muscle joint actuator plant control simulation identification storage rig"
 SECONDS = 600  # of the processor, and three times as long by the clock, for a run of tests
-MOST = 150  # tests for a mutant, those that execute its line and those of its package first
-FIRST = 8  # of them: where these notice it, no other file of tests is imported
+FIRST = 8  # tests that execute a mutant's line, which are run by themselves
+FILES = 8  # of tests that execute it, which are run completely if the first tests do not notice it
 SWAPPED = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
@@ -163,10 +163,7 @@ def tests_of(package: str) -> list[str]:
 
 
 def executing(data: CoverageData, copy: Path, mutant: Mutant) -> list[str]:
-    """Tests that execute a mutant's line, then those that execute its file: those that stand nearest first.
-
-    The line alone is not enough: a compiled function is traced in the first test that calls it, and reused in others.
-    """
+    """Tests that execute a mutant's line, then those that execute its file: those that stand nearest first."""
     lines = data.contexts_by_lineno(str(copy / mutant.path))
     recorded = max((line for line in lines if line <= mutant.line), default=0)  # the line where an expression begins
     near = f"/{mutant.path.parts[2]}/", f"/test_{mutant.path.stem}.py"
@@ -175,7 +172,7 @@ def executing(data: CoverageData, copy: Path, mutant: Mutant) -> list[str]:
         names = sorted({context.partition("|")[0] for context in contexts} - {""})
         random.Random(0).shuffle(names)
         found |= dict.fromkeys(sorted(names, key=lambda name: [part in name for part in near], reverse=True))
-    return list(found)[:MOST]
+    return list(found)
 
 
 def _files(names: list[str]) -> list[str]:
@@ -183,15 +180,16 @@ def _files(names: list[str]) -> list[str]:
 
 
 def survives(copy: Path, mutant: Mutant, names: list[str], further: list[list[str]]) -> bool:
-    """Whether neither the tests that execute it nor further ones notice a mutant; the copy is as before afterwards."""
+    """Whether neither the tests that execute it nor further ones notice a mutant; the copy is as before afterwards.
+
+    Complete files, too: a compiled function is traced by the first test that calls it, and others reuse it.
+    """
     target = copy / mutant.path
     source = target.read_bytes()
-    stages = [part for part in (names[:FIRST], names[FIRST:]) if part]
+    runs = [(_files(names[:FIRST]), names[:FIRST]), (_files(names)[:FILES], None)] if names else []
     try:
         target.write_bytes(source[: mutant.span[0]] + mutant.after.encode() + source[mutant.span[1] :])
-        return all(passes(copy, _files(part), part) for part in stages) and all(
-            passes(copy, tests) for tests in further
-        )
+        return all(passes(copy, *run) for run in [*runs, *((tests, None) for tests in further)])
     finally:
         target.write_bytes(source)
 
