@@ -1,8 +1,8 @@
 """Mutants of the source: small random faults that some test has to notice.
 
 ``python benchmarks/mutants.py --count 100 --seed 1`` changes one comparison, operator, number, truth value or statement
-at a time in a copy of the working tree and runs tests there: those of its package and of the other packages that
-execute its line, then all of its package, and with ``--tests everything`` those of ``make test``. It prints each that
+at a time in a copy of the working tree and runs tests there: a few that execute its line, all tests in the files of
+the nearest ones, then all of its package, and with ``--tests everything`` those of ``make test``. It prints each that
 survives with its file and line. Equal seeds make equal mutants. The folder ``build/mutants`` has the copy, which tests
 execute which lines (recorded once with ``coverage``) and the results; the same command continues an interrupted run
 and tries survivors again with the tests of now. After a change of the source, remove the folder.
