@@ -227,7 +227,9 @@ class ColumnConverter:
             kind=self.sheet.kind,
         )
         for problem in problems:
-            if problem.line in channel.missing:
+            if problem.line is None:
+                self.problems.append(problem)
+            elif problem.line in channel.missing:
                 self.missing.append(replace(problem, message="is marked as missing by the file"))
             else:
                 self.corrupt.append(problem)
