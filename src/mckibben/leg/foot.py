@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.leg.dynamics import Posture, Velocity, frames
+from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.mechanism import Leg
 from mckibben.numerics.compiled import compiled
 
@@ -69,7 +69,7 @@ def foot_stiffness(
     Along the leg, which is nearly stretched, the foot is 70 times as stiff as across:
 
     >>> from mckibben.leg import read_leg
-    >>> leg = read_leg("lei-leg")
+    >>> leg = read_leg("lei-leg-planar")
     >>> found = foot_stiffness(leg, (0.0, 0.0), (20.0, 15.0))
     >>> [round(one) for one in found.principal], round(found.direction, 3)
     ([28, 1988], -0.056)
@@ -130,12 +130,11 @@ def _jacobian(
     leg: Leg, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ArrayLike]
 ) -> tuple[Float[Array, "2 n"], Float[Array, "n n"]]:
     """Jacobian of the foot, and the derivative of the torques that balance a force."""
-    zero = jnp.zeros(())
-    still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
 
     def foot(q: Array) -> Array:
-        at = frames(leg, Posture(zero, zero, zero, leg.held(tuple(q))), still)
-        return jnp.stack(at[-1].point(leg.links[-1].length)[:2])
+        posture = posture_of(leg, tuple(q))
+        place, _ = frames(leg, posture, at_rest(posture))[-1].point(-leg.links[-1].length)
+        return jnp.stack([place.x, place.z])
 
     q = jnp.stack([jnp.asarray(one) for one in angles])
     pushed = jnp.stack([jnp.asarray(one) for one in force])

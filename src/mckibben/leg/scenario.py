@@ -170,7 +170,7 @@ class LegScenario(RunSettings):
         if value is None or leg is None:
             return value
         if leg.trunk.freedom == "fixed":
-            fail_validation("needs a trunk that can move", "give the trunk the freedom vertical, planar or free")
+            fail_validation("needs a trunk that can move", "give the trunk a freedom such as vertical")
         ranges = {joint.name: (joint.lower, joint.upper) for joint in leg.joints}
         locked = {joint.name: joint.locked for joint in leg.joints if joint.locked is not None}
         angles = value.touchdown if isinstance(value, LandingSettings) else value.squat
