@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 import equinox as eqx
 import jax.numpy as jnp
 
-from mckibben.actuator.base import held_states
+from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
@@ -341,7 +341,7 @@ def _functions(
     """The module of the plugin, and its functions of each muscle."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
-    valves = held_states(start.air, len(start.pressures))
+    valves = [state_of_muscle(start.air, i) for i in range(len(start.pressures))]
     known = dict(zip(plant.leg.muscle_names, zip(start.muscles, start.pressures, valves, strict=True), strict=True))
     side = plant.leg.side_swing
     if side is not None:
@@ -349,7 +349,7 @@ def _functions(
         pair = zip(side_pressures, paths, (side.muscles.muscle1, side.muscles.muscle2), strict=True)
         for number, (pressure, path, muscle) in enumerate(pair, 1):
             inside = jnp.asarray(float(pressure))
-            air = plant.valve.init(inside)
+            air = state_of_muscle(plant.valve.init_states((inside,)), 0)
             state = muscle.init_state(muscle.specimen.contraction_at(path))
             known[f"{side.name}{number}"] = state, inside, air
     found = []
