@@ -54,6 +54,9 @@ _LEAK = 1e-3 * L_PER_S_BAR  # unit of the leak in the search
 _DEAD = 1 * cm**3
 _STAGES, _ITERATIONS, _TOLERANCE = 3, 60, 1e-5
 _FIRST_VARIANCE = (1 * kPa) ** 2
+_ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
+_ROOM = 5 / TEMPERATURE  # relative standard deviation of the temperature of the room
+_SHARED = 4  # parameters that all phases share
 _UNEXPLAINED, _NEGLIGIBLE = 3.0, 2e-3  # as for valves
 _PADDING = 256  # blocks: programs are compiled for multiples of it
 
@@ -157,7 +160,8 @@ def identify_air(
     .. math:: p = p_\infty + (p_0 - p_\infty) e^{-t/\tau}, \qquad \tau = \frac{p_\infty V}{(\kappa - 1) h A\, T_0}
 
     so that tests at one length determine h A / V and C / V. The volume is that of the specimen plus the dead volume.
-    This is estimated if there are tests at lengths whose volumes differ by 10 % or more.
+    This is estimated if there are tests at lengths whose volumes differ by 10 % or more. The intervals contain standard
+    deviations of 5 K of the room, about 20 degrees C, and of 20 mbar of the zero of the sensor.
 
     Parameters
     ----------
@@ -227,9 +231,12 @@ def identify_air(
     residual = math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
     noise = math.sqrt(float(np.mean(np.concatenate([np.diff(one) for one in errors]) ** 2)) / 2)
     _warn(phases, constants, residual, noise)
+    # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room
+    wall = conductance * math.hypot(float(deviations[0]), _ROOM)
+    leaking = math.hypot(_LEAK * float(deviations[1]), leak * _ROOM / 2)
     return AirFit(
-        JointEstimate(conductance, conductance * float(deviations[0]), math.inf, "W/K", logarithmic=True),
-        JointEstimate(leak, _LEAK * float(deviations[1]), math.inf, "m^3/(s*Pa)"),
+        JointEstimate(conductance, wall, math.inf, "W/K", logarithmic=True),
+        JointEstimate(leak, leaking, math.inf, "m^3/(s*Pa)"),
         JointEstimate(dead, _DEAD * float(deviations[2]), math.inf, "m^3") if room else None,
         tuple(phases),
         constants,
@@ -325,7 +332,7 @@ class _Problem(NamedTuple):
             room = one.volume + dead_volume
             conductances.append((end + ATMOSPHERE) * room / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
             first += [begin / bar, math.log((begin + ATMOSPHERE) / (end + ATMOSPHERE))]
-        shared = [math.log(float(np.median(conductances))), 0.0, dead_volume / _DEAD]
+        shared = [math.log(float(np.median(conductances))), 0.0, dead_volume / _DEAD, 0.0]
         volumes, periods = (np.array([getattr(one, name) for one in phases]) for name in ("volume", "period"))
         start = np.array([*shared, *first])
         return cls(pressures, weights, volumes, periods, start, dead_volume, estimates_dead_volume)
@@ -350,9 +357,10 @@ def _simulated(z: Array, volumes: Array, periods: Array, blocks: int) -> Array:
         return rate, temperature_rate(temperature, absolute, rate, leaking, room, 0.0)
 
     def follow(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
-        return lax.fori_loop(0, _SUBSTEPS, lambda _, one: rk4(rates, one, step), state), state[0]
+        return lax.fori_loop(0, _SUBSTEPS, lambda _, one: rk4(rates, one, step), state), state[0] + _ZERO * z[3]
 
-    begin = z[3::2] * bar, TEMPERATURE * jnp.exp(z[4::2])
+    own = z[_SHARED:]
+    begin = own[::2] * bar, TEMPERATURE * jnp.exp(own[1::2])
     return lax.scan(follow, begin, None, blocks)[1].T
 
 
@@ -375,6 +383,7 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
     free = np.ones(problem.start.size, bool)
     free[2] = problem.estimates_dead_volume
     used = problem.weights > 0
+    zero = (np.arange(free.size) == _SHARED - 1)[free]  # has a normal prior
     variance = _FIRST_VARIANCE
 
     def whole(x: Floats) -> Floats:
@@ -390,7 +399,9 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
         error, slope = errors_at(x)
         if not (np.isfinite(error).all() and np.isfinite(slope).all()):
             return math.inf, np.zeros(x.size), np.eye(x.size)
-        return float(error @ error) / (2 * variance), error @ slope / variance, slope.T @ slope / variance
+        prior = np.where(zero, x, 0.0)
+        objective = (float(error @ error) / variance + float(prior @ prior)) / 2
+        return objective, error @ slope / variance + prior, slope.T @ slope / variance + np.diag(zero.astype(float))
 
     x, parts = problem.start[free], []
     for _ in range(_STAGES):

@@ -16,7 +16,7 @@ ATMOSPHERE = 1.01325e5
 """Atmospheric pressure [Pa, absolute]."""
 
 TEMPERATURE = 293.15
-"""Temperature of the room, the supply and the air in a muscle [K]."""
+"""Temperature of the room and the supply, and of polytropic air in a muscle [K]."""
 
 GAS_CONSTANT = 288.0
 """Gas constant of air at 65 % relative humidity [J/(kg*K)], from ISO 6358."""
