@@ -12,13 +12,16 @@ from mckibben.cli.options import (
     Column,
     Data,
     Decimal,
+    Displacement,
     Force,
     ForceSign,
     InitialLength,
     Json,
     Out,
+    RecipeFile,
     SkipCorrupt,
     SlackForce,
+    ZeroLength,
     check_choice,
     echo,
     job_progress,
@@ -28,6 +31,7 @@ from mckibben.cli.options import (
     parse_optional_quantity,
     parse_quantity,
     read_data,
+    recipe_of,
     results_folder,
     table,
 )
@@ -82,11 +86,14 @@ def plan(
         str, Option(metavar="NAME", help="Specimen, or its file (default: the one named in the data).")
     ] = "",
     initial_length: InitialLength = "",
+    displacement: Displacement = "",
+    zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
     column: Column = None,
+    recipe: RecipeFile = None,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -103,7 +110,8 @@ def plan(
     known = specimen_named(specimen) if specimen else None
     quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
-    read = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt, decimal=decimal)
+    how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
+    read = read_data(data, how, skip_corrupt=skip_corrupt)
     in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
     muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
     length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)
