@@ -29,6 +29,7 @@ from mckibben.cli.leg import leg
 from mckibben.cli.options import (
     INTERRUPTED,
     Accuracy,
+    Extrapolate,
     Force,
     Json,
     Out,
@@ -109,6 +110,7 @@ def simulate(
         Path | None, Option(metavar="FILE", help="Write an animation of the joint, as .webp or .gif.")
     ] = None,
     accuracy: Accuracy = "",
+    extrapolate: Extrapolate = False,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -123,6 +125,7 @@ def simulate(
     from mckibben.scenario import Scenario
 
     read = with_accuracy(Scenario.read(scenario), accuracy)
+    read = read.with_extrapolation() if extrapolate else read
     from mckibben.scenario import run_scenario
     from mckibben.simulation.metrics import in_shown_units
 
@@ -135,6 +138,7 @@ def simulate(
         "integration": result.resolution._asdict() if result.resolution else {},
         "infeasible": infeasible,
         "metrics": in_shown_units(result.metrics),
+        "remarks": read.joint.remarks,
     }
     if out:  # before printing: the reader of the output may be gone
         with keeping(out):
@@ -149,8 +153,10 @@ def simulate(
         if result.resolution:
             echo(result.resolution.describe())
         echo(result.describe())
+        for remark in read.joint.remarks:
+            echo(remark)
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
-            echo("air is unknown: a specimen has no initial_diameter or braid_angle")
+            echo("air is unknown: a specimen has no volume; give its initial_diameter and braid_angle, or volume_terms")
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if animate:

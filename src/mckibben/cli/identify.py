@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,7 +42,7 @@ from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
-    from mckibben.identification import FrictionForm, RankedLaw, Ranking
+    from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking
     from mckibben.muscle import MaxwellSlip
 
 
@@ -234,6 +235,12 @@ def identify(
         str,
         Option("--friction", metavar="FORM", help="Form of friction of --hysteresis (default: by held-out loops)."),
     ] = "",
+    diameter: Annotated[
+        str, Option(metavar="LENGTH", help="Inner diameter without pressure, from which muscle.yaml gets a volume.")
+    ] = "",
+    fill: Annotated[
+        str, Option(metavar="VOLUME", help="Measured volume of the air at contraction 0, in place of --diameter.")
+    ] = "",
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
     displacement: Displacement = "",
@@ -293,7 +300,7 @@ def identify(
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, friction.friction if friction else None)
+            kept = _keep_muscle(out, data, points, fit, friction.friction if friction else None, diameter, fill)
             how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
@@ -308,13 +315,27 @@ def identify(
         notify(f"wrote fit.yaml, recipe.yaml, data.nc, results.json, {figures} (.png, .svg) to {out}; {kept}", json)
 
 
-def _keep_muscle(out: Path, data: list[str], points: IsobaricDataset, friction: MaxwellSlip | None = None) -> str:
+def _keep_muscle(
+    out: Path,
+    data: list[str],
+    points: IsobaricDataset,
+    fit: Fit,
+    friction: MaxwellSlip | None = None,
+    diameter: str = "",
+    fill: str = "",
+) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
+    from mckibben.muscle.air import volume_terms
     from mckibben.scenario import muscle_text
 
     attrs = points.table.attrs
     name, length = attrs["specimen"] or Path(data[0]).stem, attrs.get("initial_length")
-    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction)
+    wide = parse_optional_quantity("--diameter", diameter, "m")
+    volume = parse_optional_quantity("--fill", fill, "m^3")
+    if volume is None and wide is not None and length:
+        volume = math.pi / 4 * wide**2 * length
+    terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
+    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction, volume_terms=terms)
     if not text:
         return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
     with atomic_write(out / "muscle.yaml", overwrite=True) as part:
@@ -394,7 +415,7 @@ def _rank(data: list[str], points: IsobaricDataset, json: bool, out: Path | None
                 if entry.fit:
                     entry.fit.to_yaml(make_subfolder(out, "fits") / f"{entry.law}.yaml")
             best.fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points)
+            kept = _keep_muscle(out, data, points, best.fit)
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             report.save(report.ranking(ranking), out, "ranking")

@@ -68,6 +68,10 @@ Known = Annotated[
         "controller's model keeps the values of the file.",
     ),
 ]
+Extrapolate = Annotated[
+    bool,
+    Option("--extrapolate", help="Apply the force laws at all pressures of their specimens, also where not measured."),
+]
 Decimal = Annotated[
     str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
 ]

@@ -13,6 +13,7 @@ from mckibben.cli.options import (
     Data,
     Decimal,
     Displacement,
+    Extrapolate,
     Force,
     ForceSign,
     InitialLength,
@@ -27,6 +28,7 @@ from mckibben.cli.options import (
     job_progress,
     keeping,
     notify,
+    on_command_line,
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
@@ -399,6 +401,7 @@ def envelope(
         str, Option(metavar="TORQUE", help="Torque of a design in either direction in excess of gravity.")
     ] = "0 N*m",
     minimum_tension: Annotated[str, Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
+    extrapolate: Extrapolate = False,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -422,6 +425,7 @@ def envelope(
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
+    read = read.with_extrapolation() if extrapolate else read
     if design is None:
         _show_envelope(reachability.envelope(read, margin=fraction, smoothing=width), json, out)
         return
@@ -431,7 +435,7 @@ def envelope(
 
 
 def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
-    from mckibben.reachability import HEADERS, save_reference
+    from mckibben.reachability import save_reference
 
     numbers, static = found.records(), found.static
     names = ["results.json"]
@@ -449,8 +453,10 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
     else:
         if static.exists:
             angles = f"{static.angle_min / deg:.4g} to {static.angle_max / deg:.4g} deg"
-            table(f"{found.scenario.name}: static range {angles}", HEADERS, found.rows())
+            table(f"{found.scenario.name}: static range {angles}", found.headers, found.rows())
         echo(found.verdict())
+        for remark in found.remarks():
+            echo(on_command_line(remark))
         for near in found.nearest:
             echo(f"nearest, {near.preserved.name.lower()} preserved: {near.describe()}")
         if not found.trackability.trackable and not found.nearest:
