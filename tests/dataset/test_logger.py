@@ -79,6 +79,7 @@ def test_several_files_are_one_test(tmp_path):
     repeat = data.table["repeat"].to_numpy().reshape(3, -1)
     assert [set(each.tolist()) for each in repeat] == [{0}, {0}, {1}]
     assert data.table.attrs["source"] == "0.csv, 1.csv, 2.csv"
+    assert (np.diff(data.table["time"]) > 0).all()  # the clock of each file starts at 0
 
 
 def test_files_of_one_stroke_each_have_a_direction(tmp_path):

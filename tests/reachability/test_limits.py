@@ -10,6 +10,8 @@ from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.muscle import Domain, MaxwellSlip
 from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant
 from mckibben.reachability import envelope, static_envelope
+from mckibben.report.joint import envelope as draw_envelope
+from mckibben.report.tracking import tracking
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.units import bar, percent
 
@@ -96,6 +98,10 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
     result, _ = run_scenario(rubbing)
     assert (result["small_motion_stiffness"] > result["stiffness"] + 5).all()
     result.to_netcdf(tmp_path / "run.nc")
+    (edge,) = [one for one in draw_envelope(found).axes[1].lines if str(one.get_label()).startswith("small motion")]
+    assert np.nanmax(edge.get_ydata()) == pytest.approx(np.nanmax(small.lowest[static.inside]))
+    (line,) = [one for one in tracking({"PID": result}).axes[2].lines if "small motion" in str(one.get_label())]
+    np.testing.assert_array_equal(line.get_ydata(), result["small_motion_stiffness"])
     plain = envelope(scenario())
     assert plain.static.small_motion is None and "small-motion stiffness" not in plain.headers
 

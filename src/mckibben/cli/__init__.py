@@ -155,6 +155,10 @@ def simulate(
         echo(result.describe())
         for remark in read.joint.remarks:
             echo(remark)
+        if "small_motion_stiffness" in result.columns and not result.outcome.failed:
+            small, isobaric = result["small_motion_stiffness"], result["stiffness"]
+            ranges = [f"{values.min():.3g}..{values.max():.3g} N*m/rad" for values in (small, isobaric)]
+            echo(f"small-motion stiffness {ranges[0]}, isobaric stiffness {ranges[1]}")
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
             echo("air is unknown: a specimen has no volume; give its initial_diameter and braid_angle, or volume_terms")
     if out:

@@ -18,7 +18,7 @@ from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import preprocess
 from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt
 from mckibben.dataset.recording import Recording
-from mckibben.dataset.schema import OF_FILE, MeasuredTable, written_by_us
+from mckibben.dataset.schema import OF_FILE, written_by_us
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
 from mckibben.muscle import Specimen
 
@@ -221,13 +221,27 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     kept = [name for name in columns if all(name in table for table in tables)]
     if lost := sorted({name for name in columns for table in tables if name in table} - {*kept}):
         warnings.warn(f"{source}: not all files have {', '.join(lost)}: left out", McKibbenWarning, stacklevel=3)
-    return type(parts[0])(
-        xr.concat([table[kept] for table in tables], _dimension(parts[0])).assign_attrs(attrs)
-    ), source
+    tables = [table[kept] for table in tables]
+    dimension = next(iter(parts[0].schema.values())).dims[0]
+    joined = xr.concat(_one_after_another(tables) if "time" in kept else tables, dimension)
+    return type(parts[0])(joined.assign_attrs(attrs)), source
 
 
-def _dimension(of: MeasuredTable) -> str:
-    return next(iter(of.schema.values())).dims[0]
+_PAUSE = 20  # intervals between two files
+
+
+def _one_after_another(tables: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    """Tables whose clocks go on: the time of one that starts again is moved behind the one before."""
+    found: list[xr.Dataset] = []
+    for table in tables:
+        time = table["time"].to_numpy()
+        before = found[-1]["time"].to_numpy() if found else time[:0]
+        if len(before) and len(time) and time[0] <= before[-1]:
+            steps = np.diff(before)
+            pause = _PAUSE * float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+            table = table.assign(time=table["time"] - time[0] + before[-1] + pause)
+        found.append(table)
+    return found
 
 
 def check_reading(force_sign: int, decimal: str, displacement: str, **numbers: object) -> None:

@@ -84,10 +84,9 @@ class Envelope:
     def _limits(self) -> list[str]:
         """What limits the attainable stiffness at either end."""
         static, joint = self.static, self.scenario.plant().supplied_joint
-        inside = (static.angles >= static.angle_min) & (static.angles <= static.angle_max)
-        angles, found, extend = static.angles[inside], [], False
+        angles, found, extend = static.angles[static.inside], [], False
         for end, pressures in (("lowest", static.pressures_at_lowest), ("highest", static.pressures_at_highest)):
-            here = pressures[:, inside]
+            here = pressures[:, static.inside]
             tensions = joint.tensions(angles, (here[0], here[1]))
             counts: Counter[str] = Counter()
             given = zip((joint.muscle1, joint.muscle2), self.scenario.plant().muscles, here, tensions, strict=True)

@@ -104,6 +104,11 @@ class StaticEnvelope:
         """Whether the load can be held at any angle."""
         return self.angle_min <= self.angle_max
 
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Mask of the static angles, shape (angles,)."""
+        return (self.angles >= self.angle_min) & (self.angles <= self.angle_max)
+
     def table_rows(self) -> NDArray[np.int_]:
         """Indices of at most 11 round angles within the static range; empty if there is none."""
         if not self.exists:
