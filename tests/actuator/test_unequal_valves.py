@@ -157,5 +157,5 @@ def test_what_no_pair_can_be_is_refused():
         UnequalValves(FirstOrderValve(0.1), FirstOrderValve(0.1), reservoir_volume=1e-3, line_conductance=1e-9)
     assert caught.value.field == "reservoir_volume"
     with pytest.raises(RangeError) as caught:
-        leg.LegPlant(leg.read_leg("lei-leg"), LAGGING)
+        leg.LegPlant(leg.read_leg("lei-leg-planar"), LAGGING)
     assert caught.value.field == "valve"

@@ -137,3 +137,24 @@ def test_closed_valves_need_the_volume_of_the_muscles(held):
     with pytest.raises(RangeError, match="closed valves") as refused:
         closed_valves(dataclasses.replace(held, joint=dataclasses.replace(held.joint, muscle1=unknown)))
     assert refused.value.field == "initial_diameter"
+
+
+@pytest.mark.slow
+def test_air_with_a_temperature_is_stiffer_in_fast_motion_and_dissipates_in_between(knee, load):
+    """Against the linearised chamber, whose index is isothermal at 0.02 Hz and adiabatic at 10 Hz."""
+    valve = PressureRegulator(1e-10, 7 * bar, time_constant=20 * ms, wall_conductance=0.1, dead_volume=2e-6)
+    plant = JointPlant(knee, load, valve)
+    start, rates = plant.equilibrium(0.0, stiffness=15.0), np.array([0.02, 0.5, 1.0, 10.0])
+    closed = closed_valves(plant)
+    found = dynamic_stiffness(closed, start._replace(air=()), 0.01 * deg, rates, cycles=8)
+    volumes = [one.volume for one in plant.air_volumes(start)]
+    indices = [valve.index_at(p, v, rates) for p, v in zip(start.pressures, volumes, strict=True)]
+    expected = knee.closed_valve_stiffness(0.0, start.pressures, polytropic_index=tuple(indices), dead_volume=2e-6)
+    np.testing.assert_allclose(found.stiffness[:, 0], expected.real, rtol=1e-4)
+    np.testing.assert_allclose(found.loss[:, 0], expected.imag, atol=2e-4 * float(expected.real[0]))
+    ends = [
+        float(knee.closed_valve_stiffness(0.0, start.pressures, polytropic_index=n, dead_volume=2e-6))
+        for n in (1.0, 1.4)
+    ]
+    assert (found.stiffness[0, 0], found.stiffness[-1, 0]) == pytest.approx(ends, rel=5e-3)
+    assert found.loss[1, 0] > 0.1 * (ends[1] - ends[0])

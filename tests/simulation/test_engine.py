@@ -48,10 +48,18 @@ sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 1}
 disturbance: {height: 0.5 N*m, width: 20 ms, interval: 50 ms, start: 40 ms}
 """
 FLOW = "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar}"
+WARM = "{class: regulator, conductance: 0.1 L/(s*bar), supply: 7 bar, time_constant: 20 ms, wall_conductance: 0.5 W/K}"
+PAIR = f"""
+  class: unequal
+  muscle1: {{class: tube, volume: 5 cm^3, conductance: 0.1 L/(s*bar), valve: {WARM}}}
+  muscle2: {WARM}
+  reservoir_volume: 0.5 L
+  line_conductance: 1 L/(s*bar)"""
 SCENARIOS = {
     "as in the paper": BASE % (MUSCLE % "", "ideal", PID),
     "friction, noise and pulses": BASE % (MUSCLE % FRICTION, "{time_constant: 20 ms}", DECOUPLING) + REAL,
     "air, prediction": BASE % (MUSCLE % "", FLOW, PREDICTIVE),
+    "air with a temperature": (BASE % (MUSCLE % "", PAIR, PID)).replace("substeps: 2", "substeps: 8"),
 }
 
 

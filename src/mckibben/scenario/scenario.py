@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Annotated, Any
@@ -210,6 +210,11 @@ class Scenario(RunSettings):
     def with_fixed_model(self) -> Scenario:
         """Return the scenario with a controller whose model does not follow changes of the plant."""
         return self.model_copy(update={"controller": independent(self.control())})
+
+    def with_extrapolation(self) -> Scenario:
+        """Return the scenario with force laws applied at all pressures of their specimens (`Muscle.extrapolate`)."""
+        muscles = {name: replace(getattr(self.joint, name), extrapolate=True) for name in ("muscle1", "muscle2")}
+        return self.model_copy(update={"joint": replace(self.joint, **muscles)})
 
     def reference(self) -> Reference:
         """Return angle and stiffness references over time."""
