@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.polynomial.polynomial import polyval
 
 from mckibben import catalog
 from mckibben.muscle import Domain, ExponentialLaw, SmoothAffineLaw, SmoothLaw, forces
@@ -23,3 +24,12 @@ def test_outside_of_the_window_it_is_eq_2_and_at_its_centre_the_first_coefficien
     np.testing.assert_allclose(forces(law, outside, pressure), forces(EQ_3, outside, pressure), rtol=1e-12)
     added = S0[0] + pressure * S1[0] + (pressure**2 * S2[0] if name == "quadratic" else 0.0)
     np.testing.assert_allclose(forces(law, 0.11, pressure) - forces(EQ_3, 0.11, pressure), added, rtol=1e-9)
+
+
+def test_a_deviation_is_its_polynomial_within_the_window():
+    """Of the position v, by NumPy, times (1 - v^2)^3."""
+    law, contraction, pressure = LAWS["affine"], 0.125, 4e5
+    v = (contraction - 0.11) / float(law.half_width)
+    expected = (polyval(v, S0) + pressure * polyval(v, S1)) * (1 - v**2) ** 3
+    added = forces(law, contraction, pressure) - forces(EQ_3, contraction, pressure)
+    assert float(added) == pytest.approx(expected, rel=1e-9)
