@@ -34,6 +34,14 @@ def same(a: Fit, b: Fit) -> None:
             assert getattr(a, field.name) == getattr(b, field.name), field.name
 
 
+def test_a_fit_with_classical_errors_alone_comes_back(fit, tmp_path):
+    classical = dataclasses.replace(fit, robust=None)
+    classical.to_yaml(tmp_path / "fit.yaml")
+    again = Fit.from_yaml(tmp_path / "fit.yaml")
+    same(classical, again)
+    assert again.robust is None
+
+
 def test_every_number_comes_back_exactly(fit, tmp_path):
     fit.to_yaml(tmp_path / "fit.yaml")
     again = Fit.from_yaml(tmp_path / "fit.yaml")

@@ -128,3 +128,11 @@ def test_domains_that_do_not_overlap_are_refused(specimen, law):
         Domain(0.2, 0.3).intersection(Domain(contraction_max=0.1))
     with pytest.raises(RangeError, match="do not overlap"):
         Muscle(specimen, dataclasses.replace(law, domain=Domain(0.3, 0.4)))
+
+
+def test_the_volume_is_known_by_the_braid_or_as_a_polynomial(specimen):
+    unknown = {"initial_diameter": None, "braid_angle": None}
+    for name in unknown:
+        assert not dataclasses.replace(specimen, **{name: None}).has_volume
+    assert specimen.has_volume and not dataclasses.replace(specimen, **unknown).has_volume
+    assert dataclasses.replace(specimen, **unknown, volume_terms=(2e-5, 1e-4)).has_volume

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.polynomial.chebyshev import chebval2d
+from numpy.polynomial.polynomial import polyval
 
 from mckibben import catalog
 from mckibben.muscle import Domain, ExponentialLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw, forces
@@ -38,3 +39,12 @@ def test_a_gaussian_process_is_a_series_of_chebyshev_polynomials_that_levels_off
     np.testing.assert_allclose(beyond[0], beyond[1], rtol=1e-9)
     inside, outside = (law.slope(0.31 + step, 4e5) for step in (-1e-9, 1e-9))
     np.testing.assert_allclose(inside, outside, rtol=1e-4)
+
+
+def test_a_deviation_is_its_polynomial_within_the_window():
+    """Of the position v, by NumPy, times (1 - v^2)^3."""
+    law, contraction, pressure = LAWS["affine"], 0.125, 4e5
+    v = (contraction - 0.11) / float(law.half_width)
+    expected = (polyval(v, S0) + pressure * polyval(v, S1)) * (1 - v**2) ** 3
+    added = forces(law, contraction, pressure) - forces(EQ_3, contraction, pressure)
+    assert float(added) == pytest.approx(expected, rel=1e-9)

@@ -13,7 +13,7 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
 from mckibben.simulation import problem
-from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, native_episode
+from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, compute_with, native_episode
 from mckibben.simulation.software import software
 
 SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
@@ -166,6 +166,12 @@ def test_without_a_compiler_xla_does_it(monkeypatch):
     with pytest.raises(ParameterError) as caught:
         mk.simulate(*parts, engine="native", **timing(scenario))
     assert caught.value.field == "engine"
+
+
+@pytest.mark.parametrize(("chosen", "expected"), [("cuda", 3), ("native", 1), ("xla", 2)])
+def test_the_chosen_engine_computes(monkeypatch, chosen, expected):
+    monkeypatch.setattr("mckibben.simulation.engine.check_engine", lambda *_, many: chosen)
+    assert compute_with("auto", np.float64, lambda: 1, lambda: 2, cuda=lambda: 3) == (expected, chosen)
 
 
 def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
