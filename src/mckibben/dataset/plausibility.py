@@ -147,10 +147,12 @@ _NINES = np.array([*(10.0**n - 10.0**-m for n in range(2, 7) for m in range(3)),
 def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
     """Values such as -9999 or 999.9, which mark missing values, and whether they are far from all other values."""
     size = np.abs(values)
+    if not np.fmax.reduce(size, initial=0.0) > _NINES.min() - 1:
+        return np.zeros(len(values), bool), False
     close = np.isclose(size[:, None], _NINES, rtol=1e-12, atol=0) if len(values) < _MANY else None
     marks = np.isin(size, _NINES) if close is None else np.asarray(close.any(axis=1))
-    others = values[~marks & np.isfinite(values)]
-    if not marks.any() or not others.size:
+    others = values[~marks & np.isfinite(values)] if marks.any() else values[:0]
+    if not others.size:
         return np.zeros(len(values), bool), False
     low, high = float(others.min()), float(others.max())
     distance = np.maximum(low - values[marks], values[marks] - high)

@@ -226,6 +226,8 @@ def read_numbers(
     Of a long column most of whose cells are not numbers, the first problems are listed, and one without a line.
     """
     if isinstance(cells, np.ndarray):
+        if np.isfinite(cells).all():
+            return cells, []
         refused = ~np.isfinite(cells) & ~(np.isnan(cells) & may_be_empty)
         found = [
             kind(f"{cells[at]:g} is not a finite number", line=lines[int(at)], field=field)
