@@ -20,7 +20,7 @@ from mckibben.leg.uncertainty import drawn_plant
 from mckibben.storage.files import check_seal, file_lock
 from tests.leg.conftest import FILE
 
-HEAD = "name: x\nleg:\n  from: lei-leg\n"
+HEAD = "name: x\nleg:\n  from: lei-leg-planar\n"
 
 
 def test_text_reads_back(scenario: LegScenario) -> None:
@@ -71,16 +71,19 @@ def test_bad_files_name_line_and_remedy(text: str, line: int | None, word: str) 
     ("text", "fields"),
     [
         (
-            "leg: {from: lei-leg, trunk: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
+            "leg: {from: lei-leg-planar, trunk: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
             ["leg.trunk", "landing.time_constants", "landing.drop[0]"],
         ),
-        ("leg: {from: lei-leg, joints: {knee: {muscle1: null}}}\n", ["leg.joints.knee.muscle1"]),
+        ("leg: {from: lei-leg-planar, joints: {knee: {muscle1: null}}}\n", ["leg.joints.knee.muscle1"]),
         ("leg: null\n", ["leg"]),
         (
-            "leg: lei-leg\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
+            "leg: lei-leg-planar\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
             ["landing.drop[0]", "landing.drop[1]"],
         ),
-        ("leg: lei-leg\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n", ["landing.stiffness"]),
+        (
+            "leg: lei-leg-planar\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n",
+            ["landing.stiffness"],
+        ),
     ],
 )
 def test_what_follows_from_another_mistake_is_not_said(text: str, fields: list[str]) -> None:

@@ -152,6 +152,20 @@ def test_rates_are_those_of_a_straight_line(stiff):
             check(i, 1.99 * 0.2 + 2.02 * (i - 200) * PERIOD)
 
 
+def test_a_pressure_that_stays_off_its_command_stops_the_run(stiff):
+    """By default, 2 bar filtered with 250 ms exceed 1 bar after 250 ms log 2."""
+    sensors = Wiring().sensors
+    monitor = JointMonitor(
+        stiff.joint(), JointLimits(lowest_angle=-6, highest_angle=6, pressure=9 * bar), sensors, PERIOD
+    )
+    volts = [float(sensor.volts(value)) for sensor, value in zip(sensors, (0.0, 3e5, 3e5), strict=True)]
+    with pytest.raises(StoppedError) as caught:
+        for i in range(1000):
+            monitor.check_sample(i * PERIOD, volts, (3e5, 5e5) if i else None, None)
+    assert caught.value.value == pytest.approx(3e5)
+    assert i * PERIOD == pytest.approx(0.25 * math.log(2), abs=3 * PERIOD)
+
+
 @pytest.mark.parametrize("command", [(math.nan, 3e5), (3e5, math.inf)])
 def test_a_command_that_is_no_number_vents(stiff, command):
     outcome, _ = stiff._replace(control=SteadyControl(command)).run()

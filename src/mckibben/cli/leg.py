@@ -1,4 +1,4 @@
-"""`mckibben leg`: landing and jumping of a leg."""
+"""`mckibben leg`: landing and jumping of a leg, and stiffness of its foot."""
 
 from __future__ import annotations
 
@@ -28,11 +28,12 @@ if TYPE_CHECKING:
     from mckibben.leg import LegPlant, LegResult
     from mckibben.leg.scenario import LegScenario
 
-leg = typer.Typer(name="leg", help="Landing and jumping of a leg.", no_args_is_help=True)
+leg = typer.Typer(name="leg", help="Landing and jumping of a leg, and stiffness of its foot.", no_args_is_help=True)
 
 Animate = Annotated[
     Path | None, Option("--animate", metavar="FILE", help="Animation, .webp or .gif; needs the package mujoco.")
 ]
+_FIGURE = "foot_stiffness"
 LegFile = Annotated[Path, Argument(metavar="LEG.yaml", help="Leg; see examples/leg/.")]
 
 
@@ -110,7 +111,34 @@ def jump(
         notify(f"wrote jump.html, results.json, constant.nc, timed.nc and leg.yaml to {out}", json)
 
 
-def _read(file: Path, accuracy: str) -> LegScenario:
+@leg.command()
+def stiffness(file: LegFile, json: Json = False, out: Out = None, force: Force = False) -> None:
+    """Find the pressures for a stiffness of the foot: exact, or the nearest with a bound of the error."""
+    results_folder(out, ("results.json", "leg.yaml", "foot_stiffness.svg", "foot_stiffness.png"), force)
+    from mckibben.leg.foot_pressures import solve_foot_stiffness
+
+    read = _read(file)
+    found = solve_foot_stiffness(read, source=str(file))
+    numbers = found.record(read.leg)
+    if out:
+        from mckibben.report.leg import foot_ellipses
+        from mckibben.report.style import save
+
+        assert read.stiffness is not None
+        with keeping(out):
+            write_json(out / "results.json", numbers)
+            read.to_yaml(out / "leg.yaml")
+            save(foot_ellipses(read.leg, read.leg.posture_angles(read.stiffness.posture), found=found), out, _FIGURE)
+    if json:
+        echo(to_json(numbers))
+    else:
+        table(read.name, *found.rows(read.leg))
+        echo(found.describe())
+    if out:
+        notify(f"wrote results.json, leg.yaml, foot_stiffness.svg and foot_stiffness.png to {out}", json)
+
+
+def _read(file: Path, accuracy: str = "") -> LegScenario:
     from mckibben.leg.scenario import LegScenario
 
     return with_accuracy(LegScenario.read(file), accuracy)

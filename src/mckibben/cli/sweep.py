@@ -339,6 +339,8 @@ def _show_tuned(
             echo(
                 "gain margin: factor on all tuned gains up to which a step of 0.2 deg does not make the loop oscillate"
             )
+        for remark in dict.fromkeys(remark for one in before for remark in one.joint.remarks):
+            echo(remark)
         if tuned.at_bound:
             echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
     echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)

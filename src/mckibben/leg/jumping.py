@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
-from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, frames, motion
+from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.leg.landing import EDGES
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
@@ -25,6 +25,7 @@ from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.spatial import Z
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.simulation.engine import BatchFunction, dynamic_steps
 from mckibben.simulation.problem import sampling_times
@@ -167,13 +168,12 @@ def standing_torques(plant: LegPlant, angles: tuple[float, ...]) -> Floats:
 @compiled
 def _standing(plant: LegPlant, angles: tuple[ArrayLike, ...]) -> Array:
     leg = plant.leg
-    zero = jnp.zeros(())
-    posture = Posture(zero, zero, zero, leg.held(angles))
-    still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
+    posture = posture_of(leg, angles)
+    still = at_rest(posture)
     weight = leg.total_mass * plant.gravity
 
     def accelerations(torques: Array) -> Array:
-        found = acceleration(leg, posture, still, tuple(torques), (zero, weight), plant.gravity)
+        found = acceleration(leg, posture, still, tuple(torques), Z.scaled(weight), plant.gravity)
         return jnp.stack(found.angles)
 
     free = jnp.array([joint.locked is None for joint in leg.joints])
@@ -356,13 +356,12 @@ def _jump(scenario: LegScenario, runs: JumpRuns, variables: Floats, drawn: LegPl
 
 def _standing_heights(plant: LegPlant, drawn: LegPlant) -> tuple[Floats, float]:
     """Heights [m] of the centre of mass of each draw in the posture in which it is highest, and that of the hip."""
-    zero = jnp.zeros(())
 
     def heights(of: LegPlant, angles: Sequence[ArrayLike]) -> tuple[Array, Array]:
         """Heights of the centre of mass and of the hip above the foot."""
-        posture = Posture(zero, zero, zero, of.leg.held(angles))
-        still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
-        depth = contact(of.leg, frames(of.leg, posture, still)).z
+        posture = posture_of(of.leg, angles)
+        still = at_rest(posture)
+        depth = contact(of.leg, frames(of.leg, posture, still)).position.z
         return motion(of.leg, posture, still, of.gravity).height - depth, -depth
 
     ranges = [np.linspace(joint.lower, joint.upper, _POSTURES) for joint in plant.leg.joints]
