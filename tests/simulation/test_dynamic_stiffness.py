@@ -12,8 +12,9 @@ from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import KneeLoad
 from mckibben.muscle import MaxwellSlip
+from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointPlant, PressureRegulator, TorquePulses
+from mckibben.plant import IdealValve, JointFriction, JointPlant, PressureRegulator, TorquePulses
 from mckibben.simulation import closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.units import bar, deg, mm, ms
 
@@ -47,6 +48,20 @@ def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
     # a spring dissipates nothing
     assert np.abs(found.loss[:, 0]).max() < 1e-6 * expected[0]
     assert (found.loss[:, 1:] > 1.0).all()
+
+
+def test_friction_of_the_joint_adds_to_the_stiffness_and_its_loop_to_the_loss(knee, load):
+    """At the reversals it is T against the motion; the area is 4 T a, less what its springs give back."""
+    torque, presliding = 0.3, 0.05 * deg
+    plant = JointPlant(knee, load, IdealValve(), friction=JointFriction(torque, presliding))
+    angles, pressures = np.array([1.0, 4.0]) * deg, (3e5, 3e5)
+    found = dynamic_stiffness(plant, plant.init_state(0.0, pressures), angles, FAST, substeps=2, cycles=2)
+    springs = np.asarray(secant(knee, pressures, angles))
+    np.testing.assert_allclose(found.stiffness[0], springs + torque / angles, rtol=1e-6)
+    share, stiffness = polygon(4)
+    area = 4 * torque * (angles - share @ (share / stiffness) * presliding)
+    np.testing.assert_allclose(found.loss[0], area / (np.pi * angles**2), rtol=2e-3)
+    np.testing.assert_allclose(found.magnitude**2, found.stiffness**2 + found.loss**2)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
 from mckibben.simulation import problem
 from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, native_episode
+from mckibben.simulation.software import software
 
 SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
 
@@ -178,6 +179,17 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
         monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
+
+
+def test_the_software_of_batches_is_the_compiler_of_their_engine():
+    """Programs of other compilers or with other options may round differently."""
+    emitted, by_xla = software("native"), software("xla")
+    assert (emitted["engine"], by_xla["engine"]) == ("native", "xla")
+    path = compiler()
+    assert path is not None
+    first = subprocess.run([path, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
+    assert emitted.pop("compiler").startswith(first)
+    assert emitted | {"engine": "xla"} == by_xla
 
 
 @pytest.mark.parametrize("engine", ["", "c", None, "cuda"])

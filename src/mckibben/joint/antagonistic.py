@@ -19,6 +19,10 @@ from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import compiled_alone, computed_once
 from mckibben.numerics.elementary import floating
+from mckibben.units import deg
+
+SMALL_MOTION = 0.1 * deg
+"""Amplitude of the small-motion stiffness [rad], at which friction is mostly presliding."""
 
 MuscleStates = tuple[MuscleState, MuscleState]
 """Internal states of muscles 1 and 2."""
@@ -139,6 +143,19 @@ class AntagonisticJoint(Component):
     def has_friction(self) -> bool:
         """Whether a muscle has friction."""
         return self.muscle1.has_friction or self.muscle2.has_friction
+
+    @property
+    def remarks(self) -> list[str]:
+        """Remarks on extrapolated laws and on friction, in words, for tables and figures of stiffness."""
+        muscles = self.muscle1, self.muscle2
+        found = list(dict.fromkeys(muscle.extrapolation for muscle in muscles if muscle.extrapolation))
+        if self.has_friction:
+            names = " and ".join(dict.fromkeys(one.specimen.name for one in muscles if one.has_friction))
+            found.append(
+                f"{names} has friction, which the isobaric stiffness leaves out; the small-motion stiffness, of motion "
+                f"by {SMALL_MOTION / deg:g} deg, includes it"
+            )
+        return found
 
     @property
     def springs(self) -> tuple[bool, bool]:

@@ -7,7 +7,12 @@ from types import SimpleNamespace
 from typing import Annotated, Any
 
 import jax.numpy as jnp
+import numpy as np
 
+from mckibben.component.checks import check_positive
+from mckibben.errors import RangeError
+from mckibben.muscle.base import ForceLaw
+from mckibben.numerics.calculus import derivative
 from mckibben.units import Quantity, bar
 
 CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
@@ -38,6 +43,47 @@ LAMINAR = 0.999
 
 FLOATS = SimpleNamespace(maximum=max, minimum=min, sqrt=math.sqrt)
 """Arithmetic of Python floats for `mass_flow`, a hundred times faster than `jax.numpy` outside of compiled code."""
+
+
+def volume_terms(law: ForceLaw, initial_length: float, volume: float, degree: int = 4) -> tuple[float, ...]:
+    r"""Return coefficients [m^3] of the volume over the contraction, for `Specimen.volume_terms`, from a force law.
+
+    .. math:: V(\varepsilon) = V_0 + l_0 \int_0^\varepsilon \frac{\partial F}{\partial p}\,d\varepsilon
+
+    The virtual work of the air, F = -p dV/dl. For Chou's law (Eq. 1) this is the volume inside the braid; for others it
+    is an assumption, as their force per pressure includes losses in the bladder. The force per pressure at the middle
+    of the law's pressures is fitted by a polynomial over its contractions.
+
+    Parameters
+    ----------
+    initial_length, volume
+        l0 [m], and V0 [m^3], the volume of the air at contraction 0.
+    degree
+        Degree of the polynomial.
+
+    Raises
+    ------
+    RangeError
+        If a number is not positive, or the law's domain is not finite.
+
+    Examples
+    --------
+    >>> from mckibben import ChouLaw, catalog
+    >>> braid = catalog.specimen("DMSP-10-250")
+    >>> terms = volume_terms(ChouLaw.of(braid), braid.initial_length, float(braid.volume(0.0)))
+    >>> [round(1e6 * float(v), 2) for v in (np.polyval(terms[::-1], 0.2), braid.volume(0.2))]  # cm^3
+    [41.71, 41.71]
+    """
+    check_positive("volume_terms", "m", initial_length=initial_length)
+    check_positive("volume_terms", "m^3", volume=volume)
+    box = law.domain.intersection(law.formula_domain)
+    bounds = [float(one) for one in (box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max)]  # type: ignore[arg-type]
+    if not all(map(math.isfinite, bounds)):
+        raise RangeError(f"the domain of the law, {box.bounds()}, is not finite", remedy="give the law a domain")
+    contraction = np.linspace(min(bounds[0], 0.0), bounds[1], 201)
+    gain = np.asarray(derivative(lambda p: law.force(contraction, p), jnp.full(contraction.shape, np.mean(bounds[2:]))))
+    work = np.polynomial.Polynomial.fit(contraction, gain, degree - 1).convert().integ()
+    return tuple(float(one) for one in (work * initial_length + volume).coef)
 
 
 def flow_share(critical: Any, ratio: Any, xp: Any = jnp) -> Any:

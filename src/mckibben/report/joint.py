@@ -210,7 +210,7 @@ def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
 
 def _over_angle(axes: Axes, found: Envelope) -> None:
     holds, motion = found.static, found.trackability.trajectory
-    inside = _inside(holds)
+    inside = holds.inside
     if inside.any():
         _band(axes, holds, color=_STATIC, label="attainable, static")
     else:
@@ -220,20 +220,19 @@ def _over_angle(axes: Axes, found: Envelope) -> None:
         moved, kind = near.trackability.trajectory, near.preserved
         axes.plot(moved.angle / deg, moved.stiffness, label=_NAMES[kind], zorder=4, **_LOOKS[kind])
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    _limits(axes, holds.stiffness.lowest[inside], holds.stiffness.highest[inside], motion.stiffness)
-
-
-def _inside(holds: StaticEnvelope) -> NDArray[np.bool_]:
-    """Static angles."""
-    return (holds.angles >= holds.angle_min) & (holds.angles <= holds.angle_max)
+    ends = [edge[inside] for band in (holds.stiffness, holds.small_motion) if band is not None for edge in band]
+    _limits(axes, *ends, motion.stiffness)
 
 
 def _band(axes: Axes, holds: StaticEnvelope, *, color: str, label: str) -> None:
-    inside = _inside(holds)
+    inside = holds.inside
     angles, low, high = holds.angles[inside] / deg, holds.stiffness.lowest[inside], holds.stiffness.highest[inside]
     draw_band(axes, angles, low, high, color=color, label=label)
     for edge in (low, high):
         axes.plot(angles, edge, color=BLUE, linewidth=0.8)
+    if holds.small_motion is not None:
+        for edge, label in zip(holds.small_motion, ("small motion, at both ends", "_nolegend_"), strict=True):
+            axes.plot(angles, edge[inside], color=BLUE, linewidth=0.9, linestyle=(0, (1, 1.2)), label=label)
 
 
 def _over_time(axes: Axes, found: Envelope) -> None:
@@ -360,7 +359,7 @@ def design(found: Design, before: StaticEnvelope) -> Figure:
     figure = blank(DOUBLE, 3.2)
     axes = figure.subplots()
     _band(axes, found.envelope, color=_DYNAMIC, label="attainable after sizing")
-    inside = _inside(before)
+    inside = before.inside
     for edge in before.stiffness:
         label = "attainable before" if edge is before.stiffness.lowest else None
         axes.plot(before.angles[inside] / deg, edge[inside], color="#777777", linestyle=(0, (3, 1.5)), label=label)
@@ -370,7 +369,7 @@ def design(found: Design, before: StaticEnvelope) -> Figure:
     if found.target.torque_reserve:
         draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque margin")
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    reached = _inside(found.envelope)
+    reached = found.envelope.inside
     _limits(axes, *(edge[reached] for edge in found.envelope.stiffness), np.array([low, high]))
     lengths = (f"{name.replace('_', ' ')} {value * 1e3:.4g} mm" for name, value in found.lengths.items())
     letter(axes, 0, ", ".join(lengths))
