@@ -104,7 +104,9 @@ def test_what_cannot_be_identified_is_refused_with_a_remedy():
     saturated = Recording.of(
         time=whole.time, pressure=np.minimum(pressure, 4.3 * bar), force=0 * pressure, contraction=0.1
     )
-    for recordings in ([], [regulated], [moving], [saturated]):
+    every = slice(None, None, 20)
+    slow = Recording.of(time=whole.time[every], pressure=pressure[every], force=0 * pressure[every], contraction=0.1)
+    for recordings in ([], [regulated], [moving], [saturated], [slow]):
         with pytest.raises(IdentificationError) as caught:
             identify_air(recordings, SPECIMEN)
         assert caught.value.remedy

@@ -63,9 +63,9 @@ class AirActuator(Actuator):
         \dot T = T \left(\frac{\dot p}{p} + \frac{\dot V}{V}
         - \frac{\dot m_\mathrm{in} - \dot m_\mathrm{out}}{m}\right)
 
-    the energy balance of an open system (E. Richer and Y. Hurmuzlu, "A High Performance Pneumatic Force Actuator
-    System: Part I", ASME Journal of Dynamic Systems, Measurement, and Control 122, 2000): supply and wall are at room
-    temperature T0, and air leaves at T. h A = 0 is adiabatic; with a large h A the air is isothermal.
+    This is the energy balance of an open system (E. Richer and Y. Hurmuzlu, "A High Performance Pneumatic Force
+    Actuator System: Part I", ASME Journal of Dynamic Systems, Measurement, and Control 122, 2000): supply and wall are
+    at room temperature T0, and air leaves at T. h A = 0 is adiabatic; with a large h A the air is isothermal.
     """
 
     default_class = ""

@@ -38,6 +38,7 @@ from mckibben.units import bar, cm, kPa, ms, percent, show
 
 Floats = NDArray[np.float64]
 
+_SLOWEST, _GAP = 10 * ms, 1.5  # longest sampling period, and interval in periods
 _BLOCK = 5 * ms  # samples are averaged over this time
 _SUBSTEPS = 2
 _SMOOTHING = 20 * ms  # of the rate of the pressure
@@ -53,7 +54,7 @@ _CRITICAL = 0.3
 _LEAK = 1e-3 * L_PER_S_BAR  # unit of the leak in the search
 _DEAD = 1 * cm**3
 _STAGES, _ITERATIONS, _TOLERANCE = 3, 60, 1e-5
-_FIRST_VARIANCE = (1 * kPa) ** 2
+_FIRST_VARIANCE, _LEAST_VARIANCE = (1 * kPa) ** 2, (10e-3 * kPa) ** 2
 _ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
 _ROOM = 5 / TEMPERATURE  # relative standard deviation of the temperature of the room
 _SHARED = 4  # parameters that all phases share
@@ -178,7 +179,7 @@ def identify_air(
     Raises
     ------
     IdentificationError
-        If there is no recording, no phase with a shut valve, a saturated sensor, or a length that changes.
+        If there is no recording, no phase with a shut valve, a saturated sensor, a length that changes, or a gap.
     RangeError
         If the volume of the specimen is not known.
 
@@ -216,16 +217,15 @@ def identify_air(
             "then vent in part, shut, and record 3 s",
         )
     volumes = np.array([phase.volume for phase in phases])
-    room = volumes.max() + dead_volume > _APART * (volumes.min() + dead_volume)
-    problem = _Problem.of(phases, dead_volume, estimates_dead_volume=room)
-    z, deviations, errors = _solve(problem)
+    observable = volumes.max() + dead_volume > _APART * (volumes.min() + dead_volume)
+    z, deviations, errors = _solve(_Problem.of(phases, dead_volume, estimates_dead_volume=observable))
     notes = []
-    if not room:
+    if not observable:
         notes.append(
             f"the dead volume is not observable at one length, and {show(dead_volume, 'cm^3', 3)} is assumed: the "
             "conductances are proportional to the volume; add tests at another length"
         )
-    conductance, leak, dead = _parameters(problem, z)
+    conductance, leak, dead = math.exp(float(z[0])), float(z[1]) * _LEAK, float(z[2]) * _DEAD
     rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance
     constants = tuple(float((one.pressures[-1] + ATMOSPHERE) * (one.volume + dead) / rate) for one in phases)
     residual = math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
@@ -237,7 +237,7 @@ def identify_air(
     return AirFit(
         JointEstimate(conductance, wall, math.inf, "W/K", logarithmic=True),
         JointEstimate(leak, leaking, math.inf, "m^3/(s*Pa)"),
-        JointEstimate(dead, _DEAD * float(deviations[2]), math.inf, "m^3") if room else None,
+        JointEstimate(dead, _DEAD * float(deviations[2]), math.inf, "m^3") if observable else None,
         tuple(phases),
         constants,
         residual,
@@ -274,6 +274,14 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
             "the contraction is not known", remedy="record the length, or give the contraction (--contraction)"
         )
     period = float(np.median(np.diff(time)))
+    if period > _SLOWEST or np.diff(time).max() > _GAP * period:
+        raise IdentificationError(
+            f"the samples of a recording are up to {show(float(np.diff(time).max()), 'ms', 3)} apart",
+            value=float(np.diff(time).max()),
+            upper=_SLOWEST,
+            unit="s",
+            remedy="sample at a constant rate of 100 Hz or more, without gaps",
+        )
     count = max(round(_BLOCK / period), 1)
     window = max(round(_SMOOTHING / period), 1)
     smooth = np.convolve(pressure, np.ones(window) / window, mode="valid")
@@ -308,24 +316,27 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
 
 
 class _Problem(NamedTuple):
-    """Phases side by side: pressures of shape (phases, blocks), their weights, volumes, and the start of the search."""
+    """Phases side by side: pressures, shape (phases, blocks), which of them are fitted, and the start of the search.
+
+    Its parameters are conductance of the wall, leak, dead volume, zero of the sensor, and pressure and temperature at
+    the start of each phase.
+    """
 
     pressures: Floats
-    weights: Floats  # 0 after the end of a phase
+    used: NDArray[np.bool_]  # until the end of a phase
     volumes: Floats
     periods: Floats
     start: Floats
-    dead_volume: float
     estimates_dead_volume: bool
 
     @classmethod
     def of(cls, phases: Sequence[ShutPhase], dead_volume: float, *, estimates_dead_volume: bool) -> _Problem:
         longest = -(-max(len(one.pressures) for one in phases) // _PADDING) * _PADDING
-        pressures, weights = np.zeros((2, len(phases), longest))
+        pressures, used = np.zeros((len(phases), longest)), np.zeros((len(phases), longest), bool)
         first, conductances = [], []
         for i, one in enumerate(phases):
             size = len(one.pressures)
-            pressures[i, :size], weights[i, :size] = one.pressures, 1.0
+            pressures[i, :size], used[i, :size] = one.pressures, True
             begin, end = one.pressures[0], one.pressures[-max(size // 10, 1) :].mean()
             left = np.abs(one.pressures - end) < abs(begin - end) / math.e
             constant = max(float(np.argmax(left)), 1.0) * one.period
@@ -335,12 +346,7 @@ class _Problem(NamedTuple):
         shared = [math.log(float(np.median(conductances))), 0.0, dead_volume / _DEAD, 0.0]
         volumes, periods = (np.array([getattr(one, name) for one in phases]) for name in ("volume", "period"))
         start = np.array([*shared, *first])
-        return cls(pressures, weights, volumes, periods, start, dead_volume, estimates_dead_volume)
-
-
-def _parameters(problem: _Problem, z: Floats) -> tuple[float, float, float]:
-    """Conductance of the wall [W/K], leak [m^3/(s*Pa)] and dead volume [m^3]."""
-    return math.exp(float(z[0])), float(z[1]) * _LEAK, float(z[2]) * _DEAD
+        return cls(pressures, used, volumes, periods, start, estimates_dead_volume)
 
 
 def _simulated(z: Array, volumes: Array, periods: Array, blocks: int) -> Array:
@@ -382,7 +388,7 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
     """Estimates, their standard deviations, and the errors [Pa] of each phase."""
     free = np.ones(problem.start.size, bool)
     free[2] = problem.estimates_dead_volume
-    used = problem.weights > 0
+    used = problem.used
     zero = (np.arange(free.size) == _SHARED - 1)[free]  # has a normal prior
     variance = _FIRST_VARIANCE
 
@@ -412,7 +418,9 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
                 remedy="check the units of the recording, and that the valve was shut",
             )
         parts = np.split(errors_at(x)[0], np.cumsum(used.sum(axis=1))[:-1])
-        variance = variance_of(list(parts))
+        variance = max(variance_of(list(parts)), _LEAST_VARIANCE)
     deviations = np.zeros(problem.start.size)
-    deviations[free] = np.sqrt(np.diag(np.linalg.inv(terms(x)[2])))
+    curvature = terms(x)[2]
+    scale = np.sqrt(np.diag(curvature))
+    deviations[free] = np.sqrt(np.diag(np.linalg.inv(curvature / np.outer(scale, scale)))) / scale
     return whole(x), deviations, list(parts)

@@ -197,7 +197,7 @@ def effective_index(conductance: Any, pressure: Any, volume: Any, frequency: Any
 
     >>> n = effective_index(0.5, 6e5, 24e-6, 1.0)
     >>> round(float(n.real), 3), round(float(n.imag), 3)
-    (1.281, 0.183)
+    (1.282, 0.183)
     """
     rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance / (pressure * volume)
     circular = 2j * math.pi * frequency
