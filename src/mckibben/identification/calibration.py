@@ -129,7 +129,7 @@ def _misfit(regression: Regression, left_out: _LeftOut) -> tuple[float, float]:
     squares = float(solution.residuals @ solution.residuals)
     own_freedom = len(points) - solution.effective_parameters
     extra = own_freedom - freedom
-    if extra <= 0 or not pure > 0:
+    if extra < 1 or not pure > 0:  # the surface has no more freedom than the law
         return 0.0, np.inf
     ratio = (squares - pure * freedom) / extra / pure
     if not ratio > 0 or fdtrc(extra, freedom, ratio) > _SIGNIFICANT:
