@@ -43,7 +43,7 @@ def test_friction_at_a_reversal_is_not_an_outlier():
 
 
 @pytest.mark.parametrize(
-    ("row", "shift"), [(40, 25.0), (100, -25.0), (10 + int(np.argmin(RIG.taut.contraction[10:])), 60.0)]
+    ("row", "shift"), [(40, 40.0), (100, -40.0), (10 + int(np.argmin(RIG.taut.contraction[10:])), 60.0)]
 )
 def test_a_single_wrong_force_is_named_and_left_out(row, shift):
     table = RIG.taut.table.copy(deep=True)

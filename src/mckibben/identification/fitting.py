@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
-from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth
+from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, prior_of, prior_rows
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
     Bools,
@@ -87,11 +86,9 @@ def identify(
     if smooth:
         eq2 = FitProblem.of(ExponentialLaw, points)
         start = solve(eq2, grid_search(eq2)).position
-        everything = np.ones(len(points), bool)
-        solution, simpler = fit_smooth(_laws_from(law_type), points, everything, start)
+        solution, simpler = fit_smooth(_laws_from(law_type), points, np.ones(len(points), bool), start)
         law_type = solution.problem.law_type
-        chosen = () if simpler else _laws_from(law_type)
-        refit = cast(Refit, lambda kept: fit_smooth(chosen, points, kept, start)[0])
+        refit = _smooth_refit(() if simpler else _laws_from(law_type), points, start)
     else:
         problem = FitProblem.of(law_type, points)
         solution = solve(problem, grid_search(problem))
@@ -145,6 +142,26 @@ def identify(
 def _laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
     """Law with deviations, and the simpler ones that may take its place."""
     return SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
+
+
+def _smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
+    return lambda kept: fit_smooth(laws, points, kept, start)[0]
+
+
+def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools, scales: Floats | None) -> Regression:
+    """Regression of a law that was fitted to points; `scales` are those of the prior of a law with deviations."""
+    kind = type(law)
+    constants = {p.name: float(getattr(law, p.name)) for p in kind.constants}
+    problem, refit = dataclasses.replace(FitProblem.of(kind, points), constants=constants), None
+    values = np.array([float(getattr(law, p.name)) for p in kind.parameters()])
+    position = problem.cube.position(values[problem.linear :].tolist())
+    if scales is not None:
+        prior = prior_of(kind, float(points.levels.max()))
+        problem = dataclasses.replace(problem, prior=prior_rows(prior, scales))
+        refit = _smooth_refit(_laws_from(kind), points, position)
+    found = project(problem, position, values[: problem.linear])
+    solution = Solution(problem, values, position, found.cost, found.triangle, converged=True)
+    return Regression(points, problem, solution, at_bound, refit)
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
+from mckibben.identification.uncertainty import Floats, tsqr_r
 
 _RANK = 1e-10  # of the largest singular value: fixed columns below it are combinations of the others
 
@@ -61,37 +61,29 @@ class MixedModel:
         part = np.sum(inverse**2, axis=1) + free * (fitted / sizes[-1]) ** 2
         return float(np.sum(np.log(sizes[:-1])) + free * np.log(sizes[-1])), (1 - part) @ derivative
 
-    def without(self, out: Bools) -> MixedModel:
-        """Model of the other points."""
-        return MixedModel(self.fixed[~out], self.random[~out], self.residuals[~out], self.scales)
-
-    def predict(self, hyperparameters: Floats, fixed: Floats, random: Floats) -> Floats:
-        """Prediction [N] at other points, shape (k,), from their columns; NaN if the fixed part is not determined."""
-        scale = np.exp(self.scales(hyperparameters)[0])
-        lengths = np.linalg.norm(self.fixed, axis=0)
-        width = self.fixed.shape[1]
-        if self._fixed.shape[1] < width or len(self.fixed) < width:
-            return np.full(len(fixed), np.nan)
-        left = np.concatenate([self.fixed / lengths, np.zeros((len(scale), width))])
-        right = np.concatenate([self.random * scale, np.eye(len(scale))])
-        target = np.append(self.residuals, np.zeros(len(scale)))
-        found = np.linalg.lstsq(np.hstack([left, right]), target, rcond=None)[0]
-        return fixed / lengths @ found[:width] + random * scale @ found[width:]
+    def conditional(self, hyperparameters: Floats) -> tuple[Floats, float]:
+        """Residuals [N] of the fit, shape (n,), and its effective number of parameters."""
+        count = len(self.residuals)
+        q, target = self._orthonormal(hyperparameters)
+        return (target - q @ (q.T @ target))[:count], float(np.sum(q[:count] ** 2))
 
     def deleted_residuals(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         """Errors [N] at each point as the fit to all others predicts it, and externally studentised residuals."""
         # R. Cook and S. Weisberg, "Residuals and Influence in Regression", Chapman and Hall 1982, section 2.2.
-        scale = np.exp(self.scales(hyperparameters)[0])
-        left = np.concatenate([self._fixed, np.zeros((len(scale), self._fixed.shape[1]))])
-        right = np.concatenate([self.random * scale, np.eye(len(scale))])
-        target = np.append(self.residuals, np.zeros(len(scale)))
-        q = np.linalg.qr(np.hstack([left, right]))[0]
+        q, target = self._orthonormal(hyperparameters)
         errors = target - q @ (q.T @ target)
         count, total = len(self.residuals), float(errors @ errors)
         rest = np.maximum(1 - np.sum(q[:count] ** 2, axis=1), np.finfo(float).eps)
         squares = errors[:count] ** 2 / rest
         others = np.maximum(total - squares, np.finfo(float).tiny) / (self.freedom - 1)
         return errors[:count] / rest, np.sign(errors[:count]) * np.sqrt(squares / others)
+
+    def _orthonormal(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
+        """Orthonormal basis of all columns, and the residuals; both with the rows of the prior."""
+        scale = np.exp(self.scales(hyperparameters)[0])
+        left = np.concatenate([self._fixed, np.zeros((len(scale), self._fixed.shape[1]))])
+        right = np.concatenate([self.random * scale, np.eye(len(scale))])
+        return np.linalg.qr(np.hstack([left, right]))[0], np.append(self.residuals, np.zeros(len(scale)))
 
     @cached_property
     def _fixed(self) -> Floats:

@@ -40,7 +40,7 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     kept, found, pending = np.ones(len(points), bool), [], []
     most = max(1, int(_MOST * len(points)))
     hyperparameters: Sequence[Floats] = ()
-    smallest = _SMALLEST * float(forces.max(initial=0.0))
+    smallest = max(_SMALLEST * float(forces.max(initial=0.0)), _loop_width(points))
     while np.count_nonzero(kept) >= _FEWEST and len(found) + len(pending) < most + _AHEAD:
         tested = _test(points, kept, smallest, hyperparameters)
         if tested is None:
@@ -104,6 +104,18 @@ def _test(
     growth = scatter_growth(used.force - model.residuals, errors)
     variance = 1 + growth * used.force**2
     return errors, statistics * np.sqrt(np.mean(variance) / variance), model.freedom, starts
+
+
+def _loop_width(points: IsobaricDataset) -> float:
+    """Mean distance [N] of loading from unloading, within which friction moves a point; 0 for one direction."""
+    if len(points.directions) < 2:
+        return 0.0
+    passes = _passes(points)
+    eq2 = FitProblem.of(ExponentialLaw, points)
+    base = solve(eq2, grid_search(eq2))
+    columns = np.hstack([base.jacobian, passes[:, :1]])
+    lengths = np.linalg.norm(columns, axis=0)
+    return abs(float(np.linalg.lstsq(columns / lengths, base.residuals, rcond=None)[0][-1] / lengths[-1]))
 
 
 def _passes(points: IsobaricDataset) -> Floats:

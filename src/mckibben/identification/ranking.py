@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -284,7 +285,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
             remarks.append(f"without {block} {error.reason}")
         else:
             residuals = without_direction_means(found.residuals, regression.points)
-            cross_validation[name] = CrossValidation(residuals, found.by_block)
+            cross_validation[name] = dataclasses.replace(found, residuals=residuals)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
     misspecified = bounds and regression.problem.prior is None  # deviations make a bound harmless
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []

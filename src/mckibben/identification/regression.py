@@ -37,10 +37,16 @@ _IN_BLOCK = 5  # points at least, on average
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points outside all blocks."""
+    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points outside all blocks.
+
+    `law_variance` and `scatter_variance` [N^2] are those of the law's force and of a further point about it, which each
+    fit predicts at its block for independent errors.
+    """
 
     residuals: Floats = field(repr=False)
     by_block: Mapping[float | str, float]
+    law_variance: Floats = field(repr=False)
+    scatter_variance: Floats = field(repr=False)
 
     @property
     def rmse(self) -> float:
@@ -112,7 +118,7 @@ def cross_validate(
 ) -> CrossValidation:
     """Predict each block from a fit of the law, shape included, to all other blocks."""
     blocks = np.asarray(blocks)
-    residuals = np.full(len(blocks), np.nan)
+    residuals, of_law, scatter = np.full((3, len(blocks)), np.nan)
     by_block: dict[float | str, float] = {}
     for block in np.unique(blocks).tolist():
         if block == "":
@@ -124,11 +130,21 @@ def cross_validate(
         if not (solution.converged and condition_number(solution.triangle[:, ~solution.at_bound]) < CONDITION_LIMIT):
             raise NotIdentifiableError(block, "the law is not determined")
         everything = solution.problem.subset(np.ones(len(blocks), bool))
-        residuals[out] = everything.columns_and_residuals(solution.values)[-1, : len(blocks)][out]
+        rows = everything.columns_and_residuals(solution.values)[:, : len(blocks)]
+        residuals[out] = rows[-1, out]
         if not np.isfinite(residuals[out]).all():
             raise NotIdentifiableError(block, "the law's force is undefined there")
         by_block[block] = float(np.sqrt(np.mean(residuals[out] ** 2)))
-    return CrossValidation(residuals, by_block)
+        of_law[out], scatter[out] = _variances(solution, rows[:-1, out].T)
+    return CrossValidation(residuals, by_block, of_law, scatter)
+
+
+def _variances(solution: Solution, gradients: Floats) -> tuple[Floats, float]:
+    """Variance [N^2] of the law's force for gradients of shape (m, parameters), and of a point about it."""
+    free = np.flatnonzero(~solution.at_bound)
+    errors, jacobian = solution.augmented
+    model = IndependentErrors.of(jacobian[:, free], errors)
+    return model.variance(gradients[:, free])[0], model.residual_variance[0]
 
 
 _SENSITIVITY_POINTS = 100  # at which the uncertainty of the force is compared

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification.fit import domain_of, unphysical
-from mckibben.identification.least_squares import FitProblem, Solution, solve
+from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.regression import RESOLUTION, contraction_blocks, pressure_blocks
 from mckibben.identification.uncertainty import CONDITION_LIMIT, Bools, Floats, condition_number
@@ -47,6 +47,7 @@ _MARGIN = 1.0  # window beyond the points, in half ranges of them
 _GAIN = 1.0  # in the logarithm of the restricted likelihood, by hyperparameter
 _WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at left-out blocks, relative to Eq. 2
 _BETTER = 0.95  # largest error over both kinds, relative to Eq. 2: a smaller gain may be chance
+_NEGLIGIBLE = -20.0  # logarithm of a scale relative to the noise
 _FOLDS = 5  # largest number of blocks of each kind
 _CONTRACTIONS = 4  # that Eq. 2 needs; with as many, it is compared only over pressures
 _LEAST = 4  # points per parameter of Eq. 2
@@ -117,7 +118,9 @@ class SurfacePrior(Prior):
         squares = (np.pi / 2 / (1 + _MARGIN) * orders) ** 2 * np.exp(2 * hyperparameters[1:])
         constant = 0.5 * np.log(2) * np.count_nonzero(orders == 0, axis=1)  # a constant has twice the norm of a cosine
         logarithms = hyperparameters[0] + hyperparameters[1:].sum() / 2 - squares.sum(axis=1) / 4 - constant
-        return logarithms, np.column_stack([np.ones(len(orders)), 0.5 - squares / 2])
+        derivative = np.column_stack([np.ones(len(orders)), 0.5 - squares / 2])
+        negligible = logarithms < _NEGLIGIBLE
+        return np.where(negligible, _NEGLIGIBLE, logarithms), np.where(negligible[:, None], 0.0, derivative)
 
     def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
         """None without a gain in the likelihood."""
@@ -137,6 +140,24 @@ def _roughness_root() -> NDArray[Any]:
     return np.linalg.cholesky((np.array(curvature) * weights) @ np.array(curvature).T).T
 
 
+def prior_of(kind: type[ForceLaw], highest: float) -> Prior:
+    """Prior of a law with deviations, for a highest pressure level [Pa]."""
+    if kind is GaussianProcessLaw:
+        return SurfacePrior.of()
+    return OrderPrior.of((len(kind.parameters()) - len(ExponentialLaw.parameters())) // (DEGREE + 1), highest)
+
+
+def prior_rows(prior: Prior, scales: Floats) -> Floats:
+    """Rows of a prior in a least-squares problem of all parameters, linear ones first."""
+    of_eq2 = len(ExponentialLaw.linear_parameters), len(ExponentialLaw.shape_parameters)
+    return np.pad(prior.root / scales[:, None], ((0, 0), of_eq2))
+
+
+def prior_scales(prior: Prior, rows: Floats) -> Floats:
+    """Scales of the rows: the inverse of `prior_rows`."""
+    return np.diag(prior.root) / np.diag(rows[:, len(ExponentialLaw.linear_parameters) :])
+
+
 @dataclass(frozen=True, eq=False)
 class Deviations:
     """Columns of the deviations of a law, around a fit of Eq. 2 to the kept points."""
@@ -151,12 +172,9 @@ class Deviations:
         used = points.select(base.problem.kept[: len(points)])
         constants = dict(zip(("centre", "half_width"), _window(used.contraction), strict=True))
         if kind is GaussianProcessLaw:
-            prior: Prior = SurfacePrior.of()
             centre, half_width = _window(used.pressure)
             constants |= {"pressure_centre": centre, "pressure_half_width": half_width}
-        else:
-            linear = len(kind.linear_parameters) - len(ExponentialLaw.linear_parameters)
-            prior = OrderPrior.of(linear // (DEGREE + 1), float(used.levels.max()))
+        prior = prior_of(kind, float(used.levels.max()))
         return cls(replace(base.problem, law_type=kind, constants=constants), base, prior)
 
     @property
@@ -183,8 +201,7 @@ class Deviations:
             if supported is None:
                 return None
             found = supported
-        rows = self.prior.root / np.exp(self.prior.scales(found)[0])[:, None]
-        rows = np.pad(rows, ((0, 0), (self._inside.start, len(self.base.position))))
+        rows = prior_rows(self.prior, np.exp(self.prior.scales(found)[0]))
         return solve(replace(self.problem, prior=rows), self.base.position), found
 
     def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
@@ -195,6 +212,22 @@ class Deviations:
             if refit is not None and refit[0].converged:
                 errors[out] = replace(refit[0], problem=self.problem).residuals[out]
         return errors
+
+
+_SURE = 5.7  # in the logarithm of the likelihood: 1 % of a chi-square of three degrees of freedom
+
+
+def surface(points: IsobaricDataset) -> tuple[MixedModel, Floats] | None:
+    """Eq. 2 with a Gaussian process, negligible if it is not significant, and its hyperparameters; None if too few."""
+    enough = len(points) >= _LEAST * len(ExponentialLaw.parameters())
+    if not (enough and np.ptp(points.contraction) and np.ptp(points.pressure)):
+        return None
+    eq2 = FitProblem.of(ExponentialLaw, points)
+    deviations = Deviations.of(GaussianProcessLaw, points, solve(eq2, grid_search(eq2)))
+    model = deviations.prior.model(*deviations.columns(deviations.base))
+    found, cost = model.estimate(deviations.prior.starts, deviations.prior.bounds)
+    negligible = np.array([deviations.prior.bounds[0][0], 0.0, 0.0])
+    return model, found if model.cost(negligible)[0] - cost >= _SURE else negligible
 
 
 def _window(values: Floats) -> tuple[float, float]:
