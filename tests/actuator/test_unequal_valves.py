@@ -1,6 +1,7 @@
 """Unequal valves with tubes and a shared reservoir, against SciPy with the equations written anew."""
 
 import dataclasses
+import itertools
 import math
 
 import jax
@@ -17,6 +18,7 @@ from mckibben.actuator import (
     IdealValve,
     PressureRegulator,
     SecondOrderValve,
+    SwitchingValves,
     Tube,
     UnequalValves,
 )
@@ -129,6 +131,12 @@ def test_the_stiffness_with_closed_valves_needs_equal_dead_volumes(knee, load):
     with pytest.raises(RangeError) as caught:
         closed_valves(JointPlant(knee, load, unequal))
     assert caught.value.field == "valve"
+
+
+def test_one_switching_valve_makes_a_switching_pair():
+    switching, steady = SwitchingValves(1e-9, SUPPLY, period=0.01), PressureRegulator(1e-9, SUPPLY, time_constant=0.02)
+    pairs = itertools.product((switching, steady), repeat=2)
+    assert [UnequalValves(*pair).switches for pair in pairs] == [True, True, True, False]
 
 
 def test_what_no_pair_can_be_is_refused():

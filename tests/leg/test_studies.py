@@ -130,6 +130,17 @@ def test_landing_study(scenario: LegScenario) -> None:
     assert deflection[2] < deflection[1] < deflection[0]  # closed valves are the stiffest
     rows = study.rows()[1]
     assert len(rows) == 3 and len(study.records()["landings"]) == 3
+    assert study.table["substeps"].shape == study.table["chaotic"].shape == forces.shape
+    integration = study.records()["integration"]
+    assert integration["substeps"] == study.table["substeps"].max() >= 1
+    errors = study.table["error_estimate"].to_numpy()
+    assert integration["error_estimate_rad"] == np.nanmax(errors) > 0
+    assert integration["runs_chaotic"] == study.table["chaotic"].sum()
+    coarse = study_landing(scenario.model_copy(update={"substeps": 1}))
+    finer = study_landing(scenario.model_copy(update={"substeps": 32}))
+    apart = np.abs(coarse.table["deflection"] - finer.table["deflection"]).max()
+    assert np.abs(study.table["deflection"] - finer.table["deflection"]).max() < apart
+    assert coarse.records()["integration"] == {"substeps": 1, "error_estimate_rad": None, "runs_chaotic": 0}
 
 
 @pytest.mark.slow
@@ -256,6 +267,9 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, mon
     assert (study.timed.rises[0] > 0) and study.timed.work < 20
     assert study.constant.run.engine == "native"
     record = study.records()
+    for jump in (record["constant"], record["timed"]):
+        assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
+        assert jump["integration"]["substeps"] >= 1
     assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
     assert len(study.rows()[1]) == 2 and "mm" in study.describe()
 
@@ -278,6 +292,13 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     with pytest.raises(FileError):
         check_seal(out / "rot.nc")
     resumed = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out), "--json", "--resume"])
+    finer = [str(file), "--accuracy", "1e-7 rad", "--json"]
+    assert (
+        json.loads(CliRunner().invoke(app, ["leg", "land", *finer]).stdout)["integration"]["error_estimate_rad"]
+        < (numbers["integration"]["error_estimate_rad"])
+    )
+    other = CliRunner().invoke(app, ["leg", "land", *finer, "--out", str(out), "--resume"])
+    assert isinstance(other.exception, FileError)
     assert resumed.exit_code == 0
     assert json.loads(resumed.stdout) == numbers
     again = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out)])

@@ -10,6 +10,7 @@ import pytest
 
 from mckibben import catalog, muscle
 from mckibben.codegen.native import NativeFunction, compiler
+from mckibben.component.base import field_quantities
 from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, scaled_law
 from mckibben.units import factor
 
@@ -196,3 +197,18 @@ def test_as_c_for_many_runs_it_is_the_same(law):
     expected = answers(law, force=np.full((ROWS, COLUMNS), 60.0))
     for emitted_one, one in zip(found, expected, strict=True):
         np.testing.assert_allclose(emitted_one.reshape(ROWS, COLUMNS), one, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(LAWS))
+def test_all_that_a_search_tries_can_be_a_field(name):
+    """The limits of the identification are inside those of the constructor."""
+    marks = field_quantities(LAWS[name])
+    for parameter in LAWS[name].shape_parameters:
+        if (mark := marks.get(parameter.name)) is not None:
+            assert (mark.read(parameter.lower), mark.read(parameter.upper)) == (parameter.lower, parameter.upper)
+
+
+def test_without_corrections_the_law_of_tsagarakis_and_caldwell_is_chous():
+    plain = muscle.TsagarakisCaldwellLaw(0.0, ANGLE, DIAMETER, 0.0, 0.0, BOX)
+    for one, other in zip(answers(plain), answers(EXAMPLES["ChouLaw"]()), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)

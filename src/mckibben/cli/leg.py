@@ -9,6 +9,7 @@ import typer
 from typer import Argument, Option
 
 from mckibben.cli.options import (
+    Accuracy,
     Force,
     Json,
     Out,
@@ -19,6 +20,7 @@ from mckibben.cli.options import (
     required_folder,
     results_folder,
     table,
+    with_accuracy,
 )
 from mckibben.storage.files import to_json, write_json
 
@@ -43,6 +45,7 @@ def land(
     force: Force = False,
     animate: Animate = None,
     resume: Annotated[bool, Option("--resume", help="Continue the study in DIR.")] = False,
+    accuracy: Accuracy = "",
 ) -> None:
     """Simulate drop landings over stiffness, drop height and valve, with intervals; can be resumed."""
     if resume:
@@ -51,7 +54,7 @@ def land(
     results_folder(out, ("results.json", "landing.nc", "leg.yaml", "landing.html", "landing.journal"), force or resume)
     from mckibben.leg.landing import study_landing
 
-    read = _read(file)
+    read = _read(file, accuracy)
     _check_animation(animate, force)
     if journal and not resume:
         journal.unlink(missing_ok=True)  # of the study that --force replaces
@@ -75,12 +78,19 @@ def land(
 
 
 @leg.command()
-def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = False, animate: Animate = None) -> None:
+def jump(
+    file: LegFile,
+    json: Json = False,
+    out: Out = None,
+    force: Force = False,
+    animate: Animate = None,
+    accuracy: Accuracy = "",
+) -> None:
     """Find the highest jumps with constant and with timed pressures, with intervals."""
     results_folder(out, ("results.json", "constant.nc", "timed.nc", "leg.yaml", "jump.html"), force)
     from mckibben.leg.jumping import study_jump
 
-    read = _read(file)
+    read = _read(file, accuracy)
     _check_animation(animate, force)
     with long_job(quiet=json, kept="") as report:
         study = study_jump(read, source=str(file), progress=report)
@@ -95,8 +105,6 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
             read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)
-    if not json:
-        echo(study.describe())
     if animate:
         _animate(read.plant(), study.timed.run, animate, json)
     if out:
@@ -130,10 +138,10 @@ def stiffness(file: LegFile, json: Json = False, out: Out = None, force: Force =
         notify(f"wrote results.json, leg.yaml, foot_stiffness.svg and foot_stiffness.png to {out}", json)
 
 
-def _read(file: Path) -> LegScenario:
+def _read(file: Path, accuracy: str = "") -> LegScenario:
     from mckibben.leg.scenario import LegScenario
 
-    return LegScenario.read(file)
+    return with_accuracy(LegScenario.read(file), accuracy)
 
 
 def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
@@ -141,6 +149,7 @@ def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
         echo(to_json(numbers))
     else:
         table(f"{name}; intervals are 5 to 95 % of the draws", *study.rows())
+        echo(study.describe())
 
 
 def _check_animation(path: Path | None, force: bool) -> None:

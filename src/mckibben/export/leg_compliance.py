@@ -25,7 +25,7 @@ FRICTION_RATIO = 1000.0
 
 
 class Compliance(NamedTuple):
-    """Stiffness and damping, by the mobility, of a soft constraint."""
+    """Stiffness and damping of a soft constraint, multiplied by its mobility."""
 
     stiffness: float
     damping: float

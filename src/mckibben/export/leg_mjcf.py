@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
 
-from mckibben.actuator.base import held_states
+from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
@@ -332,7 +332,7 @@ def _functions(
     """The module of the plugin, and its functions of each muscle."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
-    valves = held_states(start.air, len(start.pressures))
+    valves = [state_of_muscle(start.air, i) for i in range(len(start.pressures))]
     known = dict(zip(plant.leg.muscle_names, zip(start.muscles, start.pressures, valves, strict=True), strict=True))
     found = []
     for number, one in enumerate(driven, 1):

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirState, AirVolume
+from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
@@ -237,7 +237,7 @@ class LegPlant(Plant):
         forces, volumes = self.forces(state), self.air_volumes(state)
         moving = motion(self.leg, state.posture, state.velocity, self.gravity)
         tensions = zip(forces.tensions, forces.path_rates, strict=True)
-        air = zip(state.pressures, volumes, strict=True)
+        contents = enumerate(zip(state.pressures, volumes, strict=True))
         inside = [
             muscle.domain.contains_contraction(one)
             for muscle, one in zip(self.leg.muscles, forces.contractions, strict=True)
@@ -264,7 +264,10 @@ class LegPlant(Plant):
             mass_speed=moving.upward_speed,
             kinetic=moving.kinetic,
             muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
-            air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
+            air_mass=tuple(
+                at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
+                for i, (pressure, one) in contents
+            ),
             outside=~functools.reduce(operator.and_, inside),
         )
 

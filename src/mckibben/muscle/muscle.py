@@ -25,7 +25,7 @@ from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled
-from mckibben.units import Strength
+from mckibben.units import Strength, bar
 
 
 class MuscleState(NamedTuple):
@@ -47,7 +47,8 @@ class Muscle(Component):
     and creep act only through an internal state (`MuscleState`); without it, `force` and all joint quantities follow
     from the law alone. `strength` multiplies all forces of the law (scatter among muscles, and ageing); `correction` is
     added to them. The law's domain replaces infinite bounds of the specimen's domain; the lowest pressure becomes 0
-    where the law's is higher. Raises `RangeError` if the domains of specimen and law do not overlap.
+    where the law's is higher. `extrapolate` applies the law at all pressures of the specimen, not only at those
+    of its data. Raises `RangeError` if the domains of specimen and law do not overlap.
     """
 
     specimen: Specimen
@@ -56,6 +57,7 @@ class Muscle(Component):
     creep: Creep = NoCreep()
     strength: Strength | None = eqx.field(kw_only=True, default=None)
     correction: ForceCorrection | None = eqx.field(kw_only=True, default=None)
+    extrapolate: bool = eqx.field(kw_only=True, static=True, default=False)
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -95,8 +97,24 @@ class Muscle(Component):
 
     @property
     def domain(self) -> Domain:
-        """Intersection of the domains of the specimen and the law."""
-        return self.specimen.domain.intersection(self.law.domain).intersection(self.law.formula_domain)
+        """Intersection of the domains of the specimen and the law; pressures of the specimen with `extrapolate`."""
+        measured = self.law.domain
+        if self.extrapolate:
+            measured = Domain(measured.contraction_min, measured.contraction_max)
+        return self.specimen.domain.intersection(measured).intersection(self.law.formula_domain)
+
+    @property
+    def extrapolation(self) -> str:
+        """Pressures of the domain at which the law was not measured, in words; empty if there are none."""
+        domain, law = self.domain, self.law.domain
+        bounds = domain.pressure_min, domain.pressure_max, law.pressure_min, law.pressure_max
+        if not self.extrapolate or not all(isinstance(bound, Real) for bound in bounds):
+            return ""
+        low, high, lowest, highest = (float(bound) / bar for bound in bounds)  # type: ignore[arg-type]
+        if low >= lowest and high <= highest:
+            return ""
+        shown = f"{lowest:g}..{highest:g} bar, where it was measured, to {low:g}..{high:g} bar"
+        return f"the law of {self.specimen.name} is extrapolated from {shown}"
 
     def check_pressure_limit(self) -> None:
         """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""

@@ -18,7 +18,6 @@ from mckibben.codegen.native import NativeFunction
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
-from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
@@ -47,7 +46,14 @@ from mckibben.simulation.problem import (
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import BAND, Result, compute_trajectory
+from mckibben.simulation.result import (
+    BAND,
+    Result,
+    compute_trajectory,
+    creep_torque,
+    friction_torque,
+    small_motion_stiffness,
+)
 from mckibben.simulation.table import Columns
 from mckibben.units import deg
 
@@ -161,7 +167,7 @@ def _band(
 def time_span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
     """Return the share of a run in which a mask is true, and the times [s] of its ends, as text."""
     where, share = np.flatnonzero(mask), mask.mean()
-    text = f"{share:.0%}" if share >= 0.005 else "under 1%"
+    text = f"{share:.0%}" if share > 0.005 else "under 1%"
     return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
 
 
@@ -422,6 +428,8 @@ def _result(
     telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
+    if plant.joint.has_friction and controller.stiffness_amplitude is None:
+        telemetry |= {"small_motion_stiffness": None}
     if plant.friction is not None:
         telemetry |= {"joint_friction_torque": -plant.friction.resisting_torque(state.friction, state.angle)}
     immediate = {
@@ -449,25 +457,18 @@ def _result(
         moved = compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=run.engine)._asdict()
         return {name: value for name, value in moved.items() if name != "angle_without_step"}
 
-    computed: list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]] = [
-        (Trajectory._fields, derived),
-        (("angle_without_step",), without_step),
-        (("friction_torque",), lambda: {"friction_torque": _friction_torque(plant.joint, *state[:4])}),
-        (
-            ("creep_torque",),
-            lambda: {"creep_torque": _creep_torque(plant.joint, state.angle, state.pressures, state.muscles)},
-        ),
-    ]
+    at = plant.joint, state.angle, state.pressures
+    single: dict[str, Callable[[], Any]] = {
+        "friction_torque": lambda: friction_torque(plant.joint, *state[:4]),
+        "creep_torque": lambda: creep_torque(*at, state.muscles),
+        "small_motion_stiffness": lambda: small_motion_stiffness(*at),
+    }
+    computed = [(Trajectory._fields, derived), (("angle_without_step",), without_step)]
+    computed += [((name,), lambda name=name, one=one: {name: one()}) for name, one in single.items()]
     names = (*Trajectory._fields, *known, *telemetry)
     columns, encoder = Columns(names, immediate, computed), float(plant.sensors.angle_resolution)
-    return Result(
-        columns,
-        run.control_period,
-        scenario=scenario,
-        engine=used,
-        resolution=resolution,
-        angle_resolution=encoder,
-    )
+    domains = tuple(jax.tree.map(float, muscle.domain) for muscle in plant.muscles)
+    return Result(columns, run.control_period, None, scenario, used, resolution, encoder, domains)
 
 
 def _padded(values: ArrayLike) -> Any:
@@ -487,8 +488,6 @@ def _native_start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[P
 
 
 _start_by_xla = compiled(SimulationProblem.start)
-_friction_torque = compiled(AntagonisticJoint.friction_torque)
-_creep_torque = compiled(AntagonisticJoint.creep_torque)
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
