@@ -1,6 +1,7 @@
 """The musculoskeletal leg: joints with pairs of muscles, biarticular muscles, ground contact; landing and jumping."""
 
 from mckibben.leg.control import (
+    CoupledControl,
     JointwiseControl,
     LegController,
     LegReference,
@@ -20,6 +21,7 @@ from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate
 
 __all__ = [
     "BiarticularMuscle",
+    "CoupledControl",
     "FootPressures",
     "FootStiffness",
     "Ground",

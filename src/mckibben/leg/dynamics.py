@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -161,6 +162,21 @@ def acceleration(
     zero = jnp.zeros(())
     x, z, pitch = (of_trunk.pop(name, zero) for name in ("x", "z", "pitch"))
     return Velocity(x, z, pitch, of_joints, **of_trunk)
+
+
+def joint_equations(leg: Leg, angles: Sequence[ArrayLike], rates: Sequence[ArrayLike], gravity: ArrayLike) -> Equations:
+    """Return the equations of motion of the joints that can move, with the trunk held; the matrix has full rows.
+
+    `bias` are the torques [N*m] of velocities and gravity.
+    """
+    held = dataclasses.replace(leg, trunk=dataclasses.replace(leg.trunk, freedom="fixed"))
+    posture = posture_of(held, angles)
+    velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, rates)))
+    made = _equations(held, posture, velocity, gravity)
+    signs = [joint.sign for joint in leg.joints if joint.locked is None]
+    order = range(len(signs))
+    rows = [[made.matrix[max(i, j)][min(i, j)] * (signs[i] * signs[j]) for j in order] for i in order]
+    return Equations(rows, [sign * bias for sign, bias in zip(signs, made.bias, strict=True)])
 
 
 def foot_mobility(leg: Leg, posture: Posture) -> Float[Array, "3 3"]:
