@@ -354,13 +354,20 @@ class Quantity:
         if len(stripped) > LONGEST_VALUE:
             self._fail(f"{quoted(text)} is not a quantity", text)
         if self.unit != "1" and NUMBER.fullmatch(stripped):
-            self._fail(f"{quoted(text)} has no unit", text, f"write it like '{stripped} {self.shown}'")
+            self._fail(f"{quoted(text)} has no unit", text, self._with_unit(stripped))
         try:
             return quantity(stripped, self.unit)
         except UnitError:
             return quantity(stripped, self.shown) * factor(self.shown, self.unit)  # the error names the unit shown
         except ArithmeticError:  # a product beyond the range of floats
             self._fail(f"{quoted(text)} is not a finite number", text)
+
+    def _with_unit(self, number: str) -> str:
+        """Remedy for a number without a unit: in the unit that is shown, or in SI where that lies in the range."""
+        si, scale = float(number), factor(self.shown, self.unit)
+        in_si = scale != 1.0 and si and self.holds(si) and abs(si / scale) < 1e6
+        other = f"'{si / scale:g} {self.shown}' if it is in {self.unit}, else " if in_si else ""
+        return f"write it like {other}'{number} {self.shown}'"
 
     def _fail(self, message: str, value: object, remedy: str = "") -> NoReturn:
         raise UnitError(message, value=value, unit=self.shown, remedy=remedy or f"write it like {self.example}")

@@ -40,7 +40,7 @@ _FEWEST_STEPS = 20
 _CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
 
-def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
+def identify(law_type: type[ForceLaw], dataset: IsobaricDataset | None = None, *, domain: Domain | None = None) -> Fit:
     """Fit a force law to measured points by least squares.
 
     The fit is to the plateau means of the taut points: at a slack point the force is only known to be small. Shape
@@ -67,8 +67,11 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     (40.0, 1.07, 1.34)
     """
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
+        given = [
+            f"class {one.__name__}" if isinstance(one, type) else type(one).__name__ for one in (law_type, dataset)
+        ]
         raise IdentificationError(
-            f"identify takes a law class and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
+            f"identify takes the class of a law and a dataset, not {' and '.join(given)}",
             remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
         )
     means = dataset.plateau_means()
