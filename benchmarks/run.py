@@ -25,7 +25,7 @@ from rows import Row, Table
 from tables import as_markdown, as_text
 from timing import failure
 
-SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "identification", "leg")
+SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "reading", "identification", "leg")
 
 
 def main() -> int:
@@ -81,6 +81,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from identification import identification
     from leg import leg
     from precision import precision
+    from reading import reading
     from reference import reference_problem
     from single import single
 
@@ -92,6 +93,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "gpu": lambda: gpu(quick=quick),
         "gradient": lambda: gradient(problem, folder, quick=quick),
         "cold": lambda: cold(folder, quick=quick),
+        "reading": lambda: reading(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
         "leg": lambda: leg(folder, quick=quick),
     }

@@ -35,10 +35,14 @@ EXAMPLES = (
     FlowValve(C, SUPPLY),
     PressureRegulator(C, SUPPLY, time_constant=0.02, reservoir_volume=1e-3, line_conductance=C),
     SwitchingValves(C, SUPPLY, period=0.02),
-    Tube(PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4), volume=5e-6, conductance=2e-9),
+    Tube(
+        PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4, wall_conductance=0.5),
+        volume=5e-6,
+        conductance=2e-9,
+    ),
     UnequalValves(
         Tube(FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9),
-        FlowValve(C, SUPPLY),
+        FlowValve(C, SUPPLY, wall_conductance=0.5, leak=1e-12),
         reservoir_volume=1e-3,
         line_conductance=C,
     ),

@@ -8,7 +8,10 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from mckibben.dataset import read_dataset, read_recording, text
+from mckibben.dataset import read_dataset, read_recording
+from mckibben.dataset.columns import parse_header
+from mckibben.dataset.large_text import read_large_text
+from mckibben.dataset.text import decode, read_text
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar
 
@@ -420,22 +423,62 @@ def test_arguments_are_numbers_in_si(read, argument, file):
     assert error.value.field == argument
 
 
-@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-def test_a_large_text_of_numbers_is_read_exactly(tmp_path, delimiter):
-    random = np.random.default_rng(1)
-    rows = np.column_stack([random.uniform(0, 1, 30_000), 10.0 ** random.uniform(-30, 30, 30_000)])
-    body = "\n".join(delimiter.join(map(repr, row)) for row in rows.tolist())
-    assert len(body) > text._LARGE
-    found = text._table_of(body.encode(), delimiter, len(rows), 2)
-    np.testing.assert_array_equal(found, rows)
+HEAD = "time (s);pressure (bar);force (N)\n"
+ROWS = [f"{0.001 * i:.3f};{2 + i % 7 / 7:.5f};{40 + i % 11 / 11:.4f}\n" for i in range(60_000)]
+LARGE = HEAD + "".join(ROWS)
 
 
-@pytest.mark.parametrize("wrong", ["1.0", "1.0,2.0,3.0", "1.0,", "1.0,1-2", "1.0,1e", ",1.0"])
-def test_a_large_text_with_another_row_is_not_one_of_numbers(wrong):
-    lines = ["1.0,2.0"] * (text._LARGE // 8 + 10)
-    for several in ([wrong], ["1.0", "1.0,2.0,3.0"]):
-        body = "\n".join([*lines, *several, *lines]).encode()
-        with pytest.raises(ValueError, match=r"."):
-            table = text._table_of(body, ",", 2 * len(lines) + len(several), 2)
-            if not (np.isfinite(table).all() and table.shape == (2 * len(lines) + len(several), 2)):
-                raise ValueError("as for the caller")
+def known(header, unit):
+    return parse_header(header, unit) is not None
+
+
+def large(path, content, decimal=""):
+    path.write_bytes(content.encode())
+    return read_large_text(path, known, decimal)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        LARGE,
+        LARGE.replace(";", ","),
+        LARGE.replace(";", "\t"),
+        LARGE.replace(".", ","),
+        LARGE.replace("\n", "\r\n"),
+        LARGE.rstrip("\n"),
+        LARGE.removesuffix("000\n"),
+        "# specimen: S\n" + LARGE.replace("time (s)", "Temperature [°C]"),
+        "time;pressure;force\ns;bar;N\n" + "".join(ROWS),
+        "\ufeff" + LARGE,
+        LARGE.replace("pressure (bar)", "note"),
+        HEAD + ROWS[7] * 1_200_000,  # several pieces
+    ],
+    ids=["semicolon", "comma", "tab", "decimal comma", "CRLF", "no last line end", "cut", "comment", "units below",
+         "byte order mark", "unknown column", "pieces"],
+)  # fmt: skip
+def test_a_large_text_of_numbers_is_read_in_pieces_as_it_would_be_whole(tmp_path, content):
+    found = large(tmp_path / "large.csv", content)
+    whole = read_text(decode(content.encode(), "")[0], "", known)
+    assert found is not None
+    for one, other in zip(found.channels, whole.channels, strict=True):
+        np.testing.assert_array_equal(one.cells, np.asarray(other.cells, float))
+        assert (one.name, one.unit, one.lines) == (other.name, other.unit, other.lines)
+    for name in ("header_line", "comments", "delimiter", "has_header", "corrupt", "problems", "suspect"):
+        assert getattr(found, name) == getattr(whole, name)
+
+
+@pytest.mark.parametrize(
+    "row",
+    ["", "1.0;2.0", "1.0;2.0;3.0;4.0", "1.0;2.0;", ";1.0;2.0", "1.0;2.0;1-2", "1.0;2.0;1e", "1.0;2.0;n/a", "1;2;3,5"],
+)
+def test_a_large_text_with_another_row_is_not_read_in_pieces(tmp_path, row):
+    rows = "".join(ROWS)
+    for several in (f"{row}\n", f"{row}\n1;2;3;4\n"):
+        assert large(tmp_path / "large.csv", HEAD + rows + several + rows) is None
+
+
+def test_a_large_text_in_doubt_is_not_read_in_pieces(tmp_path):
+    whole_numbers = "".join(f"{i};2;{40 + i % 11}\n" for i in range(60_000))
+    assert large(tmp_path / "large.csv", HEAD + whole_numbers) is not None
+    assert large(tmp_path / "large.csv", HEAD + whole_numbers + "1.234;2;40\n") is None  # may be 1234
+    assert large(tmp_path / "large.csv", LARGE, decimal=",") is None

@@ -39,6 +39,11 @@ def test_least_squares_line_is_that_of_numpy():
     np.testing.assert_allclose(two.si(volts[[0, -1]]), WEIGHTS[[0, -1]], atol=1e-9)
 
 
+def test_a_sensor_of_small_signals_is_calibrated():
+    made = calibrate("force", "N", volts=[0.01, 0.11], known=[0.0, 900.0], low=0, high=1000)
+    assert made.gain == pytest.approx(9000)
+
+
 def test_large_residual_is_refused_with_its_point():
     volts = WEIGHTS / 200
     volts[2] += 0.1  # 20 N

@@ -14,6 +14,7 @@ from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
 from mckibben.simulation import problem
 from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, native_episode
+from mckibben.simulation.software import software
 
 SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
 
@@ -47,10 +48,18 @@ sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 1}
 disturbance: {height: 0.5 N*m, width: 20 ms, interval: 50 ms, start: 40 ms}
 """
 FLOW = "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar}"
+WARM = "{class: regulator, conductance: 0.1 L/(s*bar), supply: 7 bar, time_constant: 20 ms, wall_conductance: 0.5 W/K}"
+PAIR = f"""
+  class: unequal
+  muscle1: {{class: tube, volume: 5 cm^3, conductance: 0.1 L/(s*bar), valve: {WARM}}}
+  muscle2: {WARM}
+  reservoir_volume: 0.5 L
+  line_conductance: 1 L/(s*bar)"""
 SCENARIOS = {
     "as in the paper": BASE % (MUSCLE % "", "ideal", PID),
     "friction, noise and pulses": BASE % (MUSCLE % FRICTION, "{time_constant: 20 ms}", DECOUPLING) + REAL,
     "air, prediction": BASE % (MUSCLE % "", FLOW, PREDICTIVE),
+    "air with a temperature": (BASE % (MUSCLE % "", PAIR, PID)).replace("substeps: 2", "substeps: 8"),
 }
 
 
@@ -170,6 +179,17 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
         monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
+
+
+def test_the_software_of_batches_is_the_compiler_of_their_engine():
+    """Programs of other compilers or with other options may round differently."""
+    emitted, by_xla = software("native"), software("xla")
+    assert (emitted["engine"], by_xla["engine"]) == ("native", "xla")
+    path = compiler()
+    assert path is not None
+    first = subprocess.run([path, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
+    assert emitted.pop("compiler").startswith(first)
+    assert emitted | {"engine": "xla"} == by_xla
 
 
 @pytest.mark.parametrize("engine", ["", "c", None, "cuda"])

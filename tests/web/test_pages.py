@@ -7,6 +7,7 @@ import gc
 import random
 import re
 import sys
+import threading
 import time
 import weakref
 import zipfile
@@ -258,6 +259,27 @@ def test_two_tabs_of_a_browser_show_the_same():
             return kept.ranking
 
     assert asyncio.run(visit()) is None
+
+
+@pytest.mark.parametrize("same_tab", [False, True])
+def test_a_tab_is_told_that_another_has_replaced_its_job(monkeypatch, same_tab):
+    last = threading.Event()
+    monkeypatch.setattr(identify, "rank", lambda data, progress: last.wait(10.0))
+
+    async def visit():
+        async with visitor() as user:
+            kept = await points_of_the_rig(user)
+            user.find(marker="rank").click()
+            await until(lambda: kept.jobs.busy)
+            if not same_tab:
+                await user.open("/identify")
+            await paste(user, RIG)
+            last.set()
+            await until(lambda: kept.data is not None)
+            await asyncio.sleep(0.5)
+            return user.notify.messages
+
+    assert len(asyncio.run(visit())) == (0 if same_tab else 1)
 
 
 def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):

@@ -20,6 +20,7 @@ import typer
 from typer import Argument, Option
 
 import mckibben
+from mckibben.cli.air import identify_air
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
@@ -100,6 +101,7 @@ def reproduce(
 app.command()(check)
 app.command()(points)
 app.command()(identify)
+app.command()(identify_air)
 app.command()(validate)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from pathlib import Path
@@ -403,6 +404,7 @@ def _rank(data: list[str], points: IsobaricDataset, json: bool, out: Path | None
         "points": len(ranking.points),
         "slack": ranking.slack,
         "not_left_out": ranking.missing,
+        "outliers": [dataclasses.asdict(one) for one in ranking.outliers],
         "laws": ranking.records(),
     }
     kept = ""
@@ -451,6 +453,8 @@ def _show(ranking: Ranking) -> None:
     headers = ("law", "parameters", "RMSE [N]", *blocks, "AICc difference", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
+    for one in ranking.outliers:
+        echo(f"left out, as it contradicts the points around it: {one}")
     for name, reason in ranking.missing.items():
         echo(f"no cross-validation over {name}s: {reason}")
     if not ranking.blocks:

@@ -135,10 +135,10 @@ def _write_statistics(swept: SweepResult, out: Path) -> dict[str, Any]:
 
 
 def _print(runs: int, numbers: dict[str, Any]) -> None:
+    from mckibben.simulation.accuracy import integration_sentence
     from mckibben.study.sweep.result import (
         correlation_rows,
         feasibility_sentence,
-        integration_sentence,
         metric_rows,
         outcome_rows,
     )
@@ -149,7 +149,7 @@ def _print(runs: int, numbers: dict[str, Any]) -> None:
     ranked = ("parameter", "metric", "Spearman")
     table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
     echo(feasibility_sentence(numbers))
-    echo(integration_sentence(numbers))
+    echo(integration_sentence(numbers["integration"]))
 
 
 def _show(swept: SweepResult, out: Path, json: bool) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from mckibben.dataset.child import LIMIT_REMEDY, call_in_child, limit_factor
 from mckibben.dataset.columns import parse_header
+from mckibben.dataset.large_text import read_large_text
 from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import SIGNATURE, decode, read_lvm, read_text
 from mckibben.errors import DatasetError, Problem
@@ -67,15 +68,18 @@ def _read_within_limits(path: Path, mapping: Mapping[str, str], decimal: str) ->
 
 def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
     """Columns of a file, read in this process."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(os.fstat(file.fileno()).st_size)  # not what is added meanwhile
-    except OSError as error:
-        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
 
     @functools.cache
     def known(header: str, unit: str) -> bool:
         return header in mapping or parse_header(header, unit) is not None
+
+    try:
+        if path.stat().st_size > _SMALL and (table := read_large_text(path, known, decimal)) is not None:
+            return table
+        with path.open("rb") as file:
+            data = file.read(os.fstat(file.fileno()).st_size)  # not what is added meanwhile
+    except OSError as error:
+        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
 
     if data.startswith(b"TDSm"):
         from mckibben.dataset.logger_files import read_tdms

@@ -95,6 +95,11 @@ class ColumnConverter:
         if question is not None:
             self.problems.append(sheet.kind(question.message, question.line, question.field, question.remedy))
 
+    def line_numbers(self) -> NDArray[np.int64]:
+        """Line number of each row."""
+        lines = self.lines
+        return np.arange(lines.start, lines.stop) if isinstance(lines, range) else np.asarray(lines, np.int64)
+
     def attributes(self, path: Path, specimen: str, slack_force: float | None) -> dict[str, Any]:
         """Attributes from the comments; arguments take precedence."""
         comments = self.sheet.comments
@@ -135,7 +140,7 @@ class ColumnConverter:
         """Valid rows, and attributes that list the corrupt ones; raises a `DatasetError` with all problems."""
         omitted = self.corrupt + self.missing
         bad = {problem.line for problem in omitted}
-        lines = np.asarray(self.lines)
+        lines = self.line_numbers()
         kept = ~np.isin(lines, [line for line in bad if line is not None])
         rows = len(set(lines.tolist()) | bad - {None}) if bad else len(lines)
         left_out = rows - int(kept.sum())
@@ -169,12 +174,13 @@ class ColumnConverter:
     def _columns_read(self, data: Mapping[str, np.ndarray], kept: NDArray[np.bool_]) -> str:
         """Table of the columns read: quantity, unit, its origin, range in this unit, remark; rows, implied diameter."""
         rows = [("column", "quantity", "unit", "unit from", "range", "")]
+        shown_rows = slice(None) if kept.all() else kept  # a slice copies nothing
         for name, (index, column) in self.places.items():
             channel = self.sheet.channels[index]
             values = data.get(name, self.measured.get(name))
             shown = remark = ""
             if values is not None and name not in WORDS:
-                shown = format_range(values[kept] / (factor(column.unit) if column.unit else 1.0))
+                shown = format_range(values[shown_rows] / (factor(column.unit) if column.unit else 1.0))
             if name == "force" and self.force_sign < 0:
                 remark = "sign reversed"
             if name in self.measured and self.initial_length:
@@ -189,7 +195,9 @@ class ColumnConverter:
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         last = f"{int(kept.sum())} rows"
         with np.errstate(over="ignore"):
-            diameter = implied_diameter(data["pressure"][kept], data["force"][kept]) if kept.any() else None
+            diameter = (
+                implied_diameter(*(data[key][shown_rows] for key in ("pressure", "force"))) if kept.any() else None
+            )
         if diameter is not None and np.isfinite(diameter):
             last += f"; the largest force is that of a muscle of about {diameter / mm:.2g} mm diameter"
         return printable("\n".join([*lines, last]))
@@ -223,6 +231,7 @@ class ColumnConverter:
     def _numbers(self, name: str) -> NDArray[np.float64]:
         index, column = self.places[name]
         channel = self.sheet.channels[index]
+        self.sheet.channels[index] = replace(channel, cells=())  # of a large file
         header = channel.name
         values, problems = read_numbers(
             channel.cells,
@@ -233,7 +242,9 @@ class ColumnConverter:
             kind=self.sheet.kind,
         )
         for problem in problems:
-            if problem.line in channel.missing:
+            if problem.line is None:
+                self.problems.append(problem)
+            elif problem.line in channel.missing:
                 self.missing.append(replace(problem, message="is marked as missing by the file"))
             else:
                 self.corrupt.append(problem)

@@ -372,7 +372,7 @@ def _read_samples(
             file.problems.append(Problem("no column for time, and no sample rate", remedy=_RATE_REMEDY))
         else:
             # by row number: omitted rows keep their time
-            rows = np.asarray(file.lines, np.float64)
+            rows = file.line_numbers().astype(np.float64)
             data["time"] = (rows - (rows[0] if len(rows) else 0)) * step
     elif sample_rate is not None and "time" in data:
         file.problems.append(Problem("sample_rate is given, but the file has times", remedy="leave sample_rate out"))

@@ -66,8 +66,8 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
         _cells(lines, stream, number, sheet, known)
     else:
         sheet.channels = numbers
-    sheet.suspect += _split_numbers(sheet, known)
-    _look_at_the_end(text, zeros, sheet)
+    sheet.suspect += split_numbers(sheet, known)
+    check_last_line(text, text.count("\n") + 1, zeros, sheet)
     if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
         raise DatasetError(source, [Problem("has a header and no rows", line=sheet.header_line)])
     return sheet
@@ -184,7 +184,7 @@ def _numbers(lines: list[str], stream: _Lines, first: int, sheet: RawTable, deci
     raw = body.encode()
     del body  # of a large text
     try:
-        numbers = _table_of(raw, sheet.delimiter, count, len(header))
+        numbers = parse_numbers(raw, sheet.delimiter, count, len(header))
     except ValueError:  # an empty cell, or rows of unequal length: parsed one by one
         return None
     if numbers.shape != (count, len(header)) or not np.isfinite(numbers).all():
@@ -197,7 +197,7 @@ def _numbers(lines: list[str], stream: _Lines, first: int, sheet: RawTable, deci
     ]
 
 
-def _table_of(raw: bytes, delimiter: str, rows: int, columns: int) -> NDArray[np.float64]:
+def parse_numbers(raw: bytes, delimiter: str, rows: int, columns: int) -> NDArray[np.float64]:
     """Numbers of a text; raises `ValueError` if a cell has none, or rows are of unequal length."""
     if len(raw) < _LARGE or delimiter == " ":
         return np.loadtxt(io.TextIOWrapper(io.BytesIO(raw)), delimiter=None if delimiter == " " else delimiter, ndmin=2)
@@ -321,19 +321,23 @@ def _may_be_split(rows: Sequence[_Row], delimiter: str) -> bool:
     return all(found) if len(rows) > 1 else any(found)
 
 
-def _split_numbers(sheet: RawTable, known: _Known) -> Iterator[str]:
+def split_numbers(sheet: RawTable, known: _Known) -> Iterator[str]:
     """Warnings of thousands that the delimiter may have split: whole numbers up to 99, then three digits, not read."""
     if sheet.delimiter not in ", ":
         return
     for one, after in zip(sheet.channels, sheet.channels[1:], strict=False):
-        if known(one.name, one.unit) and not known(after.name, after.unit) and len(after.cells):
-            try:
-                pairs = [(float(a), float(b)) for a, b in zip(one.cells, after.cells, strict=True) if str(b).strip()]
-            except ValueError:
-                continue
-            if pairs and all(a % 1 == 0 and 1 <= a <= 99 and b % 1 == 0 and 0 <= b <= 999 for a, b in pairs):
-                a, b = pairs[0]
-                yield f"{one.name!r} and {after.name!r} may be one number, {a:.0f}{b:03.0f}, split by the delimiter"
+        if known(one.name, one.unit) and not known(after.name, after.unit):
+            pairs: Any = (one.cells, after.cells)
+            if not all(isinstance(cells, np.ndarray) for cells in pairs):
+                pairs = [(a, b) for a, b in zip(*pairs, strict=True) if str(b).strip()]
+                try:
+                    pairs = np.array(pairs, np.float64).reshape(-1, 2).T
+                except ValueError:
+                    continue
+            a, b = pairs
+            if len(a) and np.all((a % 1 == 0) & (a >= 1) & (a <= 99) & (b % 1 == 0) & (b >= 0) & (b <= 999)):
+                found = f"{a[0]:.0f}{b[0]:03.0f}"
+                yield f"{one.name!r} and {after.name!r} may be one number, {found}, split by the delimiter"
 
 
 def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
@@ -371,9 +375,8 @@ def _is_units(row: Sequence[str]) -> bool:
     return 2 * found >= len(cells) > 0 < found and not any(_NUMBER.fullmatch(cell) for cell in cells)
 
 
-def _look_at_the_end(text: str, zeros: int, sheet: RawTable) -> None:
-    """Report a truncated last line."""
-    last = text.count("\n") + 1
+def check_last_line(text: str, last: int, zeros: int, sheet: RawTable) -> None:
+    """Report a truncated last line, with number `last`, of a text or of its end."""
     lengths = [channel.lines[-1] for channel in sheet.channels if len(channel.lines)]
     ends = max([*lengths, *(problem.line or 0 for problem in sheet.corrupt)], default=0)
     if zeros and text.endswith(("\n", "\r")):

@@ -29,7 +29,7 @@ from mckibben.identification.uncertainty import Floats, Grouping, correlated_pai
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import check_point
 from mckibben.notebook import draw, html_table
-from mckibben.units import bar, factor, percent
+from mckibben.units import bar, factor, percent, show
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,31 @@ class DatasetSummary:
         """Summary of the points used."""
         attrs = points.table.attrs
         return cls(printable(str(attrs["specimen"])), printable(str(attrs["source"])), tuple(points.pressures.tolist()))
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """Point that an identification leaves out.
+
+    Attributes
+    ----------
+    row
+        Number of the point in the dataset, from 1; of the plateaus, if it has samples.
+    pressure, contraction, force
+        Measured pressure [Pa], contraction [-] and force [N].
+    expected
+        Force [N] from the surface through all other points.
+    """
+
+    row: int
+    pressure: float
+    contraction: float
+    force: float
+    expected: float
+
+    def __str__(self) -> str:
+        where = f"{show(self.pressure, 'bar', 4)} and {self.contraction / percent:.4g} %"
+        return f"row {self.row}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
 
 
 def domain_of(points: IsobaricDataset) -> Domain:
@@ -120,6 +145,8 @@ class Fit:
         Cluster-robust standard errors, the basis of the intervals; None with too few groups, as a warning explains.
     regression
         Points and least-squares solution; None if read from a file.
+    outliers
+        Points left out because they contradict the points around them.
     """
 
     law: ForceLaw
@@ -135,6 +162,7 @@ class Fit:
     residuals: Floats | None = None
     robust: RobustErrors | None = None
     regression: Regression | None = None
+    outliers: tuple[Outlier, ...] = ()
 
     @property
     def estimates(self) -> dict[str, float]:

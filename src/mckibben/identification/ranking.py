@@ -11,13 +11,14 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import Fit, unphysical
+from mckibben.identification.fit import Fit, Outlier, unphysical
 from mckibben.identification.fitting import (
     ResidualCorrelation,
     identify,
     residual_correlation,
     without_direction_means,
 )
+from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
     MOST_BLOCKS,
     CrossValidation,
@@ -116,12 +117,15 @@ class Ranking:
         Taut plateau means of all fits, and number of slack points left out.
     missing
         Reason why a kind of block is not available, by its name.
+    outliers
+        Points left out of all fits because they contradict the points around them.
     """
 
     entries: tuple[RankedLaw, ...]
     points: IsobaricDataset
     slack: int
     missing: dict[str, str]
+    outliers: tuple[Outlier, ...] = ()
 
     @property
     def best(self) -> RankedLaw:
@@ -216,6 +220,8 @@ def rank(
         remedy = "write rank(read_dataset('rig.csv'), [ExponentialLaw, SmoothLaw])"
         raise IdentificationError(f"rank takes a dataset first, not {given}", remedy=remedy)
     means = dataset.plateau_means()
+    outliers = find_outliers(means)
+    means = without_outliers(means, outliers)
     points = means.taut
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
@@ -228,7 +234,7 @@ def rank(
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)
-    return Ranking(tuple(entries), points, len(means) - len(points), missing)
+    return Ranking(tuple(entries), points, len(means) - len(points), missing, outliers)
 
 
 def _order(entry: RankedLaw) -> tuple[bool, int, float, float]:
@@ -264,7 +270,7 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
 
 def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> RankedLaw:
     try:
-        fit = identify(kind, means)
+        fit = identify(kind, means, robust=False)
     except IdentificationError as error:
         return RankedLaw(kind.__name__, refused=str(error))
     regression = fit.require_regression()

@@ -31,8 +31,8 @@ from mckibben.identification.uncertainty import (
 from mckibben.units import percent
 
 MOST_BLOCKS = 200
-_QUANTILES = 8  # number of blocks if all pressures differ
-_IN_QUANTILE = 5  # points at least
+_BLOCKS = 8  # number of blocks of equal width if all pressures differ
+_IN_BLOCK = 5  # points at least, on average
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class NotIdentifiableError(Exception):
 
 
 def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
-    """Pressure level [Pa] of each point, or the median of its quantile; None and the reason if unavailable."""
+    """Pressure level [Pa] of each point, or the median of its block; None and the reason if unavailable."""
     levels = points.levels
     count = len(np.unique(levels))
     if count < 2:
@@ -71,16 +71,17 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
         return levels, ""
     if (groups := group_pressures(levels)) is not None and groups.any():
         return nominal_pressures(levels, groups)[0][groups], ""
-    blocks = min(len(points) // _IN_QUANTILE, _QUANTILES)
+    blocks = min(len(points) // _IN_BLOCK, _BLOCKS)
     if blocks < 2:
         return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"
-    edges = np.quantile(levels, np.linspace(0, 1, blocks + 1)[1:-1])
+    edges = np.linspace(levels.min(), levels.max(), blocks + 1)[1:-1]
     part = np.searchsorted(edges, levels, side="right")
-    return np.array([np.median(levels[part == each]) for each in range(blocks)])[part], ""
+    medians = {each: np.median(levels[part == each]) for each in np.unique(part).tolist()}
+    return np.array([medians[each] for each in part.tolist()]), ""
 
 
 _CONTRACTION_BLOCKS = 8
-_RESOLUTION = 1e-3  # closer contractions count as one
+RESOLUTION = 1e-3  # closer contractions count as one
 
 
 def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
@@ -88,7 +89,7 @@ def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
 
     A block is one contraction, or several neighbours if there are more than eight.
     """
-    rounded = np.round(points.contraction / _RESOLUTION).astype(int)
+    rounded = np.round(points.contraction / RESOLUTION).astype(int)
     values, number, counts = np.unique(rounded, return_inverse=True, return_counts=True)
     blocks = min(len(values), _CONTRACTION_BLOCKS)
     if blocks < len(values):
@@ -97,7 +98,7 @@ def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
     for block in range(1, blocks - 1):
         own = number == block
         if own.any():
-            low, high = rounded[own].min() * _RESOLUTION / percent, rounded[own].max() * _RESOLUTION / percent
+            low, high = rounded[own].min() * RESOLUTION / percent, rounded[own].max() * RESOLUTION / percent
             labels[own] = f"{low:.1f} %" if low == high else f"{low:.1f}..{high:.1f} %"
     return labels
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Num
 
 from mckibben.component.base import Component
 from mckibben.component.checks import check_number, check_positive, check_within
@@ -293,27 +293,27 @@ class AntagonisticJoint(Component):
         angle: ArrayLike,
         pressures: Pressures,
         *,
-        polytropic_index: float = 1.0,
+        polytropic_index: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
         atmosphere: float = 101325.0,
         dead_volume: float = 0.0,
-    ) -> Float[Array, "..."]:
+    ) -> Num[Array, "..."]:
         """Return the stiffness [N*m/rad] with closed valves: p V^n is constant, n = 1 for slow, 1.4 for fast motion.
 
-        V is the muscle's volume plus a dead volume [m^3], such as tubing and fittings.
+        V is the muscle's volume plus a dead volume [m^3], such as tubing and fittings. The index may be one for each
+        muscle; a complex one, of air with a temperature (`muscle.air.effective_index`), gives K' + i K''.
         """
         pressure1, pressure2 = pressure_pair(pressures)
+        index1, index2 = polytropic_index if isinstance(polytropic_index, tuple) else (polytropic_index,) * 2
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)
 
-        def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike) -> Array:
+        def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike, index: Any) -> Array:
             """Derivative of one muscle's tension with respect to the angle, valve closed."""
             pressure = floating(pressure)
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = (
-                -polytropic_index * (pressure + atmosphere) * volume_slope / (volume + dead_volume)
-            )  # dp / d contraction
+            compression = -index * (pressure + atmosphere) * volume_slope / (volume + dead_volume)  # dp / d contraction
             pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
             isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
             by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)
@@ -321,8 +321,8 @@ class AntagonisticJoint(Component):
 
         (arm1, arm2), (arm_slope1, arm_slope2) = value_and_derivative(self.geometry.moment_arms, angle)
         tension1, tension2 = self.tensions(angle, pressures)
-        slope1 = tension_slope(self.muscle1, path1, path_slope1, pressure1)
-        slope2 = tension_slope(self.muscle2, path2, path_slope2, pressure2)
+        slope1 = tension_slope(self.muscle1, path1, path_slope1, pressure1, index1)
+        slope2 = tension_slope(self.muscle2, path2, path_slope2, pressure2, index2)
         return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
 
     def secant_stiffness(

@@ -285,11 +285,10 @@ def cocontraction_segment(
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     at_limits = (low[1] * arm2 - torque) / arm1, (high[1] * arm2 - torque) / arm1  # in order if both arms are positive
     first = jnp.maximum(low[0], jnp.minimum(*at_limits))
-    last = jnp.minimum(high[0], jnp.maximum(*at_limits))
+    last, high2 = jnp.minimum(high[0], jnp.maximum(*at_limits)), high[1]
     if any(joint.springs):
-        last = last + _ROUNDING * jnp.abs(last)  # its range is a single tension, possibly rounded twice
-        high = high[0] + _ROUNDING * jnp.abs(high[0]), high[1] + _ROUNDING * jnp.abs(high[1])
-    feasible = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
+        last, high2 = (x + _ROUNDING * jnp.abs(x) for x in (last, high[1]))  # a single tension, possibly rounded twice
+    feasible = (first <= last) & (low[1] <= high2)  # then low[0] <= high[0], too
     return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
 
 

@@ -1,4 +1,4 @@
-"""Air in a muscle: mass flow through a valve by ISO 6358, and the pressure by a polytropic change of state."""
+"""Air in a muscle: mass flow by ISO 6358, and the pressure by a polytropic change of state or an energy balance."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ATMOSPHERE = 1.01325e5
 """Atmospheric pressure [Pa, absolute]."""
 
 TEMPERATURE = 293.15
-"""Temperature of the room, the supply and the air in a muscle [K]."""
+"""Temperature of the room and the supply, and of polytropic air in a muscle [K]."""
 
 GAS_CONSTANT = 288.0
 """Gas constant of air at 65 % relative humidity [J/(kg*K)], from ISO 6358."""
@@ -34,6 +34,9 @@ ENERGY = GAS_CONSTANT * TEMPERATURE
 
 L_PER_S_BAR = 1e-3 / bar
 """A sonic conductance of 1 dm^3/(s*bar), the unit of data sheets, in m^3/(s*Pa)."""
+
+HEAT_CAPACITY_RATIO = 1.4
+"""Ratio kappa of the specific heat capacities of air."""
 
 LAMINAR = 0.999
 """Ratio of pressures above which the flow is proportional to their difference (ISO 6358)."""
@@ -162,3 +165,51 @@ def pressure_rate(index: Any, pressure: Any, flow: Any, volume: Any, volume_rate
     rate [m^3/s] at constant pressure.
     """
     return index * (ENERGY * flow - pressure * volume_rate) * (1 / volume)
+
+
+def flow_of_warm_air(flow: Any, temperature: Any) -> Any:
+    r"""Return a mass flow [kg/s] into a volume whose air has a temperature [K], from that of air at room temperature.
+
+    Where it leaves (negative), :math:`\dot m = \dot m_0 \sqrt{T_0 / T}`: ISO 6358, with the upstream temperature T.
+    """
+    return flow * jnp.where(flow < 0, jnp.sqrt(TEMPERATURE / temperature), 1.0)
+
+
+def heat_as_flow(conductance: Any, temperature: Any) -> Any:
+    """Return the inflow [kg/s] of air at room temperature that changes the pressure as the heat from the wall does.
+
+    The wall has room temperature and a conductance [W/K] to the air, whose temperature is given [K].
+    """
+    share = (HEAT_CAPACITY_RATIO - 1) / (HEAT_CAPACITY_RATIO * ENERGY)
+    return conductance * share * (TEMPERATURE - temperature)
+
+
+def effective_index(conductance: Any, pressure: Any, volume: Any, frequency: Any) -> Any:
+    r"""Return the complex polytropic index of small changes of a volume [m^3] at a frequency [Hz], behind a shut valve.
+
+    .. math::
+
+        n = -\frac{V}{p} \frac{\delta p}{\delta V} = \frac{1 + i \omega \kappa \tau}{1 + i \omega \tau},
+        \qquad \tau = \frac{p V}{(\kappa - 1) h A\, T_0}
+
+    at an absolute pressure [Pa], with the conductance h A [W/K] of the wall: 1 for slow motion, kappa for fast motion,
+    and a loss in between. The energy balance m c_v T' = h A (T0 - T) - p V', linearised.
+
+    >>> n = effective_index(0.5, 6e5, 24e-6, 1.0)
+    >>> round(float(n.real), 3), round(float(n.imag), 3)
+    (1.281, 0.183)
+    """
+    rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance / (pressure * volume)
+    circular = 2j * math.pi * frequency
+    return (rate + HEAT_CAPACITY_RATIO * circular) / (rate + circular)
+
+
+def temperature_rate(temperature: Any, pressure: Any, rate: Any, flow: Any, volume: Any, volume_rate: Any) -> Any:
+    r"""Return the rate [K/s] of the temperature [K] of air whose absolute pressure [Pa] changes at a rate [Pa/s].
+
+    .. math:: \dot T = \frac{T}{p V} (V \dot p + p \dot V - R T \dot m)
+
+    The ideal gas law p V = m R T, differentiated, with the mass inflow [kg/s], the volume [m^3] and its rate [m^3/s].
+    """
+    gained = volume * rate + pressure * volume_rate - GAS_CONSTANT * temperature * flow
+    return temperature * gained * (1 / (pressure * volume))

@@ -291,10 +291,18 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 @styled
 def stiffness(found: StiffnessTests) -> Figure:
-    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates."""
+    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates.
+
+    For air with a temperature also K' and K'' with closed valves over the rate.
+    """
     varied = [name for name in found.tests if name not in (HELD, CLOSED)]
-    figure = blank(DOUBLE, 2.9)
-    first, *others = figure.subplots(1, 1 + len(varied))
+    panels = 1 + len(varied)
+    figure = blank(DOUBLE, 2.9 if found.closed_dynamic is None else 5.2)
+    grid = figure.add_gridspec(1 if found.closed_dynamic is None else 2, 2 * panels)
+    first, *others = (figure.add_subplot(grid[0, 2 * column : 2 * column + 2]) for column in range(panels))
+    if found.closed_dynamic is not None:
+        below = [figure.add_subplot(grid[1, part]) for part in (slice(panels), slice(panels, None))]
+        _closed_valves(below, found, found.closed_dynamic, panels)
     amplitudes = found.amplitudes / deg
     forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
     for name, secant, slope, color in forms:
@@ -329,6 +337,20 @@ def stiffness(found: StiffnessTests) -> Figure:
     others[-1].set_ylabel("magnitude [N·m/rad]")
     legend_above(figure, first, others[-1], columns=4)
     return figure
+
+
+def _closed_valves(both: list[Axes], found: StiffnessTests, closed: np.ndarray, panels: int) -> None:
+    """Storage and loss part of the smallest motion over its rate, with closed valves: closed form and simulation."""
+    test = found.tests[CLOSED]
+    expected = closed + found.secant[0] - found.isobaric + 1j * found.tests[HELD].loss[:, 0]
+    rows = ((expected.real, test.stiffness, "storage K'"), (expected.imag, test.loss, "loss K''"))
+    for i, (axes, (form, simulated, name)) in enumerate(zip(both, rows, strict=True)):
+        axes.plot(test.frequency, form, color=VERMILLION, label="closed form")
+        look = {"color": VERMILLION, "linestyle": "", "marker": "o", "markersize": 4.5, "fillstyle": "none"}
+        axes.plot(test.frequency, simulated[:, 0], label="simulated", **look)
+        axes.set(xscale="log", xlabel="rate [Hz]", ylabel=_STIFFNESS)
+        plain_numbers(axes.xaxis)
+        letter(axes, panels + i, f"closed valves, {name}, {found.amplitudes[0] / deg:.2g} deg")
 
 
 @styled

@@ -61,7 +61,7 @@ ReferencePart = Annotated[Reference, Part(Reference)]
 class RunSettings(DocumentModel):
     """Base of documents with a plant and the timing of its runs.
 
-    The key `packages` has the installed packages of user-defined classes, with the versions that wrote the text.
+    The key `packages` lists the installed packages of user-defined classes, with the versions that wrote the text.
     """
 
     @model_validator(mode="before")
@@ -77,7 +77,7 @@ class RunSettings(DocumentModel):
     @classmethod
     def _steps_once(cls, value: Any) -> Any:
         both = isinstance(value, dict) and value.get("substeps") is not None and value.get("accuracy") is not None
-        if both and value["accuracy"] != ACCURACY:  # the default, as a number, is that of another scenario's fields
+        if both and value["accuracy"] != ACCURACY:  # copies have the default
             fail_validation("has an accuracy and substeps, which both set the integration steps", "give one of them")
         return value
 
@@ -159,7 +159,7 @@ class Scenario(RunSettings):
     start
         The initial equilibrium.
     duration, control_period
-        [s]; the first is a whole number of the second.
+        [s]; the duration is an integer multiple of the control period.
     accuracy
         Accuracy of the angle [rad], for which the number of integration steps is chosen.
     substeps
@@ -227,7 +227,7 @@ class Scenario(RunSettings):
         return inherit(self.controller, model_scope(self))
 
     def with_fixed_model(self) -> Scenario:
-        """Return the scenario with a model of the controller that does not follow changes of the plant."""
+        """Return the scenario with a controller whose model does not follow changes of the plant."""
         return self.model_copy(update={"controller": independent(self.control())})
 
     def simulate(self) -> Result:
@@ -292,7 +292,7 @@ def _above(name: str) -> Any:
 
 
 def initial_state(scenario: Scenario) -> AtRest:
-    """Return the initial state of a scenario, at rest; of a batch with one value per run."""
+    """Return the initial state of a scenario, at rest; for a batch, with one value per run."""
     stiffness = scenario.start.stiffness
     return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
 

@@ -160,7 +160,7 @@ def _band(
 def time_span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
     """Return the share of a run in which a mask is true, and the times [s] of its ends, as text."""
     where, share = np.flatnonzero(mask), mask.mean()
-    text = f"{share:.0%}" if share >= 0.005 else "under 1%"
+    text = f"{share:.0%}" if share > 0.005 else "under 1%"
     return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
 
 

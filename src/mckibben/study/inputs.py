@@ -52,7 +52,7 @@ def data_named(
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
-    """A published parameter set, "chou" of a specimen, or the law of a fit file."""
+    """A published parameter set, Chou's law of a specimen ("chou"), or the law of a fit file."""
     from mckibben.identification import read_law
     from mckibben.muscle import ChouLaw
 
@@ -71,7 +71,7 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
 
 
 def specimen_named(name: str) -> Specimen:
-    """A specimen of the catalog, or that of the file of a specimen or muscle."""
+    """A specimen of the catalog, or from a file of a specimen or muscle."""
     if Path(name).suffix not in (".yaml", ".yml"):
         return catalog.specimen(name)
     from mckibben.scenario import read_specimen
@@ -93,7 +93,7 @@ def law_type_named(name: str) -> type[ForceLaw]:
         }
         if found := [one for one, words in known.items() if _plain(name) in words]:
             if len(found) > 1:
-                raise _unknown("law", name, f"it may be {' or '.join(found)}")
+                raise _unknown("law", name, f"it could be {' or '.join(found)}")
             return laws[found[0]]
     short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
     broken = "".join(f"; {problem}" for problem in load_installed())
