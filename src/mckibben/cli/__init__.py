@@ -319,8 +319,9 @@ def _run(interrupts: list[int]) -> int:
         return _failed(f"error: {on_command_line(str(error))}", 2)
     except OSError as error:
         if error.filename is None and error.errno in (errno.EPIPE, errno.ENOSPC, errno.EIO):
+            reader_has_gone = error.errno == errno.EPIPE
             sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 (the rest is not retried)
-            return _failed(f"failed: the output is incomplete: {error.strerror}", 1)
+            return 0 if reader_has_gone else _failed(f"failed: the output is incomplete: {error.strerror}", 1)
         return _failed(f"error: {error}", 1 if error.errno in (errno.ENOSPC, errno.EIO) else 2)
     except Exception as error:
         if interrupts:  # for example an interrupted import

@@ -35,6 +35,12 @@ class DocumentModel(ConfigModel):
     kind: ClassVar[str] = "scenario"
     examples: ClassVar[str] = "examples/"
 
+    def __init__(self, *args: Any, **data: Any) -> None:
+        if args:
+            name = type(self).__name__
+            raise ParameterError(f"{name} is made of named parts", remedy=f"read a file with {name}.read(path)")
+        super().__init__(**data)
+
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
         """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
@@ -305,7 +311,8 @@ class _Diagnosis:
             return present.partition(":")[0], f"write `{present}`"
         keys = _keys_of(around)
         free = [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
-        return closest(key, free), suggest(key, free)
+        found = closest(key, free)
+        return found, suggest(key, [found] if found else keys)
 
     def model_at(self, place: Place) -> type[BaseModel] | None:
         """The model that validates a place."""

@@ -157,10 +157,12 @@ def _read_points(
 
 def _paths(path: FilePaths) -> list[Path]:
     """The files of a test."""
-    found = [Path(path)] if isinstance(path, str | os.PathLike) else [Path(one) for one in path]
-    if not found:
-        raise RangeError("no file is given", field="path", remedy="give at least one")
-    return found
+    several = [path] if isinstance(path, str | os.PathLike) else path
+    if not isinstance(several, Sequence) or not several:
+        raise RangeError(
+            f"{path!r:.60} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
+        )
+    return [Path(one) for one in several]
 
 
 def check_dataset(

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
-from mckibben.errors import IdentificationError, printable
+from mckibben.errors import DomainWarning, IdentificationError, printable
 from mckibben.identification.intervals import (
     ForceIntervals,
     Interval,
@@ -28,7 +29,8 @@ from mckibben.identification.intervals import (
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
 from mckibben.muscle import Domain, ForceLaw, forces
-from mckibben.notebook import html_table
+from mckibben.muscle.base import check_point
+from mckibben.notebook import draw, html_table
 from mckibben.units import bar, factor, percent, show
 
 if TYPE_CHECKING:
@@ -183,6 +185,24 @@ class Fit:
         """Covariance with the robust standard errors, if available; 0 for parameters at a bound."""
         errors = np.array([self._errors(None)[0][name] for name in self.estimates])
         return np.nan_to_num(self.correlations * np.outer(errors, errors))
+
+    def predict(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
+        """Return the force [N] at contractions [-] and gauge pressures [Pa], never below 0; the arguments broadcast.
+
+        Warns outside the domain of the fit; `force_intervals` gives the uncertainty.
+        """
+        contraction, pressure = np.asarray(contraction), np.asarray(pressure)
+        check_point(contraction, pressure)
+        if text := self.law.domain.describe_outside(contraction, pressure):
+            warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=2)
+        return np.maximum(forces(self.law, contraction, pressure), 0.0)
+
+    def plot(self, data: IsobaricDataset | None = None) -> Any:
+        """Return a figure of points, fitted curves and residuals, see `mckibben.report.isobaric`.
+
+        Default: the points of the fit; `IdentificationError` if it was read from a file, which has none.
+        """
+        return draw("isobaric", self.require_regression().points if data is None else data, self)
 
     def intervals(self, level: float = 0.95, *, by: Grouping | None = None) -> dict[str, Interval]:
         """Confidence intervals by parameter, in SI.

@@ -36,7 +36,11 @@ _CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts
 
 
 def identify(
-    law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None, robust: bool = True
+    law_type: type[ForceLaw],
+    dataset: IsobaricDataset | None = None,
+    *,
+    domain: Domain | None = None,
+    robust: bool = True,
 ) -> Fit:
     """Fit a force law to measured points by least squares.
 
@@ -69,8 +73,11 @@ def identify(
     (40.0, 1.07, 1.34)
     """
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
+        given = [
+            f"class {one.__name__}" if isinstance(one, type) else type(one).__name__ for one in (law_type, dataset)
+        ]
         raise IdentificationError(
-            f"identify takes a law class and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
+            f"identify takes the class of a law and a dataset, not {' and '.join(given)}",
             remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
         )
     means = dataset.plateau_means()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from mckibben.identification.loading_path import (
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
-from mckibben.notebook import html_table
+from mckibben.notebook import draw, html_table
 from mckibben.units import bar, mm, show
 
 
@@ -104,6 +105,10 @@ class HysteresisFit:
     def force(self) -> Floats:
         """Modelled force at each point [N], shape (points,)."""
         return self.tension + self.friction_force + self.offset
+
+    def plot(self, data: IsobaricDataset) -> Any:
+        """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
+        return draw("loops", data, self)
 
     def muscle(self, specimen: Specimen) -> Muscle:
         """Muscle with the law and its friction."""

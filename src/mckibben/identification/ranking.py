@@ -216,6 +216,10 @@ def rank(
     >>> ranking
     <Ranking of 2 laws (0 refused) by cross-validation RMSE, best ExponentialLaw>
     """
+    if not isinstance(dataset, IsobaricDataset):
+        given = getattr(dataset, "__name__", type(dataset).__name__)
+        remedy = "write rank(read_dataset('rig.csv'), [ExponentialLaw, SmoothLaw])"
+        raise IdentificationError(f"rank takes a dataset first, not {given}", remedy=remedy)
     means = dataset.plateau_means()
     outliers = find_outliers(means)
     means = without_outliers(means, outliers)

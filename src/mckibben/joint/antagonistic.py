@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Num
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_positive, check_within
+from mckibben.component.checks import check_number, check_positive, check_within
 from mckibben.errors import RangeError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
@@ -465,7 +465,8 @@ class AntagonisticJoint(Component):
 
 
 def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> None:
-    """Warn of concrete states outside a muscle's domain."""
+    """Warn of concrete states outside a muscle's domain; `RangeError` for an angle that is text."""
+    check_number("joint", angle=angle)
     pressure1, pressure2 = pressure_pair(pressures)
     if not any(isinstance(value, Tracer) for value in (angle, pressure1, pressure2)):
         contraction1, contraction2 = joint.contractions(angle, pressures)

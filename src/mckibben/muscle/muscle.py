@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import warnings
 from collections.abc import Callable
 from numbers import Real
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Component
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
-from mckibben.muscle.base import ForceLaw, scaled_law
+from mckibben.muscle.base import LEAST_PRESSURE, ForceLaw, scaled_law, user_level
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
@@ -36,8 +35,6 @@ class MuscleState(NamedTuple):
 
 
 NO_STATE = MuscleState()
-
-LEAST_PRESSURE = 1e3  # Pa: a lower maximum was given in bar or kPa
 
 
 class Muscle(Component):
@@ -208,19 +205,11 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
     if 0 < highest < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
-        warnings.warn(text, McKibbenWarning, stacklevel=_user_level())
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]
     if found := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
         text = f"{'; '.join(found)}; the law is extrapolated there"
-        warnings.warn(text, DomainWarning, stacklevel=_user_level())
-
-
-def _user_level() -> int:
-    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
-        level, frame = level + 1, frame.f_back
-    return level
+        warnings.warn(text, DomainWarning, stacklevel=user_level())
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
 from mckibben.errors import ParameterError, RangeError, UnreachableError
 from mckibben.muscle import Muscle
-from mckibben.notebook import html_table
+from mckibben.notebook import draw, html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
 from mckibben.reachability.lengths import design_lengths
 from mckibben.reachability.sizing import Design
@@ -51,6 +51,10 @@ class Envelope:
         small = ("small-motion stiffness",) if self.static.small_motion else ()
         ends = "p1, p2 at lowest", "p1, p2 at highest"
         return ("angle", "gravity torque", "torque range", "stiffness range", *small, *ends)
+
+    def plot(self) -> Any:
+        """Return a figure of attainable set and reference, see `mckibben.report.envelope`."""
+        return draw("envelope", self)
 
     def verdict(self) -> str:
         """Verdict on the reference, in words."""

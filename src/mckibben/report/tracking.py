@@ -160,6 +160,9 @@ def _bounded(curves: list[NDArray[np.float64]]) -> bool:
 
 
 def _same_reference(results: Mapping[str, Result]) -> None:
+    if not isinstance(results, Mapping):
+        remedy = "write tracking({'PID': result}), or result.plot()"
+        raise RangeError(f"tracking draws results by name, not a {type(results).__name__}", remedy=remedy)
     if not results:
         raise RangeError("there is no result to draw", remedy="give at least one, by name")
     first = next(iter(results.values()))

@@ -15,8 +15,10 @@ from jaxtyping import Array, ArrayLike
 from mckibben.codegen.native import NativeFunction
 from mckibben.component.columns import Label, attributes, declare
 from mckibben.errors import FileError, Problem
-from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint
+from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint, MuscleStates
+from mckibben.joint.geometry import Pressures
 from mckibben.muscle import Domain
+from mckibben.notebook import draw
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction, compute_with
@@ -78,14 +80,30 @@ def compute_trajectory(
     return jax.tree.map(np.asarray, found)
 
 
-friction_torque = compiled(AntagonisticJoint.friction_torque)
-creep_torque = compiled(AntagonisticJoint.creep_torque)
+_friction_torque = compiled(AntagonisticJoint.friction_torque)
+_creep_torque = compiled(AntagonisticJoint.creep_torque)
 
 
 @compiled
-def small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: tuple[Array, Array]) -> Array:
-    """Stiffness of motion by 0.1 deg about angles, with the muscles' friction [N*m/rad]."""
+def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> Array:
     return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
+
+
+def joint_columns(
+    joint: AntagonisticJoint, angle: Array, velocity: Array, pressures: Pressures, muscles: MuscleStates
+) -> list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]]:
+    """Columns of friction and creep, by name, each computed when it is first asked for."""
+    forces = {
+        "friction_torque": lambda: _friction_torque(joint, angle, velocity, pressures, muscles),
+        "creep_torque": lambda: _creep_torque(joint, angle, pressures, muscles),
+        "small_motion_stiffness": lambda: _small_motion_stiffness(joint, angle, pressures),
+    }
+    return [((name,), lambda name=name, one=one: {name: one()}) for name, one in forces.items()]
+
+
+def domains_of(plant: JointPlant) -> tuple[Domain, ...]:
+    """Domains of both muscles, as numbers."""
+    return tuple(jax.tree.map(float, muscle.domain) for muscle in plant.muscles)
 
 
 def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 0.0) -> Metrics:
@@ -166,6 +184,10 @@ class Result(RunResult):
             for axis, size, unit in (("angle", deg, "deg"), ("stiffness", 1.0, "N*m/rad"))
         ]
         return f"<Result: {self.duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}>"
+
+    def plot(self, name: str = "run") -> Any:
+        """Return time traces of the run, see `mckibben.report.tracking`."""
+        return draw("tracking", {name: self})
 
     def describe(self) -> str:
         """The outcome as a sentence, with the time saturated, slack or outside the domain."""

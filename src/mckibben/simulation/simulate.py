@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -46,14 +46,7 @@ from mckibben.simulation.problem import (
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import (
-    BAND,
-    Result,
-    compute_trajectory,
-    creep_torque,
-    friction_torque,
-    small_motion_stiffness,
-)
+from mckibben.simulation.result import BAND, Result, compute_trajectory, domains_of, joint_columns
 from mckibben.simulation.table import Columns
 from mckibben.units import deg
 
@@ -180,8 +173,8 @@ class CheckedRun(NamedTuple):
 
 def simulate(
     plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
+    controller: Controller | None = None,
+    reference: Reference | None = None,
     *,
     duration: float = 10.0,
     control_period: float = 1e-3,
@@ -239,6 +232,9 @@ def simulate(
     UnreachableError, RangeError
         If no pressures hold the joint at the start, or a muscle would leave its domain there.
     """
+    if controller is None or reference is None:
+        remedy = "write simulate(plant, controller, reference), or scenario.simulate()"
+        raise SimulationError("a plant, a controller and a reference are needed", remedy=remedy)
     result, feasibility = checked_run(
         plant,
         controller,
@@ -457,18 +453,11 @@ def _result(
         moved = compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=run.engine)._asdict()
         return {name: value for name, value in moved.items() if name != "angle_without_step"}
 
-    at = plant.joint, state.angle, state.pressures
-    single: dict[str, Callable[[], Any]] = {
-        "friction_torque": lambda: friction_torque(plant.joint, *state[:4]),
-        "creep_torque": lambda: creep_torque(*at, state.muscles),
-        "small_motion_stiffness": lambda: small_motion_stiffness(*at),
-    }
     computed = [(Trajectory._fields, derived), (("angle_without_step",), without_step)]
-    computed += [((name,), lambda name=name, one=one: {name: one()}) for name, one in single.items()]
+    computed += joint_columns(plant.joint, *state[:4])
     names = (*Trajectory._fields, *known, *telemetry)
     columns, encoder = Columns(names, immediate, computed), float(plant.sensors.angle_resolution)
-    domains = tuple(jax.tree.map(float, muscle.domain) for muscle in plant.muscles)
-    return Result(columns, run.control_period, None, scenario, used, resolution, encoder, domains)
+    return Result(columns, run.control_period, None, scenario, used, resolution, encoder, domains_of(plant))
 
 
 def _padded(values: ArrayLike) -> Any:
