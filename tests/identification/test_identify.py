@@ -13,6 +13,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import find_outliers, identify, least_squares, read_law
+from mckibben.identification.fit import unphysical
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, SarosiLaw
@@ -442,3 +443,12 @@ def test_a_step_that_raises_the_cost_is_halved_until_it_does_not(monkeypatch):
     assert search(at(np.array([0.2])), np.array([0.7])).position == pytest.approx([0.375])  # after 0.9 and 0.55
     assert search(at(np.array([0.2])), np.array([0.05])).position == pytest.approx([0.25])
     assert search(at(np.array([0.3])), np.array([0.5])) is None
+
+
+def test_a_law_is_physical_if_its_force_falls_with_contraction_and_rises_with_pressure():
+    law = catalog.law("lei-mas-10-180n")
+    assert unphysical(law) == ""
+    falling = dataclasses.replace(law, **{name: -float(getattr(law, name)) for name in ("a2", "b2", "c2")})
+    assert "falls with pressure" in unphysical(falling)
+    rising = dataclasses.replace(law, b1=float(law.b1) + 1e4)
+    assert "rises with contraction" in unphysical(rising)

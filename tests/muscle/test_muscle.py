@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import DomainWarning, RangeError
-from mckibben.muscle import Domain, Muscle, Specimen
+from mckibben.muscle import Domain, MaxwellCreep, MaxwellSlip, Muscle, Specimen
 
 
 @pytest.fixture(scope="module")
@@ -137,3 +137,15 @@ def test_the_volume_is_known_by_the_braid_or_as_a_polynomial(specimen):
         assert not dataclasses.replace(specimen, **{name: None}).has_volume
     assert specimen.has_volume and not dataclasses.replace(specimen, **unknown).has_volume
     assert dataclasses.replace(specimen, **unknown, volume_terms=(2e-5, 1e-4)).has_volume
+
+
+def test_friction_and_creep_are_known_by_their_parts(specimen, law):
+    found = {}
+    for name, part in (
+        ("none", {}),
+        ("friction", {"friction": MaxwellSlip(7.5, 5e-4)}),
+        ("creep", {"creep": MaxwellCreep(1e3, 4.0)}),
+    ):
+        muscle = Muscle(specimen, law, **part)
+        found[name] = muscle.has_friction, muscle.has_creep
+    assert found == {"none": (False, False), "friction": (True, False), "creep": (False, True)}
