@@ -46,7 +46,7 @@ from hostile_kinds import KINDS, File
 
 OUTCOMES = ("read", "refused", "traceback", "too long", "too large")
 FAILURES = OUTCOMES[2:]
-SECONDS, KILLED, START = 15.0, 120.0, 60.0
+SECONDS, KILLED, START = 15.0, 120.0, 600.0
 MEMORY, ADDRESSES, KEPT = 1e9, 3 * 10**9, 500e6  # bytes
 INTERVAL = 0.02  # s
 LONGEST = 100_000  # characters of a message

@@ -1,10 +1,9 @@
 """Memory, disk and time of a sweep in parts and of their merging, per million runs.
 
-    python benchmarks/sweep_parts.py [--runs 40000] [--parts 4] [--made-up | --short]
+    python benchmarks/sweep_parts.py [--runs 40000] [--parts 4] [--short]
 
 Each part and the merging is a process of its own, as on a cluster; runs of 0.2 s with one metric, two inputs. With
---made-up nothing is simulated: the memory and the disk of many runs, in little time. With --short runs take 0.1 s, with
-one integration step per control period, in 32 bits: many simulated runs in little time.
+--short, runs take 0.1 s, with one integration step per control period, in 32 bits: many runs in little time.
 """
 
 import argparse
@@ -18,19 +17,11 @@ PART = """
 import sys
 from mckibben.scenario import Scenario
 from mckibben.study.sweep import merge, summary, sweep
-runs, part, kind, out, *folders = sys.argv[1:]
-if kind == "made_up":
-    import numpy as np
-    from mckibben.study.sweep.compute import FEASIBILITY, BatchTask
-    def invented(task, table):
-        mass, gain = table.values()
-        nothing = np.zeros(len(mass))
-        return {"angle_rmse": mass / gain, "outcome": nothing.astype(np.int8), **dict.fromkeys(FEASIBILITY, nothing)}
-    BatchTask.__call__ = invented
+runs, part, short, out, *folders = sys.argv[1:]
 if folders:
     summary(merge(folders, out))
 else:
-    short = kind == "short"
+    short = short == "True"
     changed = {"duration": 0.1, "substeps": 1} if short else {"duration": 0.2}
     scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update=changed)
     over = ["load.mass2=0.2 kg..1.0 kg", "controller.position.kp=0.5..10 bar/rad log"]
@@ -47,18 +38,14 @@ def main():
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--runs", type=int, default=40_000)
     options.add_argument("--parts", type=int, default=4)
-    kinds = options.add_mutually_exclusive_group()
-    for kind in ("--made-up", "--short"):
-        kinds.add_argument(
-            kind, dest="kind", action="store_const", const=kind[2:].replace("-", "_"), default="simulated"
-        )
+    options.add_argument("--short", action="store_true")
     asked = options.parse_args()
     million = asked.runs / 1e6
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         numbers = range(1, asked.parts + 1)
         begin = time.perf_counter()
-        each = [taken(asked.runs, f"{k}/{asked.parts}", asked.kind, folder / f"{k}") for k in numbers]
+        each = [taken(asked.runs, f"{k}/{asked.parts}", asked.short, folder / f"{k}") for k in numbers]
         memory, used = zip(*each, strict=True)
         seconds = f"{time.perf_counter() - begin:.0f} s ({sum(used):.0f} s of processor time)"
         print(
@@ -68,7 +55,7 @@ def main():
             size = sum((folder / f"{k}" / file).stat().st_size for k in numbers)
             print(f"{file}: {size / 1e6 / million:.1f} MB per million runs")
         begin = time.perf_counter()
-        merged, _ = taken(asked.runs, "", asked.kind, folder / "merged", *(folder / f"{k}" for k in numbers))
+        merged, _ = taken(asked.runs, "", asked.short, folder / "merged", *(folder / f"{k}" for k in numbers))
         seconds = time.perf_counter() - begin
         print(f"merging and statistics: {seconds:.1f} s, {merged:.2f} GB of memory")
 
