@@ -236,18 +236,19 @@ def _window(values: Floats) -> tuple[float, float]:
 
 
 def fit_smooth(
-    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats
+    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats, *, compare: bool = True
 ) -> tuple[Solution, str]:
     """Fit the best of some laws to the kept points, or Eq. 2 if it is as good; then also return the reason.
 
-    The search for Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
+    Without comparison of the errors at left-out blocks, the first law that the points support is taken. The search for
+    Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
     """
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
     base, used = solve(eq2, start), points.select(kept)
     residuals, reach = base.residuals, float(np.ptp(used.contraction))
     if len(used) < _LEAST * len(eq2.names) or not reach or np.abs(residuals).max() < _ROUNDING * used.force.max():
         return base, "Eq. 2 is exact, or the points are too few"
-    folds = _folds(base, points, used) if kinds else {}
+    folds = _folds(base, points, used) if kinds and compare else {}
     theirs = {kind: _left_out(base, some) for kind, some in folds.items()}
     best, best_score, reason = base, _BETTER, "the points support no deviation"
     for kind in kinds:
@@ -259,6 +260,8 @@ def fit_smooth(
             continue
         found, hyperparameters = fitted
         objection = _objection(found, base, used)
+        if not objection and not compare:
+            return found, ""
         if not objection:
             ours = {one: deviations.left_out(some, hyperparameters) for one, some in folds.items()}
             ratios = {one: _ratio(ours[one], theirs[one]) for one in folds}
