@@ -22,6 +22,7 @@ A. Solin and S. Sarkka, Statistics and Computing 30 (2020) 419-446.
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -55,20 +56,20 @@ _ROUNDING = 1e-9  # of the largest force
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class Prior(abc.ABC):
     """Prior of the deviations of a law: ``root @ coefficients``, divided by the scales, is standard normal."""
 
     root: Floats = field(repr=False)
     starts: tuple[Floats, ...]
     bounds: tuple[tuple[float, float], ...]  # at the lower ones a deviation is negligible compared to the noise
 
+    @abc.abstractmethod
     def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         """Logarithm of the scale of each row of the root, relative to the noise, and its derivative."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
         """Hyperparameters without those that the points do not support; None if the law has no support."""
-        raise NotImplementedError
 
     def model(self, fixed: Floats, deviations: Floats, residuals: Floats) -> MixedModel:
         """Mixed model of Eq. 2 and the deviations."""
