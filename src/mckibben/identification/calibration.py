@@ -101,7 +101,9 @@ def _left_out(regression: Regression, labels: NDArray[np.str_]) -> _LeftOut:
             found = cross_validate(regression.problem, regression.solution, only, regression.refit)
         except NotIdentifiableError:
             continue
-        out = np.isfinite(found.residuals)
+        out = np.isfinite(found.residuals) & np.isfinite(found.scatter_variance)
+        if not out.any():
+            continue
         force = regression.points.force[out] - found.residuals[out]
         variance = found.law_variance[out] + found.scatter_variance[out] * regression.relative_variance(force)
         scores += (np.abs(found.residuals[out]) / np.sqrt(variance)).tolist()

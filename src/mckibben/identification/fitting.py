@@ -152,7 +152,7 @@ def _laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
 
 
 def _smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
-    return lambda kept: fit_smooth(laws, points, kept, start)[0]
+    return lambda kept: fit_smooth(laws, points, kept, start, compare=False)[0]
 
 
 def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools, scales: Floats | None) -> Regression:

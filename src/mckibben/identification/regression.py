@@ -143,7 +143,8 @@ def _variances(solution: Solution, gradients: Floats) -> tuple[Floats, float]:
     """Variance [N^2] of the law's force for gradients of shape (m, parameters), and of a point about it."""
     free = np.flatnonzero(~solution.at_bound)
     errors, jacobian = solution.augmented
-    model = IndependentErrors.of(jacobian[:, free], errors)
+    with np.errstate(divide="ignore", invalid="ignore"):  # as many parameters as points: unknown
+        model = IndependentErrors.of(jacobian[:, free], errors)
     return model.variance(gradients[:, free])[0], model.residual_variance[0]
 
 

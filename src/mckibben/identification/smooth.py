@@ -22,6 +22,7 @@ A. Solin and S. Sarkka, Statistics and Computing 30 (2020) 419-446.
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -55,20 +56,20 @@ _ROUNDING = 1e-9  # of the largest force
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class Prior(abc.ABC):
     """Prior of the deviations of a law: ``root @ coefficients``, divided by the scales, is standard normal."""
 
     root: Floats = field(repr=False)
     starts: tuple[Floats, ...]
     bounds: tuple[tuple[float, float], ...]  # at the lower ones a deviation is negligible compared to the noise
 
+    @abc.abstractmethod
     def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         """Logarithm of the scale of each row of the root, relative to the noise, and its derivative."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
         """Hyperparameters without those that the points do not support; None if the law has no support."""
-        raise NotImplementedError
 
     def model(self, fixed: Floats, deviations: Floats, residuals: Floats) -> MixedModel:
         """Mixed model of Eq. 2 and the deviations."""
@@ -236,18 +237,19 @@ def _window(values: Floats) -> tuple[float, float]:
 
 
 def fit_smooth(
-    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats
+    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats, *, compare: bool = True
 ) -> tuple[Solution, str]:
     """Fit the best of some laws to the kept points, or Eq. 2 if it is as good; then also return the reason.
 
-    The search for Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
+    Without comparison of the errors at left-out blocks, the first law that the points support is taken. The search for
+    Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
     """
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
     base, used = solve(eq2, start), points.select(kept)
     residuals, reach = base.residuals, float(np.ptp(used.contraction))
     if len(used) < _LEAST * len(eq2.names) or not reach or np.abs(residuals).max() < _ROUNDING * used.force.max():
         return base, "Eq. 2 is exact, or the points are too few"
-    folds = _folds(base, points, used) if kinds else {}
+    folds = _folds(base, points, used) if kinds and compare else {}
     theirs = {kind: _left_out(base, some) for kind, some in folds.items()}
     best, best_score, reason = base, _BETTER, "the points support no deviation"
     for kind in kinds:
@@ -259,6 +261,8 @@ def fit_smooth(
             continue
         found, hyperparameters = fitted
         objection = _objection(found, base, used)
+        if not objection and not compare:
+            return found, ""
         if not objection:
             ours = {one: deviations.left_out(some, hyperparameters) for one, some in folds.items()}
             ratios = {one: _ratio(ours[one], theirs[one]) for one in folds}
