@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import approx_fprime
 
 import mckibben as mk
-from mckibben.errors import RangeError, ScenarioError
+from mckibben.errors import RangeError, ScenarioError, SimulationError
 from mckibben.leg import (
     Ground,
     Leg,
@@ -179,6 +179,19 @@ def test_what_cannot_be_is_refused(pair: mk.AntagonisticJoint) -> None:
     ):
         with pytest.raises(RangeError) as caught:
             make()
+        assert caught.value.field == field and caught.value.remedy
+
+
+def test_a_slender_link_cannot_turn_about_its_own_line(pair: mk.AntagonisticJoint) -> None:
+    turn = LegJoint(pair, -5 * deg, 5 * deg, name="yaw", axis=(0.0, 0.0, 1.0))
+    for axial, field in ((0.0, "axial_inertia"), (1e-4, None)):
+        link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=axial)
+        plant = LegPlant(Leg(Trunk(1.0), (link,), (turn,), foot_radius=0.02), mk.FirstOrderValve(0.02))
+        if field is None:
+            assert plant.needed_substeps((0.0,), None, 0.25e-3) < 100
+            continue
+        with pytest.raises(SimulationError) as caught:
+            plant.needed_substeps((0.0,), None, 0.25e-3)
         assert caught.value.field == field and caught.value.remedy
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.leg.mechanism import Leg
+from mckibben.numerics.compiled import compiled
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
 from mckibben.plant.bodies import MASSLESS, Body, Equations, Frame, Hinge, equations, frames_of
 
@@ -199,3 +200,10 @@ def joint_mobility(leg: Leg, posture: Posture) -> Float[Array, "joints joints"]:
         return jnp.stack(acceleration(leg, posture, still, tuple(torques), ZERO, 0.0).angles)
 
     return jax.jacfwd(moved)(jnp.zeros(len(leg.joints)))
+
+
+@compiled
+def mobilities(leg: Leg, angles: tuple[ArrayLike, ...]) -> tuple[Array, Array]:
+    """Return the mobilities of the foot and of the joints at angles [rad]."""
+    posture = posture_of(leg, angles)
+    return foot_mobility(leg, posture), joint_mobility(leg, posture)

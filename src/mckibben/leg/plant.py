@@ -17,7 +17,7 @@ from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temper
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
-from mckibben.errors import RangeError
+from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement, RigidTendon
 from mckibben.leg.dynamics import (
     Contact,
@@ -26,8 +26,8 @@ from mckibben.leg.dynamics import (
     acceleration,
     at_rest,
     contact,
-    foot_mobility,
     frames,
+    mobilities,
     motion,
     posture_of,
 )
@@ -36,7 +36,6 @@ from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector, Z, total
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
@@ -49,6 +48,7 @@ ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=T
 
 Scalar = Float[Array, ""]
 
+_MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
 _ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
@@ -274,7 +274,13 @@ class LegPlant(Plant):
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
         leg, ground = self.leg, self.ground
-        mobility = np.asarray(_mobility(leg, angles))
+        mobility, of_joints = map(np.asarray, mobilities(leg, angles))
+        if not (np.abs(of_joints) < _MOST_MOBILE).all():  # NaN included
+            raise SimulationError(
+                "a joint turns links without inertia about its axis",
+                field="axial_inertia",
+                remedy="give the links an axial_inertia, or the joint another axis",
+            )
         inertias = [
             next(one for link in leg.links[index:] if (one := link.inertia_about_joint))  # massless links are carried
             for index in range(len(leg.links))
@@ -455,11 +461,6 @@ class LegPlant(Plant):
         """Return the mechanical energy of the bodies [J]."""
         found = motion(self.leg, state.posture, state.velocity, self.gravity)
         return found.kinetic + found.potential
-
-
-@compiled
-def _mobility(leg: Leg, angles: tuple[ArrayLike, ...]) -> Array:
-    return foot_mobility(leg, posture_of(leg, angles))
 
 
 def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
