@@ -22,7 +22,6 @@ LAW = mk.catalog.law("lei-mas-10-180n")
     [
         (lambda: mk.simulate(SCENARIO), "scenario.simulate()"),  # type: ignore[arg-type]
         (lambda: mk.simulate(SCENARIO.plant(), SCENARIO.control()), "simulate(plant, controller, reference)"),
-        (lambda: mk.Scenario("examples/pre-contracted-step-pid.yaml"), "Scenario.read(path)"),  # type: ignore[call-arg]
         (lambda: mk.identify(DATA), "identify(ExponentialLaw"),  # type: ignore[arg-type]
         (lambda: mk.identify(DATA, mk.ExponentialLaw), "identify(ExponentialLaw"),  # type: ignore[arg-type]
         (lambda: mk.rank(mk.ExponentialLaw, DATA), "rank(read_dataset"),  # type: ignore[arg-type]

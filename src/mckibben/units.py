@@ -357,11 +357,7 @@ class Quantity:
         if len(stripped) > LONGEST_VALUE:
             self._fail(f"{quoted(text)} is not a quantity", text)
         if self.unit != "1" and NUMBER.fullmatch(stripped):
-            in_m = (
-                f"{show(float(stripped), 'mm')}' (in m) or '"
-                if self.unit == "m" and self.holds(float(stripped))
-                else ""
-            )
+            in_m = f"{show(si, 'mm')}' (in m) or '" if self.unit == "m" and self.holds(si := float(stripped)) else ""
             self._fail(f"{quoted(text)} has no unit", text, f"write it like '{in_m}{stripped} {self.shown}'")
         try:
             return quantity(stripped, self.unit)

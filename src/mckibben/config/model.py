@@ -35,12 +35,6 @@ class DocumentModel(ConfigModel):
     kind: ClassVar[str] = "scenario"
     examples: ClassVar[str] = "examples/"
 
-    def __init__(self, *args: Any, **data: Any) -> None:
-        if args:
-            name = type(self).__name__
-            raise ParameterError(f"{name} is made of named parts", remedy=f"read a file with {name}.read(path)")
-        super().__init__(**data)
-
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
         """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
