@@ -200,8 +200,7 @@ def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats) -> NDA
 
     The force of a muscle, slack or not, is a convex function of the contraction: it is above such a line.
     """
-    zero = force == 0
-    count, largest = int(zero.sum()), float(force.max())
+    count, largest = int((force == 0).sum()), float(force.max())
     if not (count and largest > 0 and pressure.max() > 0):
         return np.array([], np.intp)
     clearly = (3 * _NOISE if count <= max(3, _FEW * len(force)) else _CLEARLY) * largest
@@ -209,16 +208,18 @@ def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats) -> NDA
     lost = np.zeros(len(force), bool)
     levels = np.clip(np.round(pressure / (2 * _SAME_PRESSURE * pressure.max())), 0, 100).astype(np.int16)
     for order in (np.arange(len(force)), np.argsort(levels, kind="stable")):  # as measured, and pressure by pressure
-        places = np.flatnonzero(zero[order])
+        sorted_force = force[order]
+        zeros = np.flatnonzero(sorted_force == 0)
         for step in (-1, 1):
-            inside = places[(places + 2 * step >= 0) & (places + 2 * step < len(force))]
-            at, near, far = (order[inside + n * step] for n in range(3))
+            rows = zeros[(zeros + 2 * step >= 0) & (zeros + 2 * step < len(force))]
+            rows = rows[sorted_force[rows + step] > clearly]
+            at, near, far = (order[rows + n * step] for n in range(3))
             with np.errstate(all="ignore"):
                 ratio = (contraction[at] - contraction[near]) / (contraction[near] - contraction[far])
                 line = force[near] + (force[near] - force[far]) * ratio
             apart = np.abs(pressure[[near, far]] - pressure[at]).max(axis=0)
             even = (ratio > 0) & (ratio <= _EVEN) & (apart <= _SAME_PRESSURE * pressure[at])
-            lost[at] |= even & (force[near] > clearly) & (line > np.maximum(least, _LINE * force[near]))
+            lost[at] |= even & (line > np.maximum(least, _LINE * force[near]))
     return np.flatnonzero(lost)
 
 
