@@ -189,8 +189,8 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tup
     if lost.size:
         at = lost[0]
         text = (
-            f"{len(lost)} forces are 0, first at {pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} %, "
-            f"but {why}"
+            f"{len(lost)} of {len(force)} forces are 0, first at {pressure[at] / bar:.3g} bar and "
+            f"{contraction[at] / percent:.3g} %, but {why}"
         )
         yield Problem(text, field="force", remedy="leave out points without a measurement"), False
 
@@ -206,7 +206,7 @@ def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats) -> NDA
     clearly = (3 * _NOISE if count <= max(3, _FEW * len(force)) else _CLEARLY) * largest
     least = max(clearly / 3, 3 * _resolution(force))
     lost = np.zeros(len(force), bool)
-    levels = np.clip(np.round(pressure / (2 * _SAME_PRESSURE * pressure.max())), 0, 100).astype(np.int16)
+    levels = np.clip(np.round(pressure / (2 * _SAME_PRESSURE * pressure.max())), 0, None).astype(np.int16)
     for order in (np.arange(len(force)), np.argsort(levels, kind="stable")):  # as measured, and pressure by pressure
         sorted_force = force[order]
         zeros = np.flatnonzero(sorted_force == 0)
