@@ -127,6 +127,7 @@ def test_samples_at_exactly_the_lowest_rate_are_accepted():
     whole = shut_valve_test(0.1)
     table = whole.table.isel(sample=slice(None, None, round(0.01 / float(np.diff(whole.time).mean()))))
     time = np.round(np.arange(len(table["time"])) * 0.01, 6)
-    columns = {name: table[name].to_numpy() for name in ("pressure", "force", "contraction")}
+    pressure, force, contraction = (table[name].to_numpy() for name in ("pressure", "force", "contraction"))
     assert float(np.median(np.diff(time))) >= 0.01
-    assert identify_air([Recording.of(time=time, **columns)], SPECIMEN).phases
+    slow = Recording.of(time=time, pressure=pressure, force=force, contraction=contraction)
+    assert identify_air([slow], SPECIMEN).phases
