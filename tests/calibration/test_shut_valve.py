@@ -121,3 +121,13 @@ def test_what_cannot_be_identified_is_refused_with_a_remedy():
 def test_a_watch_that_is_too_short_is_warned_of():
     with pytest.warns(McKibbenWarning):
         identify_air([shut_valve_test(0.1, wall=0.02, watched=0.8)], SPECIMEN)
+
+
+def test_samples_at_exactly_the_lowest_rate_are_accepted():
+    whole = shut_valve_test(0.1)
+    table = whole.table.isel(sample=slice(None, None, round(0.01 / float(np.diff(whole.time).mean()))))
+    time = np.round(np.arange(len(table["time"])) * 0.01, 6)
+    pressure, force, contraction = (table[name].to_numpy() for name in ("pressure", "force", "contraction"))
+    assert float(np.median(np.diff(time))) >= 0.01
+    slow = Recording.of(time=time, pressure=pressure, force=force, contraction=contraction)
+    assert identify_air([slow], SPECIMEN).phases

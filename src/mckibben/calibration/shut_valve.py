@@ -39,6 +39,7 @@ from mckibben.units import bar, cm, kPa, ms, percent, show
 Floats = NDArray[np.float64]
 
 _SLOWEST, _GAP = 10 * ms, 1.5  # longest sampling period, and interval in periods
+_ROUNDING = 1.001  # times in a file are rounded
 _BLOCK = 5 * ms  # samples are averaged over this time
 _SUBSTEPS = 2
 _SMOOTHING = 20 * ms  # of the rate of the pressure
@@ -274,7 +275,7 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
             "the contraction is not known", remedy="record the length, or give the contraction (--contraction)"
         )
     period = float(np.median(np.diff(time)))
-    if period > _SLOWEST or np.diff(time).max() > _GAP * period:
+    if period > _ROUNDING * _SLOWEST or np.diff(time).max() > _GAP * period:
         raise IdentificationError(
             f"the samples of a recording are up to {show(float(np.diff(time).max()), 'ms', 3)} apart",
             value=float(np.diff(time).max()),

@@ -194,8 +194,8 @@ def decimal_sign(
     sign = "," if "," in text else "."
     other = "." if sign == "," else ","
     remedy = (
-        f"for {text.replace(sign, '.')} give decimal={sign!r} (command line: --decimal {sign}), "
-        f"for {text.replace(sign, '')} give decimal={other!r} (command line: --decimal {other})"
+        f"for {text.replace(sign, '.')} give decimal={sign!r} (command line: --decimal '{sign}'), "
+        f"for {text.replace(sign, '')} give decimal={other!r} (command line: --decimal '{other}')"
     )
     message = f"{text!r} is {text.replace(sign, '')} or {text.replace(sign, '.')}; no cell of the file decides"
     return DecimalSign(sign), Problem(message, line=line, field=column.name, remedy=remedy)

@@ -88,7 +88,7 @@ class Envelope:
     def _limits(self) -> list[str]:
         """What limits the attainable stiffness at either end."""
         static, joint = self.static, self.scenario.plant().supplied_joint
-        angles, found, extend = static.angles[static.inside], [], False
+        angles, found, remedies = static.angles[static.inside], [], dict[str, None]()
         for end, pressures in (("lowest", static.pressures_at_lowest), ("highest", static.pressures_at_highest)):
             here = pressures[:, static.inside]
             tensions = joint.tensions(angles, (here[0], here[1]))
@@ -97,15 +97,11 @@ class Envelope:
             for supplied, muscle, pressure, tension in given:
                 for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
                     counts[reason] += int(holds.sum())
+                    if _MEASURED in reason and holds.any() and not muscle.extrapolate:
+                        remedies[_remedy(muscle, highest="highest" in reason)] = None
             reasons = [reason for reason, count in counts.most_common() if count]
-            extend |= not joint.muscle1.extrapolate and any(_MEASURED in reason for reason in reasons)
             found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
-        if extend:
-            found.append(
-                "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
-                "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
-            )
-        return found
+        return found + list(remedies)
 
     def records(self) -> dict[str, Any]:
         """The results as plain data; angles in deg, pressures in bar, all else in SI."""
@@ -155,6 +151,21 @@ class Envelope:
 
 _MEASURED = "measured pressure"
 _AT_LIMIT = 1.0  # Pa, N
+
+
+def _remedy(muscle: Muscle, *, highest: bool) -> str:
+    """How to apply the law of a muscle beyond the measured pressures at one end."""
+    rated, law = muscle.specimen.domain, muscle.law.domain
+    further = law.pressure_max < rated.pressure_max < math.inf if highest else rated.pressure_min < law.pressure_min
+    if further:
+        return (
+            "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
+            "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
+        )
+    return (
+        "to apply the law at higher pressures, give the muscle the rated pressure of its specimen, such as `specimen: "
+        "{domain: {pressure_max: 8 bar}}`, and `extrapolate: true`"
+    )
 
 
 def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:
