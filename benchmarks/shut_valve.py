@@ -2,10 +2,10 @@
 
     python benchmarks/shut_valve.py [--runs 200]
 
-A muscle of 10 mm at two contractions is filled to 5.5 bar and shut for 3 s, then vented to 1 bar and shut for 3 s, with
-a wall of 0.03 to 0.3 W/K between them, which grows with its area, a leak of 0 to 1e-5 L/(s*bar), a dead volume of 0 to 6 cm^3, and noise of 0.1 to 2 kPa at 1
-kHz. "As in the lab" adds a room of 15 to 30 degrees C, which the identification takes for 20, and a zero of the sensor
-of up to 30 mbar.
+A muscle of 10 mm at two contractions is filled to 5.5 bar and shut for 3 s, then vented to 1 bar and shut for 3 s. The
+wall has 0.03 to 0.3 W/K between the contractions and grows with its area; there are a leak of 0 to 1e-5 L/(s*bar), a
+dead volume of 0 to 6 cm^3, and noise of 0.1 to 2 kPa at 1 kHz. "As in the lab" adds a room of 15 to 30 degrees C, which
+the identification takes for 20, and a zero of the sensor of up to 30 mbar.
 """
 
 import argparse

@@ -167,10 +167,11 @@ def identify_air(
 
     .. math:: p = p_\infty + (p_0 - p_\infty) e^{-t/\tau}, \qquad \tau = \frac{p_\infty V}{(\kappa - 1) h A\, T_0}
 
-    so that tests at one length determine h A / V and C / V. The volume is that of the specimen plus the dead volume. A is
-    proportional to the lateral area of the muscle as a cylinder of its volume and length, which grows with the
-    contraction: the result holds at the mean contraction of the phases. The dead volume is estimated if there are tests at lengths whose volumes differ by 10 % or more. The intervals contain standard
-    deviations of 5 K of the room, about 20 degrees C, and of 20 mbar of the zero of the sensor.
+    so that tests at one length determine h A / V and C / V. The volume is that of the specimen plus the dead volume. A
+    is proportional to the lateral area of the muscle as a cylinder of its volume and length, which grows with the
+    contraction: the result holds at the mean contraction of the phases. The dead volume is estimated if there are tests
+    at lengths whose volumes differ by 10 % or more. The intervals contain standard deviations of 5 K of the room, about
+    20 degrees C, and of 20 mbar of the zero of the sensor.
 
     Parameters
     ----------
