@@ -25,6 +25,7 @@ from mckibben.identification.intervals import (
     force_gradients,
     parameter_interval,
     t_interval,
+    t_quantile,
 )
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
@@ -264,7 +265,8 @@ class Fit:
         variance, blocks = self.calibration.misfit
         misfit = np.full_like(freedom, variance), np.full_like(freedom, blocks)
         confidence = t_interval(level, value, [of_law, misfit])
-        quantile = self.calibration.quantile(level, np.broadcast_to(contraction, value.shape).ravel())
+        students = float(t_quantile(level, residual_freedom))
+        quantile = self.calibration.quantile(level, np.broadcast_to(contraction, value.shape).ravel(), students)
         if quantile is None:
             return ForceIntervals(confidence, t_interval(level, value, [of_law, scatter, misfit]))
         model = regression.error_model(Grouping.POINT)
