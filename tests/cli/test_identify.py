@@ -200,7 +200,7 @@ class TestEveryLaw:
         found, folder = ranked
         lines = found.out.splitlines()
         laws = [line.split()[0] for line in lines if re.match(r"^ +[A-Z]\w+ +\d+ ", line)]
-        assert laws[:3] == ["Sarosi", "Hunt", "Smooth"]
+        assert laws[:3] == ["Sarosi", "Hunt", "GaussianProcess"]
         assert "no cross-validation over repeats: no repeat is recorded" in lines
         assert any(line.startswith("flagged TonduLopez: braid_angle at a bound") for line in lines)
         numbers = json.loads((folder / "results.json").read_text(encoding="utf-8"))
