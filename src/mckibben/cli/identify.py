@@ -47,8 +47,7 @@ if TYPE_CHECKING:
     from mckibben.muscle import MaxwellSlip
 
 
-_SHOWN = 40  # rows of the table
-# columns of the points, and the format of each in the table
+_SHOWN = 40  # rows of the table of points; below their columns, and the format of each
 _COLUMNS = {
     "time_s": ".5g",
     "pressure_bar": ".5g",
