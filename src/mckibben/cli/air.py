@@ -22,7 +22,6 @@ from mckibben.cli.options import (
     echo,
     keeping,
     notify,
-    parse_optional_quantity,
     parse_quantity,
     recipe_of,
     report_reading,
@@ -67,8 +66,8 @@ def identify_air(
         "",
         force_sign,
         decimal,
-        contraction=parse_optional_quantity("--contraction", contraction, "1"),
-        sample_rate=parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
+        contraction=contraction,
+        sample_rate=sample_rate,
     )
     dead = parse_quantity("--dead-volume", dead_volume, "m^3")
     muscle = specimen_named(specimen)

@@ -113,8 +113,8 @@ def points(
         slack_force,
         force_sign,
         decimal,
-        contraction=parse_optional_quantity("--contraction", contraction, "1"),
-        sample_rate=parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
+        contraction=contraction,
+        sample_rate=sample_rate,
         specimen=specimen,
     )
     held = how.contraction if isometric else None

@@ -91,20 +91,25 @@ def recipe_of(
     slack_force: str,
     force_sign: int | None,
     decimal: str,
-    **others: Any,
+    *,
+    contraction: str = "",
+    sample_rate: str = "",
+    specimen: str = "",
 ) -> Recipe:
-    """The recipe of --recipe with the options that were given; `others` are None where they were not."""
+    """The recipe of --recipe with the options that were given."""
     from mckibben.dataset.reading import check_reading
     from mckibben.dataset.recipe import Recipe
 
     given = {
         "initial_length": parse_optional_quantity("--initial-length", initial_length, "m"),
-        "displacement": displacement or None,
+        "displacement": displacement,
         "zero_length": parse_optional_quantity("--zero-length", zero_length, "m"),
         "slack_force": parse_optional_quantity("--slack-force", slack_force, "N"),
         "force_sign": force_sign,
-        "decimal": decimal or None,
-        **others,
+        "decimal": decimal,
+        "contraction": parse_optional_quantity("--contraction", contraction, "1"),
+        "sample_rate": parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
+        "specimen": specimen,
     }
     columns = parse_columns(column) or {}
     check_reading(1 if force_sign is None else force_sign, decimal, displacement)

@@ -25,7 +25,7 @@ def _check_sign(value: int) -> int:
 
 
 class Recipe(DocumentModel):
-    """How the files of a logger are read: the arguments of `read_dataset` and `read_recording`, in SI.
+    """Settings for reading the files of a logger: the arguments of `read_dataset` and `read_recording`, in SI units.
 
     `read` and `to_yaml` know the units. `contraction` and `sample_rate` apply to recordings only. A `ScenarioError`
     lists all mistakes of a file, a pydantic `ValidationError` those of arguments.

@@ -82,18 +82,19 @@ class Envelope:
         ]
 
     def remarks(self) -> list[str]:
-        """What limits the attainable stiffness, and what it leaves out, in words."""
+        """Return the limits of the attainable stiffness and remarks on the joint, as text."""
         return [*self._limits(), *self.scenario.joint.remarks] if self.static.exists else []
 
     def _limits(self) -> list[str]:
-        """What limits the attainable stiffness at either end."""
-        static, joint = self.static, self.scenario.plant().supplied_joint
+        """Active limits at both ends of the attainable stiffness, and remedies."""
+        static, plant = self.static, self.scenario.plant()
+        joint = plant.supplied_joint
         angles, found, remedies = static.angles[static.inside], [], dict[str, None]()
         for end, pressures in (("lowest", static.pressures_at_lowest), ("highest", static.pressures_at_highest)):
             here = pressures[:, static.inside]
             tensions = joint.tensions(angles, (here[0], here[1]))
             counts: Counter[str] = Counter()
-            given = zip((joint.muscle1, joint.muscle2), self.scenario.plant().muscles, here, tensions, strict=True)
+            given = zip((joint.muscle1, joint.muscle2), plant.muscles, here, tensions, strict=True)
             for supplied, muscle, pressure, tension in given:
                 for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
                     counts[reason] += int(holds.sum())
@@ -154,7 +155,7 @@ _AT_LIMIT = 1.0  # Pa, N
 
 
 def _remedy(muscle: Muscle, *, highest: bool) -> str:
-    """How to apply the law of a muscle beyond the measured pressures at one end."""
+    """Remedy for a law that ends at the measured pressures."""
     rated, law = muscle.specimen.domain, muscle.law.domain
     further = law.pressure_max < rated.pressure_max < math.inf if highest else rated.pressure_min < law.pressure_min
     if further:
@@ -169,7 +170,7 @@ def _remedy(muscle: Muscle, *, highest: bool) -> str:
 
 
 def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:
-    """What bounds a muscle, and where it does, at pressures [Pa] and tensions [N]."""
+    """Masks of the active limits of a muscle at pressures [Pa] and tensions [N], by name."""
     law, rated = muscle.law.domain, muscle.domain
     low, high, top = float(rated.pressure_min), float(supplied.domain.pressure_max), float(rated.pressure_max)
     least = f"the lowest {_MEASURED}" if low == law.pressure_min and low > 0 else "venting"
