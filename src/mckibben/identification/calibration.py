@@ -34,7 +34,7 @@ _SIGNIFICANT = 0.01  # probability of a misfit of a right law
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class IntervalCalibration:
     """Scores of left-out points, and the misfit of the law.
 
     Attributes
@@ -54,7 +54,7 @@ class Calibration:
     misfit: tuple[float, float]
 
     @classmethod
-    def of(cls, regression: Regression) -> Calibration:
+    def of(cls, regression: Regression) -> IntervalCalibration:
         """Calibration of a regression; its law is fitted once for each block left out."""
         points = regression.points
         levels = pressure_blocks(points)[0]

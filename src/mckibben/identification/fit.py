@@ -35,7 +35,7 @@ from mckibben.notebook import draw, html_table
 from mckibben.units import bar, factor, percent, show
 
 if TYPE_CHECKING:
-    from mckibben.identification.calibration import Calibration
+    from mckibben.identification.calibration import IntervalCalibration
 
 
 @dataclass(frozen=True)
@@ -276,11 +276,11 @@ class Fit:
         return ForceIntervals(replace(confidence, lower=lower, upper=upper), prediction)
 
     @cached_property
-    def calibration(self) -> Calibration:
+    def calibration(self) -> IntervalCalibration:
         """Errors at left-out pressures and contractions, by which the intervals of the force are calibrated."""
-        from mckibben.identification.calibration import Calibration
+        from mckibben.identification.calibration import IntervalCalibration
 
-        return Calibration.of(self.require_regression())
+        return IntervalCalibration.of(self.require_regression())
 
     def require_regression(self) -> Regression:
         """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""
