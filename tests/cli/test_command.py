@@ -90,8 +90,8 @@ def test_a_process_that_is_done_ends_with_0(tmp_path):
         (
             ["identify", "festo-tool-10mm", "--law", "x"],
             "error: there is no law 'x'; known are chou, exponential, gaussian-process, hunt, martens-boblan, "
-            "repperger, reynolds, sarosi, smooth-affine, smooth, tondu-lopez, tondu-lopez-variable, tsagarakis-caldwell; "
-            "load the module of a user-defined law first (--extension)\n",
+            "repperger, reynolds, sarosi, smooth-affine, smooth, tondu-lopez, tondu-lopez-variable, "
+            "tsagarakis-caldwell; load the module of a user-defined law first (--extension)\n",
         ),
     ],
 )
