@@ -8,7 +8,7 @@ from ruamel.yaml import YAML
 
 from mckibben import catalog
 from mckibben.catalog.entries import valve_section
-from mckibben.errors import NotInCatalogError
+from mckibben.errors import NotInCatalogError, ParameterError
 from mckibben.muscle import ExponentialLaw
 from mckibben.units import factor
 
@@ -161,3 +161,10 @@ def test_a_valve_has_the_numbers_of_its_data_sheet():
     assert 1 / (2 * np.pi * printed.spool_lag) == pytest.approx(80, rel=0.01)
     small, large = (catalog.valve(f"festo-mpye-5-{size}", supply=7e5) for size in ("m5", "1-8-hf"))
     assert large.conductance == pytest.approx(7 * small.conductance)
+
+
+def test_what_the_data_sheet_of_a_valve_leaves_open_is_named():
+    with pytest.raises(ParameterError) as refused:
+        catalog.valve("festo-mh1")
+    assert refused.value.field == "supply"
+    assert "period" in str(refused.value)

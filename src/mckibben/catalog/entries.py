@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+from dataclasses import MISSING
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,6 +13,7 @@ from mckibben.catalog import FOLDER, find, names
 from mckibben.component.base import field_quantities
 from mckibben.component.classes import Catalog, find_class, register
 from mckibben.component.schema import section_of
+from mckibben.errors import ParameterError
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance
@@ -87,7 +90,15 @@ def valve(name: str, **others: Any) -> AirValve:
     section = valve_section(name)
     kind = cast(Any, find_class(Actuator, section["class"]))
     given = section_of(kind, partial=True).model_validate(section)
-    return kind(**{key: getattr(given, key) for key in given.model_fields_set - {"class_"}}, **others)
+    values = {key: getattr(given, key) for key in given.model_fields_set - {"class_"}} | others
+    required = (one.name for one in dataclasses.fields(kind) if one.default is one.default_factory is MISSING)
+    if missing := [field for field in required if field not in values]:
+        raise ParameterError(
+            f"{name}: the data sheet does not determine {' and '.join(missing)}",
+            field=missing[0],
+            remedy=f"give {' and '.join(f'{field}=...' for field in missing)}, in SI",
+        )
+    return kind(**values)
 
 
 def valve_section(name: str) -> dict[str, Any]:
