@@ -44,6 +44,7 @@ def test_the_kind_is_told_by_the_content_and_not_by_the_name(name, put):
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*as assigned")
+@pytest.mark.filterwarnings("ignore:.* is read in .*, but")
 def test_columns_are_named_in_every_kind_of_file_and_what_is_said_goes_first(name, pressure, column, put):
     path = put(FILES[name], name)
     data = read_dataset(path, columns={column: "pressure_kPa", pressure: "force_N"})

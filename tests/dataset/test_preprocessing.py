@@ -179,6 +179,7 @@ def test_points_without_levels_have_blocks_all_the_same(written):
         (lambda p, f: (p, f), "contraction", {"length": 200 * mm}),
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*its name says")
 def test_what_no_muscle_does_is_an_error_of_its_column(written, change, field, options):
     pressure, contraction, force, _ = measured()
     pressure, force = change(pressure, force)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -89,6 +89,11 @@ _GAUGE = re.compile(r"(.*?)(?:\s*\((?:g|gauge|rel)\)| ?gauge| rel| g|(?<=bar|psi
 _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a|(?<=bar|psi)a)", re.IGNORECASE)
 
 
+_ABSOLUTE_NAME = re.compile(r"(?<![a-z])abs(?![a-z])|absolut", re.IGNORECASE)
+_FOREIGN = frozenset("at atm torr mmhg mh2o v mv g kg cn dn mn hpa mbar lb volts".split())
+"""Units, in small letters, that contradict any other, in addition to those of `units`."""
+
+
 class Header(NamedTuple):
     """Meaning of a header: a key of `ACCEPTED`, and its unit; `direction`, `repeat` and `phase` have no unit."""
 
@@ -121,12 +126,17 @@ def unit_error(header: str, unit: str = "") -> str:
         return ""
     known = {name.lower() for name in units.UNITS}
     for quantity, spelled in _readings(header, unit):
-        absolute = _ABSOLUTE.fullmatch(spelled)
-        if quantity.endswith("pressure") and absolute and absolute[1].lower() in known:
+        if quantity.endswith("pressure") and _is_absolute(spelled):
             return f"{spelled!r} is absolute; a gauge pressure is needed"
         if spelled.lower() in known and _name(header) not in _SYMBOLS:
             return f"{spelled!r} is not a unit of {quantity} here"
     return ""
+
+
+def _is_absolute(unit: str) -> bool:
+    """True for a unit of absolute pressure, such as psia or "bar abs"."""
+    absolute = _ABSOLUTE.fullmatch(unit)
+    return absolute is not None and absolute[1].lower() in {name.lower() for name in units.UNITS}
 
 
 def is_unit(text: str) -> bool:
@@ -199,6 +209,7 @@ def _same_unit(spelled: str, known: str, quantity: str) -> bool:
 
 
 _BY_NAME = "columns={...} (command line: --column 'HEADER=NAME')"
+_SUBTRACT = "subtract the ambient pressure in the file, and state a gauge pressure in its header"
 _LONGEST = 200  # characters of a name; matching takes quadratic time
 _SHOWN = 40  # names of the file's columns in a message
 
@@ -237,29 +248,44 @@ def find_columns(
     }
     asked: set[str] = set()
     seen: set[str] = set()
+    assigned: dict[int, str] = {}
+    positions: set[int] = set()
     for given, name in mapping.items():
         column = parse_header(name)
-        if given not in header:
+        by_position = int(given) - 1 if given.isdecimal() and given not in header else -1
+        if given in header:
+            assigned |= {index: name for index, one in enumerate(header) if one == given}
+        elif 0 <= by_position < len(header):
+            assigned[by_position] = name
+            positions.add(by_position)
+        else:
             problem(f"columns has {given!r}, the file {shown}")
         if column is None:
             problem(f"columns assigns the unknown name {name!r} to {given!r}", remedy=f"accepted are {_accepted()}")
         else:
             asked.add(column.quantity)
     columns = [
-        parse_header(mapping[channel.name]) if channel.name in mapping else parse_header(channel.label, channel.unit)
-        for channel in sheet.channels
+        parse_header(assigned[index]) if index in assigned else parse_header(channel.label, channel.unit)
+        for index, channel in enumerate(sheet.channels)
     ]
+    _leave_out_constant_length(sheet, layout, columns, assigned)
+    chosen = {header[index] for index in positions}
     lengths = {"contraction", "length"} & {column.quantity for column in columns if column}
     known = asked | {*unread} | ({"displacement"} if lengths else set())  # not to be read from another column
     for index, (channel, column) in enumerate(zip(sheet.channels, columns, strict=True)):
         text = channel.name
-        mapped = text in mapping
+        mapped = index in assigned
         seen.add(header[index - 1] if index else "")
-        if text and text in seen:
-            problem("appears twice in the header", text)
+        if text and text in seen and index not in positions:
+            if text in chosen:
+                layout.ignored.append(text)
+            else:
+                by_position = f"columns={{'{index + 1}': ...}} (command line: --column {index + 1}=NAME)"
+                problem("appears twice in the header", text, f"choose one by its position: {by_position}")
         elif column is None or (column.quantity in known and not mapped):
             if column is None and not mapped and (reason := unit_error(channel.label, channel.unit)):
-                problem(reason, text, f"accepted are {_accepted(channel.label)}")
+                remedy = _SUBTRACT if "absolute" in reason else f"accepted are {_accepted(channel.label)}"
+                problem(reason, text, remedy)
             layout.ignored += [text] if text else []
         elif column.quantity in layout.places:
             first = header[layout.places[column.quantity][0]]
@@ -267,13 +293,7 @@ def find_columns(
             problem(f"duplicates {column.quantity}, after {first!r}", text, remedy)
         else:
             layout.places[column.quantity] = index, column
-            unit = _bare(channel.unit)
-            if is_unit(unit) and not _same_unit(unit, column.unit, column.quantity):
-                if mapped:
-                    layout.suspect.append(f"{text!r} is read in {column.unit} as assigned, but the file has {unit}")
-                    continue
-                remedy = f"correct one of them, or assign it by {_BY_NAME}"
-                problem(f"is in {column.unit} by its name, but in {unit} by its unit", text, remedy)
+            _compare_units(channel, column, layout, problem, mapped=mapped)
     for name in needed:
         kinds = {"contraction", "length", "displacement"} if name == "contraction" else {name}
         if kinds & {*layout.places}:
@@ -303,7 +323,57 @@ def find_columns(
         and quantity not in asked
     ]
     _same_length(sheet, layout)
+    _same_clock(sheet, layout)
     return layout
+
+
+def _compare_units(
+    channel: RawColumn, column: Header, layout: Layout, problem: Callable[..., None], *, mapped: bool
+) -> None:
+    """Compare the unit of a column with the one that the file states in addition: in a row of units, or in its name."""
+    named = ""
+    if mapped:
+        match = _WITH_UNIT.fullmatch(channel.label)
+        named = next(filter(None, match.groups()[1:])) if match else "_".join(channel.label.split("_")[1:])
+        named = _bare(named) if _is_contradiction(_bare(named)) else ""
+    absolute = any(map(_is_absolute, (_bare(channel.unit), named))) or (mapped and _ABSOLUTE_NAME.search(channel.label))
+    if column.quantity.endswith("pressure") and absolute:
+        problem("is an absolute pressure; a gauge pressure is needed", channel.name, _SUBTRACT)
+        return
+    for stated, where in ((_bare(channel.unit), "the file has"), (named, "its name says")):
+        if not stated or not column.unit or _same_unit(stated, column.unit, column.quantity):
+            continue
+        if mapped or not _is_contradiction(stated):
+            layout.suspect.append(f"{channel.name!r} is read in {column.unit}, but {where} {stated!r}")
+        else:
+            remedy = f"correct one of them, or assign it by {_BY_NAME}"
+            problem(f"is in {column.unit} by its name, but in {stated} by its unit", channel.name, remedy)
+
+
+def _is_contradiction(text: str) -> bool:
+    """True for a text with a unit in it, such as "10 N" or kgf/cm2."""
+    known = {name.lower() for name in units.UNITS} | _FOREIGN
+    return is_unit(text) or _is_absolute(text) or any(word in known for word in re.split(r"[^a-z%]+", text.lower()))
+
+
+def _leave_out_constant_length(
+    sheet: RawTable, layout: Layout, columns: list[Header | None], assigned: Collection[int]
+) -> None:
+    """Leave out a constant length, which is the initial one, where a displacement varies."""
+    places = {column.quantity: index for index, column in enumerate(columns) if column}
+    if not {"length", "displacement"} <= places.keys():
+        return
+    length, displacement = (places[name] for name in ("length", "displacement"))
+    if length in assigned or not _is_constant(sheet.channels[length]) or _is_constant(sheet.channels[displacement]):
+        return
+    columns[length] = None
+    names = [sheet.channels[index].name for index in (length, displacement)]
+    layout.suspect.append(f"{names[0]!r} is constant and is left out; {names[1]!r} is read")
+
+
+def _is_constant(channel: RawColumn) -> bool:
+    cells = channel.cells
+    return len(cells) > 1 and all(cell == cells[0] for cell in cells)
 
 
 def _candidate(header: str) -> str:
@@ -331,6 +401,26 @@ def _same_length(sheet: RawTable, layout: Layout) -> None:
             message = f"has {len(channel.cells)} values, {read[0].name!r} {len(read[0].cells)}"
             remedy = "read columns of equal length"
             layout.problems.append(sheet.kind(message, field=channel.name, remedy=remedy))
+
+
+def _same_clock(sheet: RawTable, layout: Layout) -> None:
+    """Refuse columns of several sheets or groups that have times of their own; warn of several without."""
+
+    def part(channel: RawColumn) -> str:
+        return channel.name.rpartition("/")[0] if channel.short else ""
+
+    used = dict.fromkeys(part(sheet.channels[index]) for index, _ in layout.places.values())
+    if len(used) < 2:
+        return
+    clocks = {
+        part(one) for one in sheet.channels if (found := parse_header(one.label, one.unit)) and found.quantity == "time"
+    }
+    shown = " and ".join(map(repr, used))
+    if len(clocks & {*used}) > 1:
+        remedy = "write them at common times to one sheet, or read one sheet alone"
+        layout.problems.append(sheet.kind(f"columns are from {shown}, which have their own times", remedy=remedy))
+    else:
+        layout.suspect.append(f"columns are from {shown}: their rows are taken to belong together")
 
 
 def _accepted(header: str = "") -> str:

@@ -216,6 +216,10 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
         for row in rows[skipped:]
         if row.cells[0].strip() != first_name or [cell.strip() for cell in row.cells] != header
     ]
+    for row in (others := [row for row in rows if _is_other_header(row, units, known)]):
+        remedy = "split the file there, and read the parts one by one"
+        sheet.problems.append(Problem("is another header or row of units", line=row.line, remedy=remedy))
+    rows = [row for row in rows if row not in others] if others else rows
     if rows and all(len(row.cells) == len(header) + 1 and _ROW_NUMBER.fullmatch(row.cells[0]) for row in rows):
         index = [int(row.cells[0]) for row in rows]
         counts = np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1
@@ -249,6 +253,14 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     sheet.channels = [
         RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
     ]
+
+
+def _is_other_header(row: _Row, units: Sequence[str], known: _Known) -> bool:
+    """True for a row that changes names or units in the middle of a file."""
+    if not _has_no_number(row):
+        return False
+    cells = [cell.strip() for cell in row.cells]
+    return sum(known(cell, "") for cell in cells) > 1 or (_is_units(cells) and cells != list(units))
 
 
 _COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")

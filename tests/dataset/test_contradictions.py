@@ -1,0 +1,92 @@
+"""Files that contradict themselves, or an option: an error or a warning, never a wrong number in silence."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from mckibben.dataset import read_dataset
+from mckibben.errors import DatasetError, McKibbenWarning
+
+ROWS = "".join(f"{p},{f},{c}\n" for p, f, c in ((2, 100, 0), (2, 80, 4), (3, 160, 0), (3, 130, 4), (4, 220, 0)))
+
+
+@pytest.fixture
+def put(tmp_path):
+    def write(text):
+        path = tmp_path / "rig.csv"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def refused(path, **options):
+    """Fields of the problems of a file."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with pytest.raises(DatasetError) as caught:
+            read_dataset(path, **options)
+    return [problem.field or problem.line for problem in caught.value.problems]
+
+
+@pytest.mark.parametrize(
+    ("units", "field"),
+    [("bar abs,N,%", "pressure_bar"), ("psia,N,%", "pressure_bar"), ("bar,kg,%", "force_N"), ("bar,dN,%", "force_N")],
+)
+def test_a_row_of_units_that_contradicts_the_header_is_refused(put, units, field):
+    assert refused(put(f"pressure_bar,force_N,contraction_percent\n{units}\n{ROWS}")) == [field]
+
+
+@pytest.mark.parametrize("header", ["p [psia]", "Absolute pressure [bar]", "p_abs_bar", "p [bar(a)]"])
+def test_an_absolute_pressure_is_refused_even_if_it_is_assigned(put, header):
+    path = put(f"{header},force_N,contraction_percent\n{ROWS}")
+    assert refused(path, columns={header: "pressure_bar"}) == [header]
+
+
+@pytest.mark.parametrize("header", ["F [10 N]", "force [kg]", "Effort (daN)", "force (x10 N)"])
+def test_a_unit_in_the_name_that_contradicts_the_assigned_one_is_a_warning(put, header):
+    path = put(f"pressure_bar,{header},contraction_percent\n{ROWS}")
+    with pytest.warns(McKibbenWarning, match="its name says"):
+        read_dataset(path, columns={header: "force_N"})
+
+
+def test_words_in_brackets_are_no_unit(put):
+    path = put(f"pressure_bar,Load cell (left),contraction_percent\n{ROWS}")
+    assert read_dataset(path, columns={"Load cell (left)": "force_N"}).force[0] == 100
+
+
+def test_one_of_two_columns_of_a_name_is_chosen_by_its_position(put):
+    rows = "".join(f"{p},{f / 2},{f},{c}\n" for p, f, c in np.loadtxt(ROWS.splitlines(), delimiter=","))
+    path = put(f"pressure_bar,Force [N],Force [N],contraction_percent\n{rows}")
+    assert refused(path) == ["Force [N]"]
+    assert [read_dataset(path, columns={place: "force_N"}).force[0] for place in "23"] == [50, 100]
+
+
+def test_a_constant_length_gives_way_to_a_displacement(put):
+    rows = "".join(f"{p};{f};180;{c}\n" for p, f, c in np.loadtxt(ROWS.splitlines(), delimiter=","))
+    path = put(f"pressure_bar;force_N;Länge [mm];Hub [mm]\n{rows}")
+    with pytest.warns(McKibbenWarning, match="constant"):
+        data = read_dataset(path, initial_length=0.18, displacement="shortening")
+    assert data.contraction.max() == pytest.approx(4 / 180)
+
+
+@pytest.mark.parametrize("other", ["pressure_bar,force_kgf,contraction_percent", "kPa,N,%", "bar,kN,%"])
+def test_another_header_within_a_file_is_refused(put, other):
+    path = put(f"pressure_bar,force_N,contraction_percent\n{ROWS}{other}\n{ROWS}")
+    assert refused(path, on_corrupt="report") == [7]
+
+
+def test_sheets_with_times_of_their_own_are_not_read_row_by_row(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    loads, pressures = book.active, book.create_sheet("Pressure log")
+    loads.append(["time [s]", "force [N]", "contraction [%]"])
+    pressures.append(["time [s]", "pressure [bar]"])
+    for i, (p, f, c) in enumerate(np.loadtxt(ROWS.splitlines(), delimiter=",").tolist()):
+        loads.append([i, f, c])
+        pressures.append([2 * i, p])
+    book.save(tmp_path / "two.xlsx")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(tmp_path / "two.xlsx")
+    assert any("time" in problem.message for problem in caught.value.problems)
