@@ -25,7 +25,7 @@ from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
 from mckibben.cli.export import export
-from mckibben.cli.identify import identify, points, validate
+from mckibben.cli.identify import identify, validate
 from mckibben.cli.leg import leg
 from mckibben.cli.options import (
     INTERRUPTED,
@@ -45,6 +45,7 @@ from mckibben.cli.options import (
     with_accuracy,
 )
 from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
+from mckibben.cli.points import points
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import merge, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable

@@ -68,6 +68,8 @@ SIGNALS = {
     "sine": "{{class: sine, amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}",
 }
 ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}
+SMALL_MOTION = "small_motion_stiffness"
+"""Column of results whose muscles have friction."""
 _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", "pressure1", "pressure2")
 
 
@@ -123,12 +125,13 @@ def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
     remarks = [] if feasibility.feasible else [feasibility.describe()]
     if result.outcome.name != "COMPLETED":
         remarks.append(result.outcome.value)
-    return _kept(scenario, result, folder), remarks
+    return _kept(scenario, result, folder), [*remarks, *scenario.joint.remarks]
 
 
 def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
     step = max(1, len(result["angle"]) // 1200)
-    columns = {name: np.asarray(result[name])[::step] for name in _COLUMNS}
+    names = [*_COLUMNS, *({SMALL_MOTION} & set(result.columns))]
+    columns = {name: np.asarray(result[name])[::step] for name in names}
     bounds = np.asarray(result["lowest_stiffness"])[::step], np.asarray(result["highest_stiffness"])[::step]
     joint = scenario.plant().joint
     sizes = muscle_sizes(joint, [np.asarray(result[f"contraction{number}"])[::step] for number in (1, 2)])
