@@ -84,6 +84,10 @@ from .plant import (
     Tube as Tube,
     UnequalValves as UnequalValves,
 )
+from .reachability import (
+    Requirement as Requirement,
+    size as size,
+)
 from .rig import (
     IsobaricProtocol as IsobaricProtocol,
     SimulatedIsobaricTest as SimulatedIsobaricTest,

@@ -47,6 +47,7 @@ from mckibben.cli.options import (
 from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
 from mckibben.cli.points import points
 from mckibben.cli.rig import rig
+from mckibben.cli.size import size
 from mckibben.cli.sweep import merge, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json, write_json
@@ -176,6 +177,7 @@ def simulate(
         raise typer.Exit(1)
 
 
+app.command()(size)
 app.command()(envelope)
 app.command()(stiffness)
 app.command()(margins)

@@ -29,7 +29,7 @@ _LIMITS = [f"{end} contraction of muscle {i}" for end in ("minimum", "maximum") 
 CONSTRAINTS = (*_LIMITS, "attainable torque", "lowest attainable stiffness", "highest attainable stiffness")
 """Constraints of a design, in the order of `constraint_margins`."""
 
-_CONTRACTION_SCALE, _TENSION_SCALE, _STIFFNESS_SCALE = 1 * percent, 10.0, 0.05
+_CONTRACTION_SCALE, _TENSION_SCALE, STIFFNESS_SCALE = 1 * percent, 10.0, 0.05
 _ANGLES = 25  # of the target, in the optimisation
 _RESULT_ANGLES = 241
 _ACTIVE = 0.05  # constraints within this of the smallest margin, absolute or relative, count as active
@@ -170,7 +170,7 @@ def constraint_margins(
         return _unclipped_stiffness(joint.geometry, muscles, angle, pressures)
 
     ends = stiffness_at(first), stiffness_at(last)
-    scale = _STIFFNESS_SCALE * jnp.maximum(jnp.abs(stiffness[1]), 1.0)
+    scale = STIFFNESS_SCALE * jnp.maximum(jnp.abs(stiffness[1]), 1.0)
     margins = [
         *((e - m.domain.contraction_min) / _CONTRACTION_SCALE for m, e in zip(muscles, contractions, strict=True)),
         *((m.domain.contraction_max - e) / _CONTRACTION_SCALE for m, e in zip(muscles, contractions, strict=True)),
@@ -397,7 +397,7 @@ def design(
     lengths = {name: float(value) for name, value in zip(names, lower + width * best, strict=True)}
     sized = numeric(with_lengths(plant, lengths))
     checked = np.linspace(*target.angles, _RESULT_ANGLES)
-    band = _attained_stiffness(sized, checked, target.torque_reserve, minimum_tension)
+    band = attained_stiffness(sized, checked, target.torque_reserve, minimum_tension)
     return Design(
         target,
         lengths,
@@ -462,9 +462,10 @@ def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], start
 
 
 @compiled
-def _attained_stiffness(
+def attained_stiffness(
     plant: JointPlant, angle: ArrayLike, reserve: ArrayLike, minimum_tension: float
 ) -> tuple[Array, Array]:
+    """Lowest and highest stiffness [N*m/rad] attainable at both torques of a reserve [N*m], over angles [rad]."""
     torque = floating(reserve) * jnp.array([-1.0, 1.0])[:, None] - plant.load.gravity_torque(angle)
     lowest, highest = plant.supplied_joint.attainable_stiffness(angle, torque, minimum_tension=minimum_tension)
     return jnp.max(lowest, axis=0), jnp.min(highest, axis=0)
