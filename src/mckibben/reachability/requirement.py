@@ -110,8 +110,10 @@ class Requirement:
             float(self.load.total_inertia) * rate, float(self.load.damping)
         )
 
-    def scaled(self, *, load: float = 1.0, angles: float = 1.0, stiffness: float = 1.0) -> Requirement:
-        """The requirement with load and torque, range about the same middle, or stiffness times a factor."""
+    def scaled(
+        self, *, load: float = 1.0, angles: float = 1.0, stiffness: float = 1.0, cycle: float = 1.0
+    ) -> Requirement:
+        """The requirement with load and torque, range about the same middle, stiffness, or cycle times a factor."""
         given, half = self.load, self.amplitude * angles
         moved = GeneralLoad(
             inertia=float(given.total_inertia) * load,
@@ -126,6 +128,7 @@ class Requirement:
             torque=self.torque * load,
             angles=(self.middle - half, self.middle + half),
             stiffness=wanted,
+            cycle=self.cycle * cycle,
         )
 
     def stiffness_text(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -166,10 +167,11 @@ class Selection:
         supply = one.supply
         diameter = one.make.muscle.specimen.initial_diameter
         size = f"{show(float(diameter), 'mm', 4)} x " if diameter is not None else ""
+        path = one.length * (1 - one.contraction)
         strongest = max(float(np.max(tension)) for tension in _largest_tensions(one, self.requirement))
         return [
             ("2", "muscle", f"{one.make.name}, {size}{one.length / mm:g} mm, forces up to {strongest:.3g} N"),
-            ("2", "pulley", f"radius {one.radius / mm:g} mm"),
+            ("2", "pulley", f"radius {one.radius / mm:g} mm; muscle {path / mm:g} mm long in the middle of the motion"),
             ("2", "proportional valve", f"{supply.valve_name}, needed C {supply.needed * 1e8:.3g} L/(s*bar)"),
             ("2", "tube", f"inner diameter {supply.tube / mm:g} mm"),
             ("1", "reservoir", f"{supply.reservoir * 1e3:.2g} L"),
@@ -257,7 +259,7 @@ def size(requirement: Requirement, makes: Sequence[Make] | None = None, *, tube_
         If there are no makes, or a law is not affine in pressure.
     UnreachableError
         If no make meets the requirement, with the limit of each. `value` has the factors nearest to 1 on "load",
-        "angles" or "stiffness", each alone, with which one of them meets it statically.
+        "angles", "stiffness" or "cycle", each alone, with which one of them meets it.
     """
     makes = catalog_makes() if makes is None else tuple(makes)
     if not makes:
@@ -276,7 +278,7 @@ def size(requirement: Requirement, makes: Sequence[Make] | None = None, *, tube_
             rejected.append((make.name, str(error)))
     if not found:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected)
-        factors = _nearest(makes, requirement)
+        factors = _nearest(makes, requirement, tube_length)
         remedy = _remedy(requirement, factors)
         raise UnreachableError(f"no muscle meets the requirement: {reasons}", value=factors, remedy=remedy)
     return Selection(requirement, tuple(sorted(found, key=lambda one: one.supply.air)), tuple(rejected))
@@ -427,12 +429,15 @@ def _described(margins: np.ndarray) -> str:
     return f"limited by {' and '.join(broken or [_limiting(margins)])}"
 
 
-def _nearest(makes: Sequence[Make], need: Requirement) -> dict[str, float]:
-    """Factors nearest to 1 on load, range or stiffness, each alone, with which a make meets the requirement."""
+def _nearest(makes: Sequence[Make], need: Requirement, tube_length: float) -> dict[str, float]:
+    """Factors nearest to 1 on load, range, stiffness or cycle, each alone, with which a make meets the requirement."""
 
     def meets(**factors: float) -> bool:
         changed = need.scaled(**factors)
-        return any(bool((_searched(make, changed)[1].min(axis=1) >= 0).any()) for make in makes)
+        for make in makes:
+            with suppress(UnreachableError):
+                return bool(_candidate(make, changed, tube_length))
+        return False
 
     def nearest(name: str, end: float) -> float:
         """By bisection of the logarithm between 1 and an end; NaN if the end is not met."""
@@ -444,7 +449,7 @@ def _nearest(makes: Sequence[Make], need: Requirement) -> dict[str, float]:
             within, beyond = (middle, beyond) if meets(**{name: math.exp(middle)}) else (within, middle)
         return math.exp(within)
 
-    found = {"load": nearest("load", _LEAST), "angles": nearest("angles", _LEAST)}
+    found = {name: nearest(name, _LEAST) for name in ("load", "angles")} | {"cycle": nearest("cycle", _MOST)}
     if need.stiffness:
         softer = nearest("stiffness", _LEAST)
         found["stiffness"] = softer if math.isfinite(softer) else nearest("stiffness", _MOST)
@@ -462,6 +467,7 @@ def _remedy(need: Requirement, factors: dict[str, float]) -> str:
                 "load": f"{factor / percent:.3g} % of load and torque",
                 "angles": f"angles of {first:.3g}..{last:.3g} deg",
                 "stiffness": f"a stiffness of {changed.stiffness_text()}",
+                "cycle": f"a cycle of {changed.cycle:.3g} s",
             }[name]
         )
     return f"possible, each alone: {', or '.join(texts)}" if texts else "relax several requirements at once"
