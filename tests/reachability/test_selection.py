@@ -175,15 +175,15 @@ def test_a_fast_motion_is_limited_by_the_valves():
     assert factor > 1 and size(dataclasses.replace(need, cycle=0.05 * factor), [TWENTY]).candidates
 
 
-def test_without_a_required_stiffness_one_is_attainable_throughout():
+def test_without_a_required_stiffness_the_run_takes_the_middle_of_the_attainable_range():
     need = dataclasses.replace(NEED, stiffness=None, angles=(-20 * deg, 50 * deg))
-    found = size(need, [TWENTY])
-    low, high = found.best.stiffness[1]
-    assert low < high
-    assert found.scenario().signals.stiffness(0.0) == pytest.approx((low + high) / 2)
-    assert found.best.plant.joint.contractions(15 * deg, (2 * bar, 2 * bar))[0] == pytest.approx(
-        found.best.contraction, abs=1e-9
-    )
+    found = size(need)
+    assert {one.make.name for one in found.candidates} == {make.name for make in catalog_makes()}
+    for one in found.candidates:
+        assert float(one.plant.joint.contractions(15 * deg, (2 * bar, 2 * bar))[0]) == pytest.approx(one.contraction)
+        low, high = one.plant.joint.attainable_stiffness(-20 * deg, -LOAD.gravity_torque(-20 * deg))
+        assert low < found.scenario(one).start.stiffness < high
+        assert all(check.met for check in found.verify(found.scenario(one).simulate()))
 
 
 def test_a_muscle_file_is_a_make_with_the_uncertainty_of_its_fit(tmp_path):

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from mckibben.config.document import read_document, to_text
-from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Signal, Sine
+from mckibben.config.document import plain, read_document, to_text
+from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
 from mckibben.errors import McKibbenError, ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
 from mckibben.muscle import MaxwellSlip, Muscle, PressureAffineLaw
@@ -24,7 +24,7 @@ from mckibben.numerics.compiled import compiled
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.requirement import Make, Requirement, catalog_makes, with_length, with_supply
-from mckibben.reachability.sizing import CONSTRAINTS, STIFFNESS_SCALE, attained_stiffness, constraint_margins
+from mckibben.reachability.sizing import CONSTRAINTS, attained_stiffness, constraint_margins
 from mckibben.reachability.trajectory import reference_trajectory
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import Result
@@ -33,14 +33,14 @@ from mckibben.units import deg, mm, percent, show
 _HEADROOM = 0.9  # of the supply: air flows into a muscle only below it
 _TENSION = 5.0  # N: least tension of both muscles
 _ANY = (1e6, -1e6)  # stiffness that every joint attains
-_BAND = 1.1  # highest over lowest stiffness of a joint without a required one
 _ANGLES = 13  # of the search
 _RESULT_ANGLES = 61
 _SHORTEST, _NARROWEST = 0.04, 0.005  # m
-_LENGTHS, _RADII, _CONTRACTIONS = 48, 24, 12  # of the search
+_SLENDER = 3.0  # shortest muscle per diameter, below which it is not a cylinder (ours)
+_LENGTHS, _RADII, _CONTRACTIONS = 80, 24, 12  # of the search
 _STEP = 5 * mm  # of lengths of muscles; radii have steps of 0.5 mm
-_CYCLES = 3
-_SAMPLES = 200  # of a cycle
+_CYCLES, _PERIOD = 3, 1e-3
+_SAMPLES, _KNOTS = 200, 32  # of a cycle, of the motion and of a stiffness that is not required
 _ACTIVE = 0.05
 _BISECTIONS = 7
 _LEAST, _MOST = 0.02, 20.0  # factors within which the nearest requirement is sought
@@ -62,7 +62,8 @@ class Candidate(NamedTuple):
         Torque [N*m] in either direction in excess of gravity that is attainable throughout: with the lowest, nominal
         and highest forces within the uncertainty of the make.
     stiffness
-        Lowest and highest stiffness [N*m/rad] attainable throughout, at these forces.
+        Lowest and highest stiffness [N*m/rad] attainable throughout, at these forces; the first is the higher one if no
+        stiffness is.
     supply
         The air supply.
     """
@@ -144,7 +145,7 @@ class Selection:
                 f"{one.radius / mm:g} mm",
                 f"{one.contraction / percent:.3g} %",
                 f"{one.torque[1]:.3g} ({one.torque[0]:.3g}..{one.torque[2]:.3g}) N*m",
-                "{:.3g}..{:.3g} N*m/rad".format(*one.stiffness[1]),
+                _range(one.stiffness[1]),
                 one.supply.valve_name,
                 f"{one.supply.air * 1e3:.3g} L",
                 one.limiting,
@@ -182,19 +183,19 @@ class Selection:
         """A scenario of three cycles with a candidate, by default the best; a stiffness range is passed through."""
         one = candidate or self.best
         need = self.requirement
-        stiffness = _stiffness(need, one.stiffness[1])
+        reference = _reference(need, one.plant)
         scenario = Scenario(
             name=f"sized: {one.make.name}, {one.length / mm:g} mm",
             joint=one.plant.joint,
             load=one.plant.load,
             valve=one.supply.valve,
             controller=DecouplingControl(one.plant.joint, one.plant.load, PolePlacement()),  # type: ignore[call-arg]
-            reference=_reference(need, stiffness),  # type: ignore[call-arg]
-            start=Start(angle=need.angles[0], stiffness=stiffness[0]),
-            duration=_CYCLES * need.cycle,
-            control_period=1e-3,
+            reference=reference,  # type: ignore[call-arg]
+            start=Start(angle=need.angles[0], stiffness=float(reference.stiffness(0.0))),
+            duration=max(round(_CYCLES * need.cycle / _PERIOD), 1) * _PERIOD,
+            control_period=_PERIOD,
         )
-        text = dict(read_document(scenario.dumps()).data)
+        text = plain(read_document(scenario.dumps()).data)
         text["controller"] = {"class": "decoupling", "feedback": {}}  # its model is the plant's
         text["valve"] = {"from": one.supply.valve_name, "supply": show(need.supply, "bar")}
         return Scenario.parse(to_text(text))
@@ -305,7 +306,9 @@ class _Grid(NamedTuple):
 def _grid(make: Make, need: Requirement) -> _Grid:
     domain = make.muscle.domain
     low, high = float(domain.contraction_min), float(domain.contraction_max)
-    lengths = np.unique(np.round(np.geomspace(_SHORTEST, max(need.longest, _SHORTEST), _LENGTHS) / _STEP) * _STEP)
+    shortest = max(_SHORTEST, _SLENDER * float(make.muscle.specimen.initial_diameter or 0.0))
+    lengths = np.unique(np.round(np.geomspace(_SHORTEST, max(need.longest, shortest), _LENGTHS) / _STEP) * _STEP)
+    lengths = lengths[lengths >= shortest - 1e-9]
     radii = np.unique(np.round(np.geomspace(_NARROWEST, max(need.widest, _NARROWEST), _RADII) / mm * 2) / 2 * mm)
     parts = np.linspace(0.0, 1.0, _CONTRACTIONS)
     length, radius, part = (each.ravel() for each in np.meshgrid(lengths, radii, parts, indexing="ij"))
@@ -340,12 +343,7 @@ def _searched(make: Make, need: Requirement) -> tuple[_Grid, np.ndarray]:
     both = [
         np.asarray(_margins(_plant(make.with_strength(1 + sign * make.uncertainty), need), *given)) for sign in (-1, 1)
     ]
-    margins = np.nan_to_num(np.minimum(*both), nan=-np.inf)
-    if need.stiffness is None:  # one stiffness throughout the motion
-        scale = STIFFNESS_SCALE * _ANY[0]
-        low, high = _ANY[0] - scale * margins[:, -2], scale * margins[:, -1] + _ANY[1]
-        margins[:, -2:] = ((high - _BAND * low) / (STIFFNESS_SCALE * np.maximum(high, 1.0)))[:, None]
-    return grid, margins
+    return grid, np.nan_to_num(np.minimum(*both), nan=-np.inf)
 
 
 def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
@@ -368,7 +366,7 @@ def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
     stiffness = tuple(_common(attained_stiffness(one, angles, need.reserve, _TENSION)) for one in plants)
     torque = tuple(_available(one, angles) for one in plants)
     motion = reference_trajectory(
-        _reference(need, _stiffness(need, stiffness[1])),
+        _reference(need, plants[1]),
         np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1),
         smoothing=need.cycle / 20,
     )
@@ -405,18 +403,27 @@ def _largest_tensions(one: Candidate, need: Requirement) -> tuple[Array, Array]:
     return one.plant.joint.tensions(angles, (highest, highest))
 
 
-def _stiffness(need: Requirement, attainable: tuple[float, float]) -> tuple[float, float]:
-    """Stiffness at the beginning and at the end of the motion."""
-    middle = sum(attainable) / 2
-    return need.stiffness or (middle, middle)
+def _reference(need: Requirement, plant: JointPlant) -> Reference:
+    """A sine from one end at rest.
 
-
-def _reference(need: Requirement, stiffness: tuple[float, float]) -> Reference:
-    """A sine from one end at rest; the stiffness passes through its range in the second cycle."""
-    low, high = stiffness
-    held: Signal = Constant(low) if low == high else Ramp(low, high, start=need.cycle, duration=need.cycle)
+    The stiffness passes through its range in the second cycle; without one it is the middle of the attainable range.
+    """
     angle = Sine(need.amplitude, 1 / need.cycle, offset=need.middle, phase=-math.pi / 2)
-    return Reference(angle=angle, stiffness=held)
+    if need.stiffness:
+        low, high = need.stiffness
+        held: Signal = Constant(low) if low == high else Ramp(low, high, start=need.cycle, duration=need.cycle)
+        return Reference(angle=angle, stiffness=held)
+    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _KNOTS + 1)
+    motion = reference_trajectory(Reference(angle=angle, stiffness=0.0), times, smoothing=0.0)
+    torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
+    low, high = plant.joint.attainable_stiffness(motion.angle, torque, minimum_tension=_TENSION)
+    middle = [float(f"{value:.4g}") for value in (np.asarray(low) + np.asarray(high)) / 2]
+    return Reference(angle=angle, stiffness=Samples(tuple(times.tolist()), tuple(middle)))
+
+
+def _range(stiffness: tuple[float, float]) -> str:
+    low, high = stiffness
+    return f"{low:.3g}..{high:.3g} N*m/rad" if low <= high else "varies with the angle"
 
 
 def _limiting(margins: np.ndarray) -> str:

@@ -29,7 +29,7 @@ _LIMITS = [f"{end} contraction of muscle {i}" for end in ("minimum", "maximum") 
 CONSTRAINTS = (*_LIMITS, "attainable torque", "lowest attainable stiffness", "highest attainable stiffness")
 """Constraints of a design, in the order of `constraint_margins`."""
 
-_CONTRACTION_SCALE, _TENSION_SCALE, STIFFNESS_SCALE = 1 * percent, 10.0, 0.05
+_CONTRACTION_SCALE, _TENSION_SCALE, _STIFFNESS_SCALE = 1 * percent, 10.0, 0.05
 _ANGLES = 25  # of the target, in the optimisation
 _RESULT_ANGLES = 241
 _ACTIVE = 0.05  # constraints within this of the smallest margin, absolute or relative, count as active
@@ -170,7 +170,7 @@ def constraint_margins(
         return _unclipped_stiffness(joint.geometry, muscles, angle, pressures)
 
     ends = stiffness_at(first), stiffness_at(last)
-    scale = STIFFNESS_SCALE * jnp.maximum(jnp.abs(stiffness[1]), 1.0)
+    scale = _STIFFNESS_SCALE * jnp.maximum(jnp.abs(stiffness[1]), 1.0)
     margins = [
         *((e - m.domain.contraction_min) / _CONTRACTION_SCALE for m, e in zip(muscles, contractions, strict=True)),
         *((m.domain.contraction_max - e) / _CONTRACTION_SCALE for m, e in zip(muscles, contractions, strict=True)),

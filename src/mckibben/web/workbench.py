@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from mckibben.config.document import read_document, to_text
+from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.joint import AntagonisticJoint
@@ -150,25 +150,18 @@ def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
 
 def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
     """The text of a scenario with a section replaced."""
-    data = _plain(read_document(text).data)
+    data = plain(read_document(text).data)
     inner: Any = data
     for key in place[:-1]:
         inner = inner[key]
-    inner[place[-1]] = _plain(read_document(f"x: {section}" if "\n" not in section else f"x:\n{section}").data)["x"]
+    inner[place[-1]] = plain(read_document(f"x: {section}" if "\n" not in section else f"x:\n{section}").data)["x"]
     return to_text(data)
-
-
-def _plain(data: Any) -> Any:
-    """A document as mutable dictionaries and lists."""
-    if isinstance(data, dict):
-        return {key: _plain(value) for key, value in data.items()}
-    return [_plain(one) for one in data] if isinstance(data, tuple | list) else data
 
 
 def with_joint(text: str, joint: str, folder: Path) -> Scenario:
     """The scenario with a new joint and a stiffness reference inside its attainable range."""
-    data = _plain(read_document(text).data)
-    data["joint"] = _plain(read_document(joint).data)["joint"]
+    data = plain(read_document(text).data)
+    data["joint"] = plain(read_document(joint).data)["joint"]
     scenario = parse(to_text(data), folder)
     plant = scenario.plant()
     angles = jnp.linspace(-10.0, 10.0, 9) * deg
