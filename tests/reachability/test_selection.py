@@ -200,6 +200,19 @@ def test_a_muscle_file_is_a_make_with_the_uncertainty_of_its_fit(tmp_path):
     assert read_make(tmp_path / "muscle.yaml", 0.1).uncertainty == pytest.approx(np.hypot(0.1, make.uncertainty))
 
 
+def test_friction_takes_its_torque():
+    ten = catalog_makes()[0]
+    rubbing = Muscle(ten.muscle.specimen, ten.muscle.law, mk.MaxwellSlip(12.0, 0.5 * mm))
+    need = dataclasses.replace(NEED, stiffness=None, torque=0.0)
+    plain, found = (size(need, [Make("ten", muscle, 0.0)]).best for muscle in (ten.muscle, rubbing))
+    angles = np.linspace(*need.angles, 61)
+    low, high = found.plant.joint.attainable_torque(angles, minimum_tension=5.0)
+    held = -LOAD.gravity_torque(angles)
+    available = float(np.minimum(high - held, held - low).min())
+    assert found.torque[1] == pytest.approx(available - 2 * 12.0 * found.radius)
+    assert found.length >= plain.length and found.torque[1] >= need.reserve
+
+
 def test_a_braid_gives_a_make_by_chous_law():
     braid = mk.Specimen(
         "braid", 200 * mm, initial_diameter=12 * mm, braid_angle=25 * deg, domain=mk.Domain(-0.03, 0.25, 0.0, 5 * bar)

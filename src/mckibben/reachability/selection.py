@@ -59,8 +59,8 @@ class Candidate(NamedTuple):
     limiting
         Requirement or limit that leaves the least margin.
     torque
-        Torque [N*m] in either direction in excess of gravity that is attainable throughout: with the lowest, nominal
-        and highest forces within the uncertainty of the make.
+        Torque [N*m] in either direction in excess of gravity and of the muscles' friction that is attainable
+        throughout: with the lowest, nominal and highest forces within the uncertainty of the make.
     stiffness
         Lowest and highest stiffness [N*m/rad] attainable throughout, at these forces; the first is the higher one if no
         stiffness is.
@@ -157,9 +157,6 @@ class Selection:
         """Rejected makes with the reason, and remarks on the best joint."""
         joint = self.best.plant.joint
         found = [f"rejected: {name}: {reason}" for name, reason in self.rejected]
-        if isinstance(friction := joint.muscle1.friction, MaxwellSlip):
-            lost = 2 * float(friction.half_width) * self.best.radius
-            found.append(f"the torques leave out the muscles' friction, which takes up to {lost:.2g} N*m of them")
         return [*found, *joint.remarks]
 
     def parts(self, candidate: Candidate | None = None) -> list[tuple[str, str, str]]:
@@ -326,24 +323,31 @@ def _plant(muscle: Muscle, need: Requirement) -> JointPlant:
 
 @compiled
 def _margins(
-    plant: JointPlant, lengths: dict[str, Array], angles: ArrayLike, stiffness: ArrayLike, reserve: ArrayLike
+    plant: JointPlant, lengths: dict[str, Array], angles: ArrayLike, stiffness: ArrayLike, reserve: Array
 ) -> Array:
     """Least margins of `CONSTRAINTS` over torques and angles, shape (candidates, constraints)."""
 
-    def one(lengths: dict[str, Array]) -> Array:
+    def one(lengths: dict[str, Array], reserve: Array) -> Array:
         return constraint_margins(plant, lengths, angles, stiffness, reserve, _TENSION).min(axis=(1, 2))
 
-    return jax.vmap(one)(lengths)
+    return jax.vmap(one)(lengths, reserve)
 
 
 def _searched(make: Make, need: Requirement) -> tuple[_Grid, np.ndarray]:
     """The grid of a make, and its margins with the lowest and the highest forces, shape (candidates, constraints)."""
     grid, angles = _grid(make, need), np.linspace(*need.angles, _ANGLES)
-    given = grid.lengths(need.middle), angles, np.asarray(need.stiffness or _ANY), need.reserve
+    reserve = need.reserve + _resistance(make) * grid.radius
+    given = grid.lengths(need.middle), angles, np.asarray(need.stiffness or _ANY), reserve
     both = [
         np.asarray(_margins(_plant(make.with_strength(1 + sign * make.uncertainty), need), *given)) for sign in (-1, 1)
     ]
     return grid, np.nan_to_num(np.minimum(*both), nan=-np.inf)
+
+
+def _resistance(make: Make) -> float:
+    """Friction [N] of both muscles, which opposes the motion."""
+    friction = make.muscle.friction
+    return 2 * float(friction.half_width) if isinstance(friction, MaxwellSlip) else 0.0
 
 
 def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
@@ -363,8 +367,9 @@ def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
         for part in (-1, 0, 1)
     ]
     angles = np.linspace(*need.angles, _RESULT_ANGLES)
-    stiffness = tuple(_common(attained_stiffness(one, angles, need.reserve, _TENSION)) for one in plants)
-    torque = tuple(_available(one, angles) for one in plants)
+    lost = _resistance(make) * radius
+    stiffness = tuple(_common(attained_stiffness(one, angles, need.reserve + lost, _TENSION)) for one in plants)
+    torque = tuple(_available(one, angles) - lost for one in plants)
     motion = reference_trajectory(
         _reference(need, plants[1]),
         np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1),
