@@ -74,6 +74,11 @@ def test_candidates_are_in_the_order_of_their_air_and_rejected_makes_have_a_reas
     assert len(found.rows()) == len(found.candidates) and len(found.rows()[0]) == len(found.headers)
 
 
+def test_a_muscle_that_is_too_short_for_its_diameter_is_rejected():
+    with pytest.raises(UnreachableError):
+        size(dataclasses.replace(NEED, longest=100 * mm, stiffness=None, torque=0.0), [catalog_makes()[2]])
+
+
 def test_a_longer_muscle_than_needed_is_not_selected(found):
     shorter = dataclasses.replace(NEED, longest=found.best.length - 20 * mm)
     with pytest.raises(UnreachableError):
@@ -250,3 +255,12 @@ def test_the_measured_map_of_20_mm_agrees_with_its_rating():
     assert float(data.force[at][0]) == 1460.1
     fit = mk.identify(mk.ExponentialLaw, data)
     assert fit.rmse < 0.01 * 1460
+
+
+def test_the_uncertainties_of_the_page():
+    ten, twenty, forty = catalog_makes()
+    assert [round(make.uncertainty, 2) for make in (ten, twenty, forty)] == [0.10, 0.12, 0.21]
+    contraction, pressure = np.meshgrid(np.linspace(0, 0.15, 7), np.linspace(2 * bar, 6 * bar, 5))
+    chart = np.asarray(ten.muscle.law.force(contraction, pressure)).ravel()
+    paper = np.asarray(catalog.law("lei-mas-10-180n").force(contraction, pressure)).ravel()
+    assert (paper @ chart) / (chart @ chart) == pytest.approx(1.23, abs=0.005)

@@ -155,9 +155,7 @@ class Selection:
 
     def remarks(self) -> list[str]:
         """Rejected makes with the reason, and remarks on the best joint."""
-        joint = self.best.plant.joint
-        found = [f"rejected: {name}: {reason}" for name, reason in self.rejected]
-        return [*found, *joint.remarks]
+        return [*(f"rejected: {name}: {reason}" for name, reason in self.rejected), *self.best.plant.joint.remarks]
 
     def parts(self, candidate: Candidate | None = None) -> list[tuple[str, str, str]]:
         """Bill of materials of a candidate, by default the best: number, part, size."""
@@ -303,9 +301,7 @@ class _Grid(NamedTuple):
 def _grid(make: Make, need: Requirement) -> _Grid:
     domain = make.muscle.domain
     low, high = float(domain.contraction_min), float(domain.contraction_max)
-    shortest = max(_SHORTEST, _SLENDER * float(make.muscle.specimen.initial_diameter or 0.0))
-    lengths = np.unique(np.round(np.geomspace(_SHORTEST, max(need.longest, shortest), _LENGTHS) / _STEP) * _STEP)
-    lengths = lengths[lengths >= shortest - 1e-9]
+    lengths = np.unique(np.round(np.geomspace(_SHORTEST, max(need.longest, _SHORTEST), _LENGTHS) / _STEP) * _STEP)
     radii = np.unique(np.round(np.geomspace(_NARROWEST, max(need.widest, _NARROWEST), _RADII) / mm * 2) / 2 * mm)
     parts = np.linspace(0.0, 1.0, _CONTRACTIONS)
     length, radius, part = (each.ravel() for each in np.meshgrid(lengths, radii, parts, indexing="ij"))
@@ -341,7 +337,14 @@ def _searched(make: Make, need: Requirement) -> tuple[_Grid, np.ndarray]:
     both = [
         np.asarray(_margins(_plant(make.with_strength(1 + sign * make.uncertainty), need), *given)) for sign in (-1, 1)
     ]
-    return grid, np.nan_to_num(np.minimum(*both), nan=-np.inf)
+    margins = np.nan_to_num(np.minimum(*both), nan=-np.inf)
+    lengths = np.asarray(grid.length)
+    margins[(lengths < _shortest(make) - 1e-9) | (lengths > need.longest + 1e-9)] = -np.inf
+    return grid, margins
+
+
+def _shortest(make: Make) -> float:
+    return max(_SHORTEST, _SLENDER * float(make.muscle.specimen.initial_diameter or 0.0))
 
 
 def _resistance(make: Make) -> float:
@@ -354,6 +357,8 @@ def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
     grid, margins = _searched(make, need)
     least = margins.min(axis=1)
     feasible = least >= 0
+    if _shortest(make) > need.longest:
+        raise UnreachableError(f"the shortest of these muscles, {_shortest(make) / mm:g} mm, is longer than allowed")
     if not feasible.any():
         at = int(np.argmax(least))
         best = f"with muscles of {float(grid.length[at]) / mm:g} mm"
