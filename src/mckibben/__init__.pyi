@@ -84,6 +84,10 @@ from .plant import (
     Tube as Tube,
     UnequalValves as UnequalValves,
 )
+from .reachability import (
+    Requirement as Requirement,
+    size as size,
+)
 from .rig import (
     IsobaricProtocol as IsobaricProtocol,
     SimulatedIsobaricTest as SimulatedIsobaricTest,
@@ -99,6 +103,9 @@ from .simulation import (
 )
 from .scenario import (
     Scenario as Scenario,
+)
+from .study.linearization import (
+    linearize as linearize,
 )
 from .study.sweep import (
     sweep as sweep,

@@ -275,6 +275,35 @@ def test_hysteresis_is_found_with_the_law(cli, tmp_path):
     assert "apply to a single law" in cli("identify", FESTO, "--law", "all", "--hysteresis").err
 
 
+@pytest.mark.slow
+def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
+    """The muscle file has it; simulate, envelope, tune and stiffness use it, and mention small motion once."""
+    rig = str(Path(__file__).parents[2] / "examples" / "rig.csv")
+    found = cli("identify", rig, "--out", "fit", "--json")
+    numbers = json.loads(found.out)
+    assert numbers["hysteresis"]["half_width_N"] == pytest.approx(12, rel=0.01)
+    plain = json.loads(cli("identify", rig, "--no-hysteresis", "--json").out)
+    assert "hysteresis" not in plain and plain["rmse_N"] > 100 * numbers["rmse_N"]
+    assert cli("identify", rig, "--no-hysteresis", "--no-drift").code == 2
+    muscle = read_component(Muscle, tmp_path / "fit" / "muscle.yaml")
+    assert float(muscle.friction.half_width) == pytest.approx(12, rel=0.01)
+    scenario = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+    section = "muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
+    assert section in scenario
+    text = scenario.replace(section, "muscle: fit/muscle.yaml").replace("10 s", "1 s").replace("at: 5 s", "at: 0.5 s")
+    (tmp_path / "joint.yaml").write_text(text)
+    for command in (
+        ("simulate", "joint.yaml"),
+        ("envelope", "joint.yaml"),
+        ("tune", "joint.yaml", "--iterations", "2", "--out", "tuned"),
+    ):
+        answer = cli(*command)
+        assert answer.code == 0, answer.err
+        assert (answer.out + answer.err).count("has friction, which") == 1
+    tests = json.loads(cli("stiffness", "joint.yaml", "--amplitude", "0.1..1 deg", "--rate", "1 Hz", "--json").out)
+    assert tests["secant"][0] > 2 * tests["isobaric"]
+
+
 def test_a_home_made_muscle_gets_a_volume_from_its_diameter_or_a_measured_fill(cli, german, tmp_path):
     for option, volume in ((("--diameter", "20 mm"), np.pi / 4 * 0.02**2 * 0.18), (("--fill", "50 cm^3"), 50e-6)):
         cli("identify", german, *COLUMNS, "--initial-length", "180 mm", *option, "--out", option[0].strip("-"))

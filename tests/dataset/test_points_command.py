@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from mckibben.cli.identify import _levels, points
+from mckibben.cli.points import _levels, points
 from mckibben.dataset import read_dataset
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
 from mckibben.units import bar

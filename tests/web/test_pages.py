@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import gc
 import random
 import re
@@ -27,6 +28,7 @@ from nicegui.testing import user_simulation
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
+from mckibben.identification import identify_with_friction
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
@@ -196,10 +198,32 @@ def test_points_are_pasted_fitted_downloaded_and_give_a_joint(tmp_path):
     content, muscle = asyncio.run(visit())
     zipfile.ZipFile(BytesIO(content)).extractall(tmp_path)
     (tmp_path / "rig.csv").write_text(RIG, encoding="utf-8")
-    expected = mk.identify(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
+    expected = identify_with_friction(ExponentialLaw, read_dataset(tmp_path / "rig.csv"))
     text = workbench.START.replace("{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}", "muscle.yaml")
     found = Scenario.parse(text, folder=tmp_path).joint.muscle1
-    assert found.law == muscle.law == expected.law
+    assert found.law == muscle.law == expected.fit.law
+    assert found.friction == muscle.friction
+    assert float(found.friction.half_width) == pytest.approx(float(expected.friction.half_width), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction():
+    rubbing = dataclasses.replace(MUSCLE, friction=mk.MaxwellSlip(7.5, 0.5 * mm))
+    assert design.compute(design.JointDesign(), MUSCLE).small_motion is None
+    found = design.compute(design.JointDesign(), rubbing)
+    angle = design.ANGLES[40]
+    expected = found.joint.attainable_stiffness(angle, 0.0, pressure_limits=(0.0, 6 * bar), amplitude=0.1 * deg)
+    np.testing.assert_allclose([edge[40] for edge in found.small_motion], expected)
+    assert found.small_motion[1][40] > 2 * found.stiffness[1][40]
+    text = workbench.START.replace("law: lei-mas-10-180n", "law: lei-mas-10-180n, friction: {half_width: 7.5 N}")
+    scenario = Scenario.parse(
+        text.replace("7.5 N}", "7.5 N, presliding_length: 0.5 mm}")
+        .replace("duration: 6", "duration: 0.1")
+        .replace("at: 3 s", "at: 0.05 s")
+    )
+    run, remarks = workbench.compute(scenario, Path())
+    assert run.columns[workbench.SMALL_MOTION].min() > run.columns["stiffness"].max()
+    assert remarks[-1:] == scenario.joint.remarks
 
 
 def test_problems_are_listed_by_line_and_shown_as_text():

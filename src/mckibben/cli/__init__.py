@@ -25,7 +25,7 @@ from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
 from mckibben.cli.export import export
-from mckibben.cli.identify import identify, points, validate
+from mckibben.cli.identify import identify, validate
 from mckibben.cli.leg import leg
 from mckibben.cli.options import (
     INTERRUPTED,
@@ -45,7 +45,9 @@ from mckibben.cli.options import (
     with_accuracy,
 )
 from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
+from mckibben.cli.points import points
 from mckibben.cli.rig import rig
+from mckibben.cli.size import size
 from mckibben.cli.sweep import merge, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json, write_json
@@ -245,7 +247,7 @@ def _listing(name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 _PANELS = {
     "The paper": (reproduce,),
     "Muscles, data and test rig": (points, identify, identify_air, validate, plan, laws, specimens, rig),
-    "Joint, leg and control": (simulate, envelope, stiffness, margins, oracle, calibrate, leg),
+    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, oracle, calibrate, leg),
     "Studies": (tune, compare, sweep, merge),
     "Other programs": (web, export, check),
 }

@@ -1,10 +1,9 @@
-"""`mckibben points`, `identify` and `validate`: points from recordings, force laws, and their validation."""
+"""`mckibben identify` and `validate`: force laws, friction, and their validation."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -29,193 +28,20 @@ from mckibben.cli.options import (
     notify,
     on_command_line,
     parse_optional_quantity,
-    parse_quantity,
     progress,
     read_data,
     recipe_of,
-    report_reading,
     results_folder,
     table,
 )
-from mckibben.errors import DatasetError, ParameterError, Problem, UnitError
+from mckibben.errors import ParameterError
 from mckibben.storage.files import atomic_write, make_subfolder, to_json, write_json
-from mckibben.units import bar, percent, show
+from mckibben.units import show
 
 if TYPE_CHECKING:
-    from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recipe, Recording
+    from mckibben.dataset import IsobaricDataset, Recipe
     from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking
     from mckibben.muscle import MaxwellSlip
-
-
-_SHOWN = 40  # rows of the table of points; below their columns, and the format of each
-_COLUMNS = {
-    "time_s": ".5g",
-    "pressure_bar": ".5g",
-    "contraction_percent": ".4g",
-    "force_N": ".5g",
-    "spread_N": ".2g",
-    "samples": "",
-    "came_by": "",
-}
-_LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
-
-
-def points(
-    recording: Annotated[
-        list[Path], Argument(metavar="RECORDING...", help="CSV, .xlsx, .mat, .tdms, .lvm or .nc, over time.")
-    ],
-    out: Annotated[
-        Path | None, Option(metavar="FILE", help="New file: .csv, or .nc with the spread of the force.")
-    ] = None,
-    isometric: Annotated[bool, Option("--isometric", help="Points at pressure levels at a fixed length.")] = False,
-    levels: Annotated[
-        str, Option(metavar="'1, 2, 3 bar'", help="Levels of --isometric (default: evenly spaced).")
-    ] = "",
-    count: Annotated[int, Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
-    contraction: Annotated[
-        str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")
-    ] = "",
-    pressure_tolerance: Annotated[str, Option(metavar="PRESSURE", help="Tolerance of a plateau.")] = "2 kPa",
-    contraction_tolerance: Annotated[
-        str, Option(metavar="RATIO", help="Tolerance of a plateau (default 0.1 %) or of --isometric (0.5 %).")
-    ] = "",
-    force_tolerance: Annotated[str, Option(metavar="FORCE", help="Tolerance of a plateau (default: none).")] = "",
-    dwell: Annotated[str, Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
-    settle: Annotated[str, Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
-    gap: Annotated[str, Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals).")] = "",
-    sample_rate: Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")] = "",
-    initial_length: InitialLength = "",
-    displacement: Displacement = "",
-    zero_length: ZeroLength = "",
-    slack_force: SlackForce = "",
-    force_sign: ForceSign = None,
-    specimen: Annotated[str, Option(metavar="NAME", help="Name of the specimen.")] = "",
-    column: Column = None,
-    skip_corrupt: SkipCorrupt = False,
-    decimal: Decimal = "",
-    recipe: RecipeFile = None,
-    save_recipe: Annotated[
-        Path | None, Option(metavar="FILE", help="New file: the options by which the recording was read.")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Extract points from a raw recording: steady plateaus, or pressure levels at a fixed length."""
-    for file, endings in ((out, (".csv", ".nc")), (save_recipe, (".yaml", ".yml"))):
-        if file is not None:
-            _check_new(file, endings)
-    pressures = _levels(levels)
-    how = recipe_of(
-        recipe,
-        column,
-        initial_length,
-        displacement,
-        zero_length,
-        slack_force,
-        force_sign,
-        decimal,
-        contraction=contraction,
-        sample_rate=sample_rate,
-        specimen=specimen,
-    )
-    held = how.contraction if isometric else None
-    reader = how.model_copy(update={"contraction": None}) if isometric else how
-    between = parse_optional_quantity("--gap", gap, "s")
-    tolerance = parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1")
-    steady = {
-        "pressure_tolerance": parse_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
-        "force_tolerance": parse_optional_quantity("--force-tolerance", force_tolerance, "N"),
-        "dwell": parse_quantity("--dwell", dwell, "s"),
-        "settle": parse_quantity("--settle", settle, "s"),
-    }
-    read = reader.recording(recording, on_corrupt="report" if skip_corrupt else "raise")
-    if isometric:
-        found = read.isometric(
-            pressures,
-            count=count,
-            contraction=held,
-            contraction_tolerance=0.005 if tolerance is None else tolerance,
-            gap=between,
-        )
-    else:
-        found = read.plateaus(contraction_tolerance=0.001 if tolerance is None else tolerance, gap=between, **steady)  # type: ignore[arg-type]
-    if out is not None:
-        write = found.dataset.to_netcdf if out.suffix.lower() == ".nc" else found.dataset.to_csv
-        write(out)
-    _show_points(read, found, recording, json)
-    if out is not None:
-        notify(f"wrote {len(found.dataset)} points to {out}; fit a law with: mckibben identify {out}", json)
-    if save_recipe is not None:
-        how.to_yaml(save_recipe)
-        notify(f"wrote {save_recipe}; read the next file with: --recipe {save_recipe}", json)
-
-
-def _show_points(read: Recording, found: ExtractedPoints, paths: list[Path], json: bool) -> None:
-    report_reading(read.table.attrs)
-    rows = _rows(found)
-    if json:
-        numbers = {
-            "points": [dict(zip(_COLUMNS, row, strict=True)) for row in rows],
-            "samples": dict(found.counts),
-            "notes": list(found.notes),
-            "repairs": read.table.attrs.get("repairs", "").splitlines(),
-        }
-        echo(to_json(numbers))
-        return
-    formats = _COLUMNS.values()
-    shown = [tuple(map(format, row, formats)) for row in rows[:_SHOWN]]
-    more = f" (first {_SHOWN} shown)" if len(rows) > _SHOWN else ""
-    table(
-        f"{', '.join(path.name for path in paths)}: {len(rows)} points from {len(read)} samples{more}",
-        ("time s", "pressure bar", "contraction %", "force N", "spread N", "samples", "direction"),
-        shown,
-    )
-    echo(on_command_line(found.describe()))
-
-
-def _rows(found: ExtractedPoints) -> list[tuple[float | str, ...]]:
-    data = found.dataset.table
-    empty = [""] * len(found.dataset)
-    direction, phase = (data[name].to_numpy() if name in data else empty for name in ("direction", "phase"))
-    numbers = (
-        data["time"].to_numpy(),
-        found.dataset.pressure / bar,
-        found.dataset.contraction / percent,
-        found.dataset.force,
-        data["force_spread"].to_numpy(),
-        found.samples,
-    )
-    came_by = [str(one or other or "-") for one, other in zip(direction, phase, strict=True)]
-    return list(zip(*(column.tolist() for column in numbers), came_by, strict=True))
-
-
-def _check_new(out: Path, endings: tuple[str, str]) -> None:
-    """Check, before the computation, that an output file is new and can be written."""
-    if out.suffix.lower() not in endings:
-        problem = Problem(f"is neither {endings[0]} nor {endings[1]}", remedy=f"use the ending {' or '.join(endings)}")
-        raise DatasetError(str(out), [problem])
-    if not out.parent.is_dir():
-        raise DatasetError(str(out), [Problem(f"there is no folder {out.parent}", remedy="create it")])
-    if out.exists():
-        raise DatasetError(str(out), [Problem("exists already", remedy="choose another file, or delete it")])
-
-
-def _levels(text: str) -> list[float] | None:
-    """Parse pressures with one unit for all ("1, 2.5, 4 bar") or one each ("100 kPa, 2 bar")."""
-    if not text:
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    units = [_LEADING_NUMBER.sub("", part).strip() for part in parts]
-    if not any(units):
-        raise UnitError(f"--levels {text!r} has no unit", value=text, remedy="write --levels '1, 2, 3 bar'")
-    if not all(units):
-        if any(units[:-1]) or not all(parts):
-            raise UnitError(
-                f"--levels {text!r} is not a list of pressures",
-                value=text,
-                remedy="write one unit for all, '1, 2, 3 bar', or one for each, '1 bar, 200 kPa'",
-            )
-        parts[:-1] = [f"{part} {units[-1]}" for part in parts[:-1]]
-    return [parse_quantity("--levels", part, "Pa") for part in parts]
 
 
 _ALL, _LEVEL = "all", 0.95
@@ -229,10 +55,12 @@ def identify(
     level: Annotated[float, Option(help="Confidence level of the intervals.")] = _LEVEL,
     profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
     bootstrap: Annotated[int, Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
-    hysteresis: Annotated[bool, Option("--hysteresis", help="Identify friction and drift with the law.")] = False,
+    hysteresis: Annotated[
+        bool | None,
+        Option(help="Identify friction and drift with the law (default: if loading and unloading differ)."),
+    ] = None,
     friction_form: Annotated[
-        str,
-        Option("--friction", metavar="FORM", help="Form of friction of --hysteresis (default: by held-out loops)."),
+        str, Option("--friction", metavar="FORM", help="Form of friction (default: by held-out loops).")
     ] = "",
     diameter: Annotated[
         str, Option(metavar="LENGTH", help="Inner diameter without pressure, from which muscle.yaml gets a volume.")
@@ -240,7 +68,7 @@ def identify(
     fill: Annotated[
         str, Option(metavar="VOLUME", help="Measured volume of the air at contraction 0, in place of --diameter.")
     ] = "",
-    no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with --hysteresis.")] = False,
+    no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with the friction.")] = False,
     initial_length: InitialLength = "",
     displacement: Displacement = "",
     zero_length: ZeroLength = "",
@@ -257,8 +85,8 @@ def identify(
     """Fit a force law to measured points: estimates with standard errors, and cross-validation errors.
 
     With --law all, every law is fitted, and laws are ranked by cross-validation over pressures, inner contractions,
-    directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown. With
-    --hysteresis the friction between loading and unloading is identified with the law.
+    directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown. Where loading
+    and unloading differ, friction and drift of the force sensor are identified with the law (--no-hysteresis: without).
     """
     figures = ("fit", "bands", "loops", "ranking")
     names = [f"{name}{end}" for name in figures for end in (".png", ".svg")]
@@ -266,9 +94,11 @@ def identify(
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
-    if (friction_form or no_drift) and not hysteresis:
-        raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
-    if law_type is None and (profile or bootstrap or hysteresis or level != _LEVEL):
+    if friction_form or no_drift:
+        if hysteresis is False:
+            raise ParameterError("--friction and --no-drift need friction", remedy="leave out --no-hysteresis")
+        hysteresis = True
+    if law_type is None and (profile or bootstrap or hysteresis is not None or level != _LEVEL):
         raise ParameterError(
             "--level, --profile, --bootstrap and --hysteresis apply to a single law",
             remedy="choose one, such as --law exponential",
@@ -283,19 +113,20 @@ def identify(
     if law_type is None:
         _rank(data, points, how, inner, json, out)
         return
-    from mckibben.identification import identify as run
-    from mckibben.identification import identify_hysteresis
+    from mckibben.identification import identify_with_friction
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
-    friction = identify_hysteresis(law_type, points, drift=not no_drift, form=form) if hysteresis else None
-    static = friction.corrected(points) if friction else points
-    fit = run(law_type, static)
+    found = identify_with_friction(law_type, points, friction=hysteresis, drift=not no_drift, form=form)
+    fit, static, loops = found.fit, found.points, found.hysteresis
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
     notes = points.table.attrs.get("preprocessing", "").splitlines()
     numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
-    if friction:
-        numbers["hysteresis"] = hysteresis_numbers(friction)
-    texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
+    if loops:
+        numbers["hysteresis"] = hysteresis_numbers(loops)
+    note = found.note + (" (--no-hysteresis)" if found.note and loops else "")
+    numbers["friction_note"] = note
+    texts = [note + "\n"] if note else []
+    texts += [loops.report() + "\n\nForce law of the points corrected for friction and drift:\n"] if loops else []
     texts += [fit.report(level), uncertainty.describe()]
     drawn, kept = {}, ""
     if out:
@@ -303,13 +134,13 @@ def identify(
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, fit, inner, friction.friction if friction else None)
+            kept = _keep_muscle(out, data, points, fit, inner, found.friction)
             how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             drawn = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
             drawn |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in uncertainty.profiles}
-            drawn |= {"loops": report.loops(points, friction)} if friction else {}
+            drawn |= {"loops": report.loops(points, loops)} if loops else {}
             for name, figure in drawn.items():
                 report.save(figure, out, name)
     echo(to_json(numbers) if json else on_command_line("\n".join(filter(None, texts))))
@@ -461,6 +292,7 @@ def _rank(data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, 
 
 
 def _show(ranking: Ranking) -> None:
+    from mckibben.identification import shows_hysteresis
     from mckibben.identification.ranking import EXTRAPOLATION
 
     specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
@@ -483,6 +315,9 @@ def _show(ranking: Ranking) -> None:
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
     for one in ranking.outliers:
         echo(f"left out, as it contradicts the points around it: {one}")
+    if shows_hysteresis(ranking.points):
+        law = ranking.best.law
+        echo(f"loading and unloading differ; laws are ranked without friction, which --law {law} fits with the law")
     for name, reason in ranking.missing.items():
         echo(f"no cross-validation over {name}s: {reason}")
     if not ranking.blocks:

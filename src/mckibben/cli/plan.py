@@ -489,6 +489,8 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         table(f"{scenario.name}: {found.target.describe()}", ("length", "initial", "design"), rows)
         table("Attained", ("angle", "stiffness"), found.rows())
         echo(found.describe())
+        for remark in found.plant.joint.remarks:
+            echo(remark)
     if out:
         if "design.yaml" not in names:
             echo("no scenario written: a length belongs to a specimen or a geometry in the catalog", err=True)

@@ -283,6 +283,13 @@ _PLAIN_IN_BLOCK = re.compile(rf"{_PLAIN.pattern}(?:,(?: ?{_PLAIN.pattern})?)*")
 _MEANS_ANOTHER = re.compile(r"(?i)-|---|\.\.\.|true|false|yes|no|on|off|null")
 
 
+def plain(data: Any) -> Any:
+    """The data of a document as mutable dictionaries and lists."""
+    if isinstance(data, dict):
+        return {key: plain(value) for key, value in data.items()}
+    return [plain(one) for one in data] if isinstance(data, tuple | list) else data
+
+
 def to_text(data: Mapping[str, Any], comments: Mapping[Place, str] | None = None, *, width: int = 100) -> str:
     """YAML of plain data, numbers with all digits; `comments` by place, mappings up to `width` on one line."""
     return "".join(f"{line}\n" for line in _Writer(comments or {}, width).block(data, (), 0))

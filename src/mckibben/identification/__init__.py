@@ -15,6 +15,7 @@ from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.storage import read_law
 from mckibben.identification.uncertainty import Grouping
 from mckibben.identification.validation import ErrorStatistics, HoldOut, Validation, hold_out, validate
+from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis
 
 __all__ = [
     "Bootstrap",
@@ -22,6 +23,7 @@ __all__ = [
     "DatasetSummary",
     "ErrorStatistics",
     "Fit",
+    "FitWithFriction",
     "ForceIntervals",
     "FormComparison",
     "FrictionForm",
@@ -48,9 +50,11 @@ __all__ = [
     "identify",
     "identify_creep",
     "identify_hysteresis",
+    "identify_with_friction",
     "posterior",
     "profile",
     "rank",
     "read_law",
+    "shows_hysteresis",
     "validate",
 ]

@@ -129,7 +129,8 @@ class HysteresisFit:
         force = np.where(self.tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
         return IsobaricDataset(means.table.assign(force=("point", force)))
 
-    def _rows(self) -> list[tuple[str, str, str, str]]:
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Name, estimate, standard error and unit of the parameters of the friction, as text."""
         friction, errors, length = self.friction, self.standard_errors, self.friction.presliding_length
         by_tension = self.form is FrictionForm.TENSION
         at = show(friction.reference_tension, "N", 3) if by_tension else show(friction.reference_pressure, "bar", 3)
@@ -154,7 +155,7 @@ class HysteresisFit:
             f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, {self.points_slack} slack",
             "",
             f"{'':17}  {'estimate':>8}  {'standard error':>14}",
-            *(f"{name:17}  {value:>8}  {error:>14}  {unit}" for name, value, error, unit in self._rows()),
+            *(f"{name:17}  {value:>8}  {error:>14}  {unit}" for name, value, error, unit in self.rows()),
         ]
         if self.drift is not None:
             rate, error = 3600 * self.drift.rate, 3600 * self.drift.rate_error
@@ -171,7 +172,7 @@ class HysteresisFit:
         )
 
     def _repr_html_(self) -> str:
-        return html_table(repr(self), ("friction", "estimate", "standard error", "unit"), self._rows(), self.warnings)
+        return html_table(repr(self), ("friction", "estimate", "standard error", "unit"), self.rows(), self.warnings)
 
 
 _AT_BOUND = 1e-2  # of the logarithm of the presliding length

@@ -3,6 +3,8 @@
 from mckibben.reachability.envelope import Envelope, envelope, save_design, save_reference
 from mckibben.reachability.feasible import FeasibleReference, Preserved, nearest_references
 from mckibben.reachability.lengths import design_lengths
+from mckibben.reachability.requirement import Make, Requirement, catalog_makes, read_make
+from mckibben.reachability.selection import Candidate, Selection, size
 from mckibben.reachability.sizing import (
     Design,
     DesignTarget,
@@ -17,16 +19,21 @@ from mckibben.reachability.trajectory import ReferenceTrajectory, reference_traj
 
 __all__ = [
     "AttainableRange",
+    "Candidate",
     "Design",
     "DesignTarget",
     "DesignVariable",
     "Envelope",
     "FeasibleReference",
+    "Make",
     "Preserved",
     "ReferenceTrajectory",
+    "Requirement",
+    "Selection",
     "StaticEnvelope",
     "StiffnessBands",
     "Trackability",
+    "catalog_makes",
     "check_trackability",
     "design",
     "design_lengths",
@@ -34,8 +41,10 @@ __all__ = [
     "nearest_references",
     "parse_target",
     "parse_variable",
+    "read_make",
     "reference_trajectory",
     "save_design",
     "save_reference",
+    "size",
     "static_envelope",
 ]

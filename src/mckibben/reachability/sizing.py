@@ -397,7 +397,7 @@ def design(
     lengths = {name: float(value) for name, value in zip(names, lower + width * best, strict=True)}
     sized = numeric(with_lengths(plant, lengths))
     checked = np.linspace(*target.angles, _RESULT_ANGLES)
-    band = _attained_stiffness(sized, checked, target.torque_reserve, minimum_tension)
+    band = attained_stiffness(sized, checked, target.torque_reserve, minimum_tension)
     return Design(
         target,
         lengths,
@@ -462,9 +462,10 @@ def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], start
 
 
 @compiled
-def _attained_stiffness(
+def attained_stiffness(
     plant: JointPlant, angle: ArrayLike, reserve: ArrayLike, minimum_tension: float
 ) -> tuple[Array, Array]:
+    """Lowest and highest stiffness [N*m/rad] attainable at both torques of a reserve [N*m], over angles [rad]."""
     torque = floating(reserve) * jnp.array([-1.0, 1.0])[:, None] - plant.load.gravity_torque(angle)
     lowest, highest = plant.supplied_joint.attainable_stiffness(angle, torque, minimum_tension=minimum_tension)
     return jnp.max(lowest, axis=0), jnp.min(highest, axis=0)

@@ -16,6 +16,7 @@ from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
 from .joint import design as design
 from .joint import envelope as envelope
+from .joint import selection as selection
 from .joint import stiffness as stiffness
 from .joint import torque_stiffness_map as torque_stiffness_map
 from .leg import foot_ellipses as foot_ellipses

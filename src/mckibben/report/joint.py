@@ -14,7 +14,15 @@ from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
 from mckibben.control import Constant, Sine
-from mckibben.reachability import Design, Envelope, FeasibleReference, Preserved, StaticEnvelope
+from mckibben.reachability import (
+    Design,
+    Envelope,
+    FeasibleReference,
+    Preserved,
+    Selection,
+    StaticEnvelope,
+    static_envelope,
+)
 from mckibben.report.style import (
     BLACK,
     BLUE,
@@ -36,7 +44,7 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessTests
-from mckibben.units import bar, deg, kPa
+from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
     from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
@@ -45,6 +53,7 @@ if TYPE_CHECKING:
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _SAMPLES_APART = 100
+_SHOWN_RANGE = 1.3  # of the required angles
 _FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of valves
 _REFERENCES = (
     {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.1},
@@ -374,6 +383,37 @@ def design(found: Design, before: StaticEnvelope) -> Figure:
     lengths = (f"{name.replace('_', ' ')} {value * 1e3:.4g} mm" for name, value in found.lengths.items())
     letter(axes, 0, ", ".join(lengths))
     legend_above(figure, axes)
+    return figure
+
+
+@styled
+def selection(found: Selection) -> Figure:
+    """Attainable stiffness and torque over the angle of the best joint, and the requirement."""
+    need, joint = found.requirement, found.best
+    holds = static_envelope(joint.plant, about=need.middle)
+    figure = blank(DOUBLE, 3.2)
+    left, right = figure.subplots(1, 2)
+    _band(left, holds, color=_STATIC, label="attainable, static")
+    first, last = (angle / deg for angle in need.angles)
+    if need.stiffness:
+        low, high = need.stiffness
+        look = {"fill": False, "edgecolor": BLACK, "linewidth": 1.4, "label": "required"}
+        left.add_patch(Rectangle((first, low), last - first, high - low, **look))
+    inside = holds.inside
+    angles, held = holds.angles[inside] / deg, holds.torque[inside]
+    draw_band(right, angles, *(edge[inside] for edge in holds.torque_range), color=_STATIC, label="attainable, static")
+    right.plot(angles, held, label="static torque of the load", **DESIRED)
+    moved = (holds.angles[inside] >= need.angles[0]) & (holds.angles[inside] <= need.angles[1])
+    for sign in (-1, 1):
+        label = "required, with motion and reserve" if sign > 0 else None
+        right.plot(angles[moved], held[moved] + sign * need.reserve, color=BLACK, linewidth=1.4, label=label)
+    for axes in (left, right):
+        axes.set_xlim(*(need.middle / deg + side * _SHOWN_RANGE * need.amplitude / deg for side in (-1, 1)))
+    left.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
+    right.set(xlabel=_ANGLE, ylabel=_TORQUE)
+    letter(left, 0, f"{joint.make.name}, {joint.length / mm:g} mm")
+    letter(right, 1, f"pulleys of {joint.radius / mm:g} mm")
+    legend_above(figure, left, right)
     return figure
 
 

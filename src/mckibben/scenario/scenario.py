@@ -142,7 +142,7 @@ def model_scope(plant: Any) -> dict[str, Any]:
 class Scenario(RunSettings):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
-    `simulate`, `envelope`, `tune`, `compare` and `export` forward to the functions of these names.
+    `simulate`, `envelope`, `tune`, `compare`, `linearize` and `export` forward to the functions of these names.
 
     Its parts are the objects that are simulated: read from a file, or made in Python. Parts of a controller's
     model that its file does not give are taken from the plant (`control`). Scenarios compare by value.
@@ -252,6 +252,10 @@ class Scenario(RunSettings):
         """
         benchmark = _above("study.benchmark")
         return benchmark.compare(benchmark.Suite.of(self, controllers, **settings), folder=folder)
+
+    def linearize(self, time: float = 0.0, **options: Any) -> Any:
+        """Return the linearised loop at a time [s] of the run, see `mckibben.linearize`."""
+        return _above("study.linearization").linearize(self, time, **options)
 
     def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
         """Write controller or plant for another program, see `mckibben.export.export`."""

@@ -27,7 +27,7 @@ from mckibben.simulation.simulate import (
     run_episode,
     simulate,
 )
-from mckibben.simulation.stability import Margins, disk_margins, margins
+from mckibben.simulation.stability import Margins, disk_margins, linear_loop, margins
 from mckibben.simulation.table import Batch, RunResult
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "disk_margins",
     "dynamic_stiffness",
     "episode",
+    "linear_loop",
     "margins",
     "measure",
     "needed_substeps",

@@ -99,18 +99,63 @@ def margins(
     SimulationError
         If the times do not fit together.
     """
-    plant = _without_noise(plant, control_period).with_period(control_period)
-    controller = controller.with_period(control_period)
     times = sampling_times(duration, control_period)
     chosen = _chosen(times.size, points)
+    loops = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)[0]
+    found = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
+    radius, gain, phase, delays, disk, sensitivity, loci = (np.array(column) for column in zip(*found, strict=True))
+    return Margins(times[chosen], radius, gain, phase, delays, disk, _frequencies(control_period), sensitivity, loci)
+
+
+def linear_loop(
+    plant: JointPlant,
+    controller: Controller,
+    reference: Reference,
+    initial: PlantState,
+    *,
+    duration: float,
+    control_period: float = 1e-3,
+    substeps: int = 4,
+    time: float = 0.0,
+) -> tuple[LinearLoop, list[str]]:
+    """Return the linearisation at the control period nearest to a time [s], and the names of its states.
+
+    As for `margins`; names are attributes of the states of plant and controller, such as "plant.angle".
+
+    Raises
+    ------
+    SimulationError
+        If the times do not fit together.
+    """
+    times = sampling_times(duration, control_period)
+    chosen = np.array([int(np.argmin(np.abs(times - time)))])
+    loops, state = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
+    names = []
+    for path, leaf in jax.tree_util.tree_leaves_with_path(state):
+        name = ("plant", "controller")[path[0].idx] + jax.tree_util.keystr(path[1:])
+        names += [name] if leaf.shape == () else [f"{name}[{i}]" for i in range(leaf.size)]
+    return LinearLoop(*(np.asarray(leaf)[0] for leaf in loops)), names
+
+
+def _linearised_at(
+    plant: JointPlant,
+    controller: Controller,
+    reference: Reference,
+    initial: PlantState,
+    times: NDArray[np.float64],
+    control_period: float,
+    chosen: NDArray[np.int64],
+    substeps: int,
+) -> tuple[LinearLoop, Any]:
+    """Linearisations at control periods of a run, and the shapes of the states of plant and controller."""
+    plant = _without_noise(plant, control_period).with_period(control_period)
+    controller = controller.with_period(control_period)
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
     setpoints = sample_reference(reference, times)
     loops = _linearised(
         plant, controller, initial, jnp.asarray(control_period), setpoints, jnp.asarray(chosen), substeps
     )
-    found = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
-    radius, gain, phase, delays, disk, sensitivity, loci = (np.array(column) for column in zip(*found, strict=True))
-    return Margins(times[chosen], radius, gain, phase, delays, disk, _frequencies(control_period), sensitivity, loci)
+    return loops, jax.eval_shape(initial_loop, plant, controller, initial)
 
 
 def disk_margins(

@@ -18,6 +18,7 @@ from mckibben.component.base import field_quantities
 from mckibben.config.document import to_text
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
+from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.mechanism import Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
@@ -128,10 +129,11 @@ class JointDesign:
 
 
 class Designed(NamedTuple):
-    """A joint with its ranges over the angle, and at the drawn angle."""
+    """A joint with its ranges over the angle, and at the drawn angle; `small_motion` is None without friction."""
 
     joint: AntagonisticJoint
     stiffness: tuple[np.ndarray, np.ndarray]
+    small_motion: tuple[np.ndarray, np.ndarray] | None
     torque: tuple[np.ndarray, np.ndarray]
     here: _Pose
 
@@ -140,6 +142,7 @@ class _Pose(NamedTuple):
     """The joint at one angle; pairs refer to muscles 1 and 2."""
 
     stiffness: tuple[Array, Array]
+    small_motion: tuple[Array, Array] | None
     torque: tuple[Array, Array]
     arms: tuple[Array, Array]
     contractions: tuple[Array, Array]
@@ -148,16 +151,20 @@ class _Pose(NamedTuple):
 @compiled
 def _ranges(
     joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
-) -> tuple[Any, Any, _Pose]:
-    """Stiffness and torque over angles and at one of them; compiled once per kind of law."""
+) -> tuple[Any, Any, Any, _Pose]:
+    """Stiffness, that of small motion, and torque over angles and at one of them; compiled once per kind of law."""
     every = jnp.append(jnp.asarray(angles), jnp.asarray(angle))
     stiffness = joint.attainable_stiffness(every, torque, pressure_limits=limits)
+    small = None
+    if joint.has_friction:
+        small = joint.attainable_stiffness(every, torque, pressure_limits=limits, amplitude=SMALL_MOTION)
     torques = joint.attainable_torque(every, pressure_limits=limits)
     lengths, arms = joint.geometry.paths_and_arms(angle)
     contractions = joint.muscle1.specimen.contraction_at(lengths[0]), joint.muscle2.specimen.contraction_at(lengths[1])
     (low, high), (least, most) = stiffness, torques
-    here = _Pose((low[-1], high[-1]), (least[-1], most[-1]), arms, contractions)
-    return (low[:-1], high[:-1]), (least[:-1], most[:-1]), here
+    here_small = small and (small[0][-1], small[1][-1])
+    here = _Pose((low[-1], high[-1]), here_small, (least[-1], most[-1]), arms, contractions)
+    return (low[:-1], high[:-1]), small and (small[0][:-1], small[1][:-1]), (least[:-1], most[:-1]), here
 
 
 def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
@@ -179,8 +186,9 @@ def highest_pressure(muscle: Muscle) -> float:
 def compute(design: JointDesign, muscle: Muscle) -> Designed:
     """The joint and its ranges."""
     joint = joint_of(design, muscle)
-    stiffness, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, (0.0, design.pressure * bar))
-    return Designed(joint, tuple(map(np.asarray, stiffness)), tuple(map(np.asarray, torque)), here)  # type: ignore[arg-type]
+    *ranges, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, (0.0, design.pressure * bar))
+    stiffness, small, torque = (one and (np.asarray(one[0]), np.asarray(one[1])) for one in ranges)
+    return Designed(joint, stiffness, small, torque, here)
 
 
 def muscles(fitted: Muscle | None) -> dict[str, Muscle]:

@@ -18,9 +18,9 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import DatasetError, McKibbenError, ParameterError, printable
-from mckibben.identification import Fit, Ranking, identify, rank
+from mckibben.identification import Fit, FitWithFriction, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
-from mckibben.muscle import Muscle
+from mckibben.muscle import MaxwellSlip, Muscle
 from mckibben.scenario import muscle_text
 from mckibben.units import Length, Quantity, bar, factor, percent
 from mckibben.web.layout import (
@@ -59,12 +59,17 @@ class IdentificationState:
     law: str = "ExponentialLaw"
     initial_length: str = ""
     columns: str = ""
-    fit: Fit | None = None
+    found: FitWithFriction | None = None
     ranking: Ranking | None = None
     muscle: Muscle | None = None
     error: McKibbenError | None = None
     notes: list[str] = field(default_factory=list)
     jobs: Jobs = field(default_factory=Jobs)
+
+    @property
+    def fit(self) -> Fit | None:
+        """The law, without friction."""
+        return self.found.fit if self.found else None
 
 
 def column_names(text: str) -> dict[str, str]:
@@ -98,11 +103,12 @@ def read(path: Path, initial_length: str, columns: str) -> IsobaricDataset:
         raise DatasetError(path.name, error.problems) from None
 
 
-def keep_muscle(fit: Fit, data: IsobaricDataset, folder: Path) -> Muscle | None:
+def keep_muscle(fit: Fit, friction: MaxwellSlip | None, data: IsobaricDataset, folder: Path) -> Muscle | None:
     """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown."""
     fit.to_yaml(folder / "fit.yaml")
     attrs = data.table.attrs
-    text = muscle_text("fit.yaml", specimen=attrs["specimen"], initial_length=attrs.get("initial_length"))
+    length = attrs.get("initial_length")
+    text = muscle_text("fit.yaml", specimen=attrs["specimen"], initial_length=length, friction=friction)
     if not text:
         return None
     (folder / "muscle.yaml").write_text(text, encoding="utf-8")
@@ -206,7 +212,7 @@ class _Page:
         def load() -> IsobaricDataset:
             return catalog.dataset(name) if source is None else read(source, length, columns)
 
-        state.data = state.fit = state.ranking = state.error = None
+        state.data = state.found = state.ranking = state.error = None
 
         def done(data: IsobaricDataset, heard: list[str]) -> None:
             state.data, state.notes = data, heard
@@ -226,12 +232,12 @@ class _Page:
             return
         law = law_types()[state.law]
 
-        def compute(_: Callable[[str, float], None]) -> tuple[Fit, Muscle | None, Path]:
-            found, kept = identify(law, data), Path(tempfile.mkdtemp(dir=folder))
-            return found, keep_muscle(found, data, kept), kept
+        def compute(_: Callable[[str, float], None]) -> tuple[FitWithFriction, Muscle | None, Path]:
+            found, kept = identify_with_friction(law, data), Path(tempfile.mkdtemp(dir=folder))
+            return found, keep_muscle(found.fit, found.friction, data, kept), kept
 
-        def done(found: tuple[Fit, Muscle | None, Path], heard: list[str]) -> None:
-            state.fit, state.muscle, kept = found
+        def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
+            state.found, state.muscle, kept = found
             state.notes, state.error = heard, None
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
@@ -272,8 +278,8 @@ class _Page:
                     ).classes("quiet")
             return
         self.show_data(state.data)
-        if state.fit is not None:
-            self.show_fit(state.fit, state.data)
+        if state.found is not None:
+            self.show_fit(state.found)
         if state.ranking is not None:
             self.show_ranking(state.ranking)
 
@@ -300,9 +306,9 @@ class _Page:
                 ui.label(printable(text, 500)).classes("quiet")
             show_warnings(self.state.notes)
 
-    def show_fit(self, fit: Fit, data: IsobaricDataset) -> None:
-        """Estimates, curves and residuals."""
-        means = data.plateau_means()
+    def show_fit(self, found: FitWithFriction) -> None:
+        """Estimates, curves and residuals, and the friction."""
+        fit, means = found.fit, found.points.plateau_means()
         with panel(f"{type(fit.law).__name__}: {fit.law.equation}"):
             with ui.element("div").classes("pair"):
                 forces = chart("contraction [%]", "force [N]", height=320)
@@ -321,7 +327,7 @@ class _Page:
                 curves.append(
                     line(name, eps / percent, np.asarray(fit.law.force(eps, level)).clip(min=0), color, width=1.5)
                 )
-                taut = y > 0
+                taut = ~means.slack[here]
                 left.append(dots(name, x[taut] / percent, (y - np.asarray(fit.law.force(x, level)))[taut], color))
             draw(forces, curves)
             draw(residuals, left)
@@ -339,12 +345,23 @@ class _Page:
                 f"{fit.points_used} points used"
             ).classes("quiet number")
             show_warnings(fit.warnings)
+            self.show_friction(found)
             with ui.row().classes("items-center").style("gap: 8px"):
                 ui.button("Download muscle", on_click=self.download).props("unelevated no-caps").mark("download")
                 if self.state.muscle is not None:
                     ui.button("Design a joint with it", on_click=self.design).props("flat no-caps")
                 else:
                     ui.label("give the initial length to use the muscle in scenarios").classes("quiet")
+
+    @staticmethod
+    def show_friction(found: FitWithFriction) -> None:
+        """Whether the law was fitted with friction, and its estimates."""
+        if found.note:
+            ui.label(printable(found.note, 500)).classes("quiet number").mark("friction")
+        if found.hysteresis is not None:
+            rows = found.hysteresis.rows()
+            table(("friction", "estimate", "standard error", "unit"), rows, left=1)
+            show_warnings(found.hysteresis.warnings)
 
     def show_ranking(self, found: Ranking) -> None:
         """Laws, best first."""

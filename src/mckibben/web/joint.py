@@ -173,7 +173,9 @@ class _Page:
         angles = ANGLES / deg
         low, high = found.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
-        draw(self.stiffness, [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest])
+        small = [line("small motion", angles, edge, GREEN, dash=True, width=1.5) for edge in found.small_motion or ()]
+        curves = [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest, *small]
+        draw(self.stiffness, curves)
         self.found = found
 
     def mark(self) -> dict[str, Any]:
@@ -209,7 +211,8 @@ class _Page:
         connectors = "" if between is None else f"connectors {between / mm:.1f} mm, "
         self.series.text = f"{connectors}muscles of {own:g} mm"
         (k1, k2), (t1, t2), arms = (tuple(float(x) for x in pair) for pair in (here.stiffness, here.torque, here.arms))
-        self.facts[0].text = f"{k1:.3g} to {k2:.3g} N·m/rad" if math.isfinite(k1) else "the load is not held"
+        small = "" if here.small_motion is None else "; small motion {:.3g} to {:.3g}".format(*here.small_motion)
+        self.facts[0].text = f"{k1:.3g} to {k2:.3g} N·m/rad{small}" if math.isfinite(k1) else "the load is not held"
         self.facts[1].text = f"{t1:.3g} to {t2:.3g} N·m" if math.isfinite(t1) else "a muscle is outside its range"
         self.facts[2].text = f"{arms[0] / mm:.1f} and {arms[1] / mm:.1f} mm"
         domain, names = muscle.domain, ("antagonist", "agonist")

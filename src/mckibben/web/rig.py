@@ -199,6 +199,6 @@ class _Page:
         """Use the points on the muscle page."""
         found = session().state(IdentificationState)
         found.name, found.data, found.source = "test on the simulated rig", self.state.data, self.state.source
-        found.fit = found.ranking = found.error = None
+        found.found = found.ranking = found.error = None
         found.jobs.version += 1
         ui.navigate.to("/identify")

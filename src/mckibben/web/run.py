@@ -41,6 +41,7 @@ from mckibben.web.workbench import (
     ANGLES,
     CONTROLLERS,
     SIGNALS,
+    SMALL_MOTION,
     START,
     Kept,
     Workbench,
@@ -265,7 +266,9 @@ class _Page:
         desired = line("reference", time, columns["desired_stiffness"], BLACK, dash=True, width=1.5)
         older = [line(one.name, one.columns["time"], one.columns["stiffness"], c, width=1.5) for one, c in pairs]
         bounds = band("attainable at rest", time, *now.band, "#9aa7b3")
-        draw(self.stiffness, [*bounds, *older, line("now", time, columns["stiffness"], BLUE), desired])
+        small = columns.get(SMALL_MOTION)
+        tiny = [] if small is None else [line("now, small motion", time, small, GREEN, dash=True, width=1.5)]
+        draw(self.stiffness, [*bounds, *older, *tiny, line("now", time, columns["stiffness"], BLUE), desired])
         colors = (("antagonist", "pressure1", GREEN), ("agonist", "pressure2", VERMILLION))
         draw(self.pressure, [line(name, time, columns[key] / bar, color) for name, key, color in colors])
         self.scene.show(now)

@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from mckibben.config.document import read_document, to_text
+from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.joint import AntagonisticJoint
@@ -68,6 +68,8 @@ SIGNALS = {
     "sine": "{{class: sine, amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}",
 }
 ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}
+SMALL_MOTION = "small_motion_stiffness"
+"""Column of results whose muscles have friction."""
 _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", "pressure1", "pressure2")
 
 
@@ -123,12 +125,13 @@ def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
     remarks = [] if feasibility.feasible else [feasibility.describe()]
     if result.outcome.name != "COMPLETED":
         remarks.append(result.outcome.value)
-    return _kept(scenario, result, folder), remarks
+    return _kept(scenario, result, folder), [*remarks, *scenario.joint.remarks]
 
 
 def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
     step = max(1, len(result["angle"]) // 1200)
-    columns = {name: np.asarray(result[name])[::step] for name in _COLUMNS}
+    names = [*_COLUMNS, *({SMALL_MOTION} & set(result.columns))]
+    columns = {name: np.asarray(result[name])[::step] for name in names}
     bounds = np.asarray(result["lowest_stiffness"])[::step], np.asarray(result["highest_stiffness"])[::step]
     joint = scenario.plant().joint
     sizes = muscle_sizes(joint, [np.asarray(result[f"contraction{number}"])[::step] for number in (1, 2)])
@@ -147,25 +150,18 @@ def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
 
 def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
     """The text of a scenario with a section replaced."""
-    data = _plain(read_document(text).data)
+    data = plain(read_document(text).data)
     inner: Any = data
     for key in place[:-1]:
         inner = inner[key]
-    inner[place[-1]] = _plain(read_document(f"x: {section}" if "\n" not in section else f"x:\n{section}").data)["x"]
+    inner[place[-1]] = plain(read_document(f"x: {section}" if "\n" not in section else f"x:\n{section}").data)["x"]
     return to_text(data)
-
-
-def _plain(data: Any) -> Any:
-    """A document as mutable dictionaries and lists."""
-    if isinstance(data, dict):
-        return {key: _plain(value) for key, value in data.items()}
-    return [_plain(one) for one in data] if isinstance(data, tuple | list) else data
 
 
 def with_joint(text: str, joint: str, folder: Path) -> Scenario:
     """The scenario with a new joint and a stiffness reference inside its attainable range."""
-    data = _plain(read_document(text).data)
-    data["joint"] = _plain(read_document(joint).data)["joint"]
+    data = plain(read_document(text).data)
+    data["joint"] = plain(read_document(joint).data)["joint"]
     scenario = parse(to_text(data), folder)
     plant = scenario.plant()
     angles = jnp.linspace(-10.0, 10.0, 9) * deg

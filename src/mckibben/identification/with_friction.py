@@ -1,0 +1,105 @@
+"""A force law, with friction where loading and unloading differ."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification.fit import Fit
+from mckibben.identification.fitting import identify
+from mckibben.identification.friction_forms import FrictionForm
+from mckibben.identification.hysteresis import HysteresisFit, identify_hysteresis
+from mckibben.identification.loading_path import loop_half_width
+from mckibben.muscle import ForceLaw, MaxwellSlip
+
+
+class FitWithFriction(NamedTuple):
+    """Result of `identify_with_friction`.
+
+    Attributes
+    ----------
+    fit
+        Law fitted to `points`: without friction, to the given ones.
+    hysteresis
+        Friction and drift of the force sensor; None if the law was fitted without them.
+    points
+        Points of the fit, corrected for friction and drift.
+    note
+        The choice between both, in words; empty if there was none.
+    """
+
+    fit: Fit
+    hysteresis: HysteresisFit | None
+    points: IsobaricDataset
+    note: str = ""
+
+    @property
+    def friction(self) -> MaxwellSlip | None:
+        """Friction of the muscle, None without it."""
+        return self.hysteresis.friction if self.hysteresis else None
+
+
+def identify_with_friction(
+    law: type[ForceLaw],
+    dataset: IsobaricDataset,
+    *,
+    friction: bool | None = None,
+    drift: bool = True,
+    form: FrictionForm | None = None,
+) -> FitWithFriction:
+    """Fit a law, together with friction where the dataset shows it.
+
+    Parameters
+    ----------
+    law, dataset, drift, form
+        As for `identify_hysteresis`.
+    friction
+        True or False to fit with or without friction. Default: with it if forces at the same pressure and contraction
+        differ significantly between loading and unloading, the points determine it, and the law fits better than
+        half of this difference.
+
+    Raises
+    ------
+    IdentificationError
+        As `identify` and, with `friction`, `identify_hysteresis`.
+    """
+    note, found = "", None
+    gap = _half_gap(dataset) if friction is None else 0.0
+    if friction or gap:
+        try:
+            found = identify_hysteresis(law, dataset, drift=drift, form=form)
+        except IdentificationError as error:
+            if friction:
+                raise
+            note = f"loading and unloading differ, but the friction is not identified: {error}"
+    if found and gap and found.rmse > gap:
+        note = (
+            f"loading and unloading differ by {2 * gap:.3g} N, but {law.__name__} leaves residuals of {found.rmse:.3g} "
+            "N, too large to identify friction: fitted without it"
+        )
+        found = None
+    points = found.corrected(dataset) if found else dataset
+    fit = identify(law, points)
+    if found and gap:
+        note = (
+            f"loading and unloading differ: fitted with friction, RMSE {found.rmse:.3g} N; without friction it is "
+            f"{identify(law, dataset).rmse:.3g} N"
+        )
+    return FitWithFriction(fit, found, points, note)
+
+
+def shows_hysteresis(dataset: IsobaricDataset) -> bool:
+    """Whether forces at the same pressure and contraction differ significantly between loading and unloading."""
+    return _half_gap(dataset) > 0
+
+
+def _half_gap(dataset: IsobaricDataset) -> float:
+    """Half of the difference between loading and unloading [N], 0 if it is not significant."""
+    if len(dataset.directions) < 2:
+        return 0.0
+    means = dataset.plateau_means()
+    try:
+        return loop_half_width(means, ~means.slack)
+    except IdentificationError:
+        return 0.0

@@ -1,0 +1,127 @@
+"""Air of a cyclic motion: flow through the valves, valve, tube, reservoir and compressor."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mckibben import catalog
+from mckibben.catalog import entries
+from mckibben.errors import UnreachableError
+from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, mass_flow
+from mckibben.plant import AirValve, FlowValve, JointPlant
+from mckibben.reachability.trajectory import ReferenceTrajectory
+from mckibben.units import mm
+
+_RATIO = 0.3  # critical pressure ratio of the needed conductance
+_VALVE_MARGIN, _TUBE_MARGIN = 2.0, 4.0  # conductance over that needed by the motion
+_COMPRESSOR_MARGIN = 1.3  # leaks, and the time in which the compressor rests
+_DROP = 0.05  # of the absolute supply in a cycle
+_TUBES = (2.5, 4.0, 5.7, 7.0, 8.0, 9.0, 11.0, 13.0)  # mm, inner diameters of common polyurethane tubes
+
+
+class AirSupply(NamedTuple):
+    """Air supply of a joint: conductances C [m^3/(s*Pa)], lengths [m], volumes [m^3], at 20 degrees C and 1 bar (ANR).
+
+    Attributes
+    ----------
+    needed
+        Largest C that the motion needs, of filling and venting, in the worse muscle.
+    valve, valve_name
+        Smallest proportional valve of the catalog with twice that.
+    tube
+        Smallest inner diameter of a tube of the given length with four times that.
+    air
+        Air of a cycle (ANR).
+    reservoir
+        Volume at the inlets of the valves from which a cycle takes 5 % of the absolute pressure.
+    compressor
+        Flow of the compressor [m^3/s (ANR)], 1.3 times the mean consumption.
+    """
+
+    needed: float
+    valve: AirValve
+    valve_name: str
+    tube: float
+    air: float
+    reservoir: float
+    compressor: float
+
+
+def tube_conductance(diameter: float, length: float) -> float:
+    r"""Return the sonic conductance [m^3/(s*Pa)] of a tube with an inner diameter and a length [m].
+
+    .. math:: C = \frac{0.029\, d^2}{\sqrt{l / d^{1.25} + 510}}
+
+    P. Beater, Pneumatic Drives, Springer 2007, after Eckersten. (Coefficients quoted from memory; a test compares them
+    with choked adiabatic flow with friction.)
+
+    >>> round(tube_conductance(4 * mm, 1.0) / L_PER_S_BAR, 2)
+    1.2
+    """
+    return 0.029 * diameter**2 / math.sqrt(length / diameter**1.25 + 510.0)
+
+
+def air_supply(
+    plant: JointPlant, motion: ReferenceTrajectory, cycle: float, supply: float, tube_length: float
+) -> AirSupply:
+    """Size the air supply for a motion whose last cycle [s] is periodic; isothermal air in the muscles.
+
+    Raises
+    ------
+    UnreachableError
+        If no pressures give the motion, or no valve or tube is large enough.
+    """
+    torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
+    pressures = plant.joint.pressures_for(motion.angle, torque, motion.stiffness)
+    contractions = plant.joint.contractions(motion.angle, pressures)
+    last = motion.times >= motion.times[-1] - cycle * (1 + 1e-9)
+    needed = taken = 0.0
+    for muscle, pressure, contraction in zip(plant.muscles, pressures, contractions, strict=True):
+        absolute = np.asarray(pressure, float) + ATMOSPHERE
+        mass = absolute * np.asarray(muscle.specimen.volume(contraction)) / ENERGY
+        flow = np.gradient(mass, motion.times)
+        fill = np.asarray(mass_flow(1.0, _RATIO, supply + ATMOSPHERE, absolute))
+        vent = np.asarray(mass_flow(1.0, _RATIO, absolute, ATMOSPHERE))
+        needed = max(needed, float((flow / fill).max()), float((-flow / np.maximum(vent, 1e-12)).max()))
+        taken += float(np.maximum(np.diff(mass[last]), 0.0).sum())
+    name, valve = _valve(_VALVE_MARGIN * needed, supply)
+    return AirSupply(
+        needed,
+        valve,
+        name,
+        _tube(_TUBE_MARGIN * needed, tube_length),
+        taken / DENSITY,
+        taken * ENERGY / (_DROP * (supply + ATMOSPHERE)),
+        _COMPRESSOR_MARGIN * taken / DENSITY / cycle,
+    )
+
+
+def _valve(needed: float, supply: float) -> tuple[str, AirValve]:
+    kinds = {name: entries.find("valves", name)[0]["class"] for name in catalog.names("valves")}
+    known = [(name, catalog.valve(name, supply=supply)) for name, kind in kinds.items() if kind == FlowValve.__name__]
+    known.sort(key=lambda one: float(one[1].conductance))
+    for name, valve in known:
+        if float(valve.conductance) >= needed:
+            return name, valve
+    most = float(known[-1][1].conductance) / L_PER_S_BAR
+    raise UnreachableError(
+        f"the valves need a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar), twice that of the motion",
+        value=needed,
+        upper=most * L_PER_S_BAR,
+        remedy=f"the largest of the catalog, {known[-1][0]}, has {most:.3g} L/(s*bar): allow a longer cycle",
+    )
+
+
+def _tube(needed: float, length: float) -> float:
+    for diameter in _TUBES:
+        if tube_conductance(diameter * mm, length) >= needed:
+            return diameter * mm
+    raise UnreachableError(
+        f"a tube of {length:g} m needs a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar)",
+        value=needed,
+        upper=tube_conductance(_TUBES[-1] * mm, length),
+        remedy=f"{_TUBES[-1]:g} mm has less: place the valves closer to the muscles, or allow a longer cycle",
+    )

@@ -1,0 +1,113 @@
+"""Linear state-space model of a scenario's sampled loop at an operating point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import ParameterError
+from mckibben.notebook import html_table
+from mckibben.scenario import Scenario
+from mckibben.simulation import linear_loop
+
+Floats = NDArray[np.float64]
+
+INPUTS = ("command1", "command2")
+"""Commands of both valves [Pa], or disturbances of them in a closed loop."""
+_STATES = {"angle": "plant.angle", "velocity": "plant.velocity"}
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """Deviations from an operating point over a control period: x' = A x + B u, y = C x + D u.
+
+    Attributes
+    ----------
+    a, b, c, d
+        Matrices, in SI.
+    states, inputs, outputs
+        Names, such as "plant.angle" of a state; the outputs are both commands of the controller [Pa], the angle [rad]
+        and its velocity [rad/s].
+    period
+        Control period [s].
+    time
+        Operating point [s].
+    closed
+        Whether the loop is closed; open, the inputs are the commands that the valves receive.
+    """
+
+    a: Floats
+    b: Floats
+    c: Floats
+    d: Floats
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    period: float
+    time: float
+    closed: bool
+
+    def __repr__(self) -> str:
+        kind = "closed" if self.closed else "open"
+        return f"<LinearSystem: {kind} loop at {self.time:g} s, {len(self.states)} states, period {self.period:g} s>"
+
+    def _repr_html_(self) -> str:
+        poles = [(f"{pole:.4g}", f"{abs(pole):.4g}") for pole in self.poles()]
+        return html_table(repr(self), ("pole", "modulus"), poles)
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Return the poles in discrete time, the largest first."""
+        found = np.linalg.eigvals(self.a).astype(np.complex128)
+        return found[np.argsort(-np.abs(found))]
+
+    def to_control(self) -> Any:
+        """Return a `control.StateSpace` of python-control with the same names; `ParameterError` if it is missing."""
+        try:
+            import control  # type: ignore[import-not-found]
+        except ImportError as error:
+            raise ParameterError("python-control is not installed", remedy="pip install control") from error
+        named = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        return control.ss(self.a, self.b, self.c, self.d, self.period, **named)
+
+
+def linearize(scenario: Scenario, time: float = 0.0, *, closed: bool = False) -> LinearSystem:
+    """Linearise the sampled loop of a scenario at an operating point, as `mckibben margins` does.
+
+    Parameters
+    ----------
+    scenario
+        Plant, controller and reference; sensor noise and disturbances are left out.
+    time
+        Operating point on the run [s]; the nearest control period is taken.
+    closed
+        False for the loop opened at the commands, from the commands that the valves receive to those of the controller;
+        True for the closed loop, from disturbances of the commands.
+    """
+    plant = scenario.plant()
+    loop, names = linear_loop(
+        plant,
+        scenario.control(),
+        scenario.reference(),
+        scenario.initial(plant),
+        duration=scenario.duration,
+        control_period=scenario.control_period,
+        substeps=scenario.needed_substeps(),
+        time=time,
+    )
+    a, b, c = (np.asarray(each, float) for each in loop)
+    rows = [np.eye(len(names))[names.index(name)] for name in _STATES.values()]
+    return LinearSystem(
+        a if closed else a - b @ c,
+        b,
+        np.vstack([c, *rows]),
+        np.zeros((len(INPUTS) + len(_STATES), len(INPUTS))),
+        tuple(names),
+        INPUTS,
+        (*INPUTS, *_STATES),
+        scenario.control_period,
+        time,
+        closed,
+    )

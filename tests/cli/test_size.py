@@ -1,0 +1,52 @@
+"""`mckibben size`: the table, what is kept, and mistakes."""
+
+import csv
+import json
+
+import pytest
+
+from mckibben import Scenario
+
+LOAD = ("--mass", "2 kg", "--arm", "250 mm")
+MOTION = ("--angles", "-30..30 deg", "--cycle", "2 s")
+
+
+@pytest.mark.slow
+def test_a_joint_is_sized_kept_and_runs(cli, tmp_path):
+    given = ("size", *LOAD, *MOTION, "--stiffness", "15 N*m/rad", "--torque", "1 N*m")
+    found = cli(*given, "--out", "kept")
+    assert found.code == 0, found.err
+    numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
+    best = numbers["candidates"][0]
+    assert best["make"] in found.out and best["torque_Nm"][0] < best["torque_Nm"][1] < best["torque_Nm"][2]
+    assert all(check["met"] for check in numbers["simulated"])
+    with (tmp_path / "kept" / "parts.csv").open(encoding="utf-8") as file:
+        parts = [row["part"] for row in csv.DictReader(file)]
+    assert parts == ["muscle", "pulley", "proportional valve", "tube", "reservoir", "compressor"]
+    for name in ("joint.svg", "selection.png"):
+        assert (tmp_path / "kept" / name).stat().st_size > 5000
+    assert Scenario.read(tmp_path / "kept" / "scenario.yaml").name.startswith("sized")
+    assert cli("simulate", "kept/scenario.yaml").code == 0
+    fast = json.loads(cli("size", *LOAD, "--angles", "-30..30 deg", "--speed", "94.25 deg/s", "--json").out)
+    slow = json.loads(cli("size", *LOAD, *MOTION, "--json").out)
+    assert fast["candidates"][0]["make"] == slow["candidates"][0]["make"]  # pi * 60 deg in 2 s
+    refused = cli("size", *LOAD, *MOTION, "--torque", "500 N*m")
+    assert refused.code == 2 and "possible" in refused.err
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ((*LOAD, "--cycle", "2 s"), "--angles"),
+        ((*LOAD, "--angles", "-30..30 deg"), "--cycle"),
+        ((*LOAD, *MOTION, "--speed", "90 deg/s"), "--cycle"),
+        ((*MOTION,), "--mass"),
+        ((*LOAD, *MOTION, "--inertia", "1 kg*m^2"), "--inertia"),
+        ((*LOAD, *MOTION, "--stiffness", "15 bar"), "--stiffness"),
+        (("missing.yaml", *LOAD, *MOTION), "missing.yaml"),
+    ],
+)
+def test_a_mistake_names_its_option(cli, options, named):
+    refused = cli("size", *options)
+    assert refused.code == 2
+    assert named in refused.err

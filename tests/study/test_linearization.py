@@ -1,0 +1,84 @@
+"""The linear system of a scenario: closed forms of joint and valve, the closed loop, and python-control."""
+
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import ParameterError
+from mckibben.simulation import margins
+
+pytestmark = pytest.mark.slow
+
+PERIOD, TIME = 1e-3, 0.25
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    text = mk.Scenario.read("examples/pre-contracted-step-pid.yaml").dumps()
+    short = text.replace("10 s", "0.5 s").replace("at: 5 s", "at: 0.4 s")
+    return mk.Scenario.parse(short).model_copy(update={"duration": 0.5})
+
+
+@pytest.fixture(scope="module")
+def opened(scenario):
+    return mk.linearize(scenario, TIME)
+
+
+def entry(system, row, column):
+    return system.a[system.states.index(row), system.states.index(column)]
+
+
+def test_the_valve_is_a_lag_of_20_ms(opened):
+    left = np.exp(-PERIOD / 20e-3)
+    for number in (0, 1):
+        name = f"plant.pressures[{number}]"
+        assert entry(opened, name, name) == pytest.approx(left, rel=1e-6)
+        column = opened.b[opened.states.index(name)]
+        assert column[number] == pytest.approx(1 - left, rel=1e-6) and column[1 - number] == 0.0
+
+
+def test_the_joint_turns_by_its_stiffness_and_that_of_gravity(scenario, opened):
+    """To first order in the period: d(velocity)/d(angle) = -h (K + K_gravity) / I."""
+    result = scenario.simulate()
+    at = int(np.argmin(np.abs(result.times - TIME)))
+    angle = float(result["angle"][at])
+    pressures = tuple(float(result[name][at]) for name in ("pressure1", "pressure2"))
+    load = scenario.load
+    stiffness = float(scenario.joint.stiffness(angle, pressures)) + float(load.gravity_stiffness(angle))
+    expected = -PERIOD * stiffness / float(load.total_inertia)
+    assert entry(opened, "plant.velocity", "plant.angle") == pytest.approx(expected, rel=0.03)
+    assert entry(opened, "plant.angle", "plant.velocity") == pytest.approx(PERIOD, rel=0.02)
+
+
+def test_closing_the_loop_gives_the_poles_of_the_margins(scenario, opened):
+    closed = mk.linearize(scenario, TIME, closed=True)
+    np.testing.assert_allclose(opened.a + opened.b @ opened.c[:2], closed.a, atol=1e-9 * np.abs(closed.a).max())
+    plant = scenario.plant()
+    given = {"duration": 0.5, "control_period": PERIOD, "substeps": scenario.needed_substeps(), "points": 3}
+    found = margins(plant, scenario.control(), scenario.reference(), scenario.initial(plant), **given)
+    last = mk.linearize(scenario, float(found.time[-1]), closed=True)
+    moving = [abs(pole) for pole in last.poles() if abs(pole - 1) > 1e-6]
+    assert max(moving) == pytest.approx(found.radius[-1], rel=1e-9)
+
+
+def test_names_and_shapes(opened):
+    count = len(opened.states)
+    assert opened.a.shape == (count, count) and opened.b.shape == (count, 2) and opened.c.shape == (4, count)
+    assert opened.outputs == ("command1", "command2", "angle", "velocity") and not opened.d.any()
+    assert opened.c[2] @ np.eye(count)[opened.states.index("plant.angle")] == 1.0
+
+
+def test_python_control_has_the_same_system(opened):
+    control = pytest.importorskip("control")
+    system = opened.to_control()
+    assert system.dt == PERIOD and system.state_labels == list(opened.states)
+    z = np.exp(1j * 2 * np.pi * 3.0 * PERIOD)
+    by_hand = opened.c @ np.linalg.solve(z * np.eye(len(opened.states)) - opened.a, opened.b) + opened.d
+    np.testing.assert_allclose(control.evalfr(system, z), by_hand, rtol=1e-6)
+
+
+def test_without_python_control_the_remedy_is_said(opened, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "control", None)
+    with pytest.raises(ParameterError) as caught:
+        opened.to_control()
+    assert caught.value.remedy
