@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
@@ -31,6 +33,15 @@ class LegMetrics(NamedTuple):
             "largest upward force of the ground, without the impact of the foot",
             of="force_after_impact",
             note="later than 10 ms after the first touch",
+        ),
+    ]
+    peak_landing_force: Annotated[
+        Scalar,
+        Largest(
+            "N",
+            "largest upward force of the ground after a flight",
+            of="force_after_flight",
+            note="0 if the foot did not leave the ground and touch it again",
         ),
     ]
     peak_trunk_force: Annotated[
@@ -72,6 +83,9 @@ class LegMetrics(NamedTuple):
             "of, or, without one, to the end of the run",
         ),
     ]
+    stop_energy: Annotated[
+        Scalar, Tracked("J", "energy that the stops have absorbed", of="stop_energy", note="until then")
+    ]
     air_mass: Annotated[
         Scalar,
         Tracked(
@@ -84,11 +98,45 @@ class LegMetrics(NamedTuple):
     time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
 
 
+class EnergyBalance(NamedTuple):
+    """Energies of a run [J], from its start to its last sample; works are those done on the bodies.
+
+    Attributes
+    ----------
+    muscles, stops, resisting, ground
+        Work of the muscles, of the stops, of damping, friction and disturbances of the joints, and of the ground.
+    kinetic, potential
+        Changes of the energies of the bodies.
+    """
+
+    muscles: float
+    stops: float
+    resisting: float
+    ground: float
+    kinetic: float
+    potential: float
+
+    @classmethod
+    def of(cls, plant: LegPlant, run: Mapping[str, Any]) -> EnergyBalance:
+        """Return the balance of a `LegResult`, whose powers are integrated by the trapezoidal rule."""
+        powers = ("muscle_power", "stop_power", "resisting_power", "ground_power")
+        works = [float(np.trapezoid(run[name], run["time"])) for name in powers]
+        weight = float(plant.leg.total_mass) * float(plant.gravity)
+        changes = [float(run[name][-1] - run[name][0]) for name in ("kinetic", "mass_height")]
+        return cls(*works, changes[0], weight * changes[1])
+
+    @property
+    def residual(self) -> float:
+        """Work that does not appear as energy [J]: the error of sampling and integration."""
+        return self.muscles + self.stops + self.resisting + self.ground - self.kinetic - self.potential
+
+
 class LegMetricSample(NamedTuple):
     """Quantities of a sample that metrics are made of; flags are 0 or 1."""
 
     ground_up: Scalar  # [N]
     force_after_impact: Scalar  # [N], 0 before
+    force_after_flight: Scalar  # [N], 0 before
     trunk_force: Scalar  # [N]
     depth: Scalar  # of the hip below its height at the first touch [m], 0 before
     stop_torque: tuple[Scalar, ...]  # [N*m]
@@ -102,17 +150,20 @@ class Flight(NamedTuple):
     height: Scalar  # of the hip at the first touch [m]
     speed: Scalar  # of the hip, upwards [m/s]
     work: Scalar  # of the muscles so far [J]
+    absorbed: Scalar  # by the stops so far [J]
     drawn: Scalar  # air so far [kg]
     air: tuple[Scalar, ...]
     apex: Scalar  # -inf before a flight
     take_off_speed: Scalar
     muscle_work: Scalar
+    stop_energy: Scalar
     air_mass: Scalar
 
     @classmethod
     def of(cls, first: LegSample) -> Flight:
         zero = jnp.zeros_like(first.z)
-        return cls(zero - 1, first.z, first.speed, zero, zero, first.air_mass, zero - jnp.inf, zero, zero, zero)
+        none = zero - jnp.inf
+        return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, zero, zero, zero, zero)
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> tuple[Flight, LegMetricSample]:
         """Return the state after a further sample, a period [s] later, and what metrics are made of."""
@@ -126,22 +177,26 @@ class Flight(NamedTuple):
         higher = flying & (ballistic > self.apex + 1e-6)  # in flight it is constant except for rounding
         inflow = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
         work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(inflow)
+        absorbed = self.absorbed - sample.stop_power * period
         counts = higher | (self.apex == -jnp.inf)
         following = Flight(
             touched=touched,
             height=height,
             speed=sample.speed,
             work=work,
+            absorbed=absorbed,
             drawn=drawn,
             air=sample.air_mass,
             apex=jnp.where(higher, ballistic, self.apex),
             take_off_speed=jnp.where(higher, sample.mass_speed, self.take_off_speed),
             muscle_work=jnp.where(counts, work, self.muscle_work),
+            stop_energy=jnp.where(counts, absorbed, self.stop_energy),
             air_mass=jnp.where(counts, drawn, self.air_mass),
         )
         return following, LegMetricSample(
             ground_up=force,
             force_after_impact=jnp.where(touched > IMPACT, force, 0.0),
+            force_after_flight=jnp.where(self.apex > -jnp.inf, force, 0.0),
             trunk_force=plant.leg.trunk.mass * ((sample.speed - self.speed) / period + gravity),
             depth=jnp.where(touched >= 0, height - sample.z, 0.0),
             stop_torque=sample.stop_torque,
@@ -158,7 +213,7 @@ class MetricSums(NamedTuple):
     @classmethod
     def of(cls, first: LegSample) -> MetricSums:
         zero = jnp.zeros_like(first.z)
-        nothing = LegMetricSample(zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
+        nothing = LegMetricSample(zero, zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
         return cls(_totals(nothing).empty(), Flight.of(first))
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:
