@@ -224,7 +224,7 @@ def pressures_for_foot_stiffness(
     affine, free = stiffness_map(leg, angles), movable(leg)
     jacobian, geometric = foot_jacobian(leg, angles, force)
     wanted = _checked(wanted, len(jacobian))
-    moved, geometric = _square(jacobian[:, free]), geometric[np.ix_(free, free)]
+    moved, geometric = square_jacobian(jacobian[:, free]), geometric[np.ix_(free, free)]
     pushed = np.zeros(len(jacobian)) if force is None else np.asarray(force, float)
     holding = -jacobian.T @ pushed if torques is None else np.asarray(torques, float)
     low, high, names = _pressure_ranges(leg, affine, supply, minimum_tension)
@@ -336,8 +336,8 @@ def _check_angles(leg: Leg, angles: Sequence[float]) -> None:
         check_contractions(name, unit.muscle, jnp.atleast_1d(unit.path), ["this posture"])
 
 
-def _square(jacobian: Floats) -> Floats:
-    """The Jacobian of the movable joints; raise unless it can be inverted."""
+def square_jacobian(jacobian: Floats) -> Floats:
+    """Return the Jacobian of the movable joints; `RangeError` unless it can be inverted."""
     directions, joints = jacobian.shape
     if directions != joints:
         raise RangeError(

@@ -1,24 +1,29 @@
-"""Controller of a planned jump: its commands over the time of the plan, which touchdown sets."""
+"""Commands of a planned jump for its valves, and the controller that gives them over the time of the plan."""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
+from numpy.typing import NDArray
 
+from mckibben.actuator.base import AirVolume
 from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.leg.control import LegController
-from mckibben.leg.plant import LegMeasurement
+from mckibben.leg.plant import LegMeasurement, LegPlant
 from mckibben.numerics.batching import RANK
+from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.units import Instant, PositiveTime, ShortTime, Tension, ms
 
 Scalar = Float[Array, ""]
+Floats = NDArray[np.float64]
 
 
 class PlannedState(NamedTuple):
@@ -88,3 +93,52 @@ class PlannedControl(LegController):
 
     def telemetry(self, state: PlannedState) -> dict[str, Array]:
         return {"plan_time": state.time}
+
+
+def planned_commands(
+    plant: LegPlant, times: Floats, angles: Floats, pressures: Floats, period: float
+) -> tuple[Floats, Floats]:
+    """Return commands [Pa] at the times, and the pressures that follow by the model of the valves, (times, muscles)."""
+    from scipy.interpolate import make_interp_spline
+
+    fine = period * np.arange(int(np.ceil(times[-1] / period)) + 1)
+    within = np.minimum(fine, times[-1])
+    paths = [make_interp_spline(times, one)(within) for one in (angles, pressures)]
+    rates = np.gradient(paths[0], period, axis=0)
+    commands, reached = _valves(plant, paths[0], paths[1], rates, np.asarray(period))
+    hats = np.maximum(0.0, 1 - np.abs(fine - times[:, None]) / (times[1] - times[0]))  # means: less would alias
+    means = hats @ np.asarray(commands) / hats.sum(axis=1, keepdims=True)
+    return means, np.stack([np.interp(times, fine, column) for column in np.asarray(reached).T], -1)
+
+
+@compiled
+def _valves(plant: LegPlant, angles: Any, pressures: Any, rates: Any, period: Any) -> tuple[Array, Array]:
+    """Commands that lead the pressures along a plan, by the model that controllers have of the valves."""
+    leg, valve, dead = plant.leg, plant.valve, plant.valve.attached_volume
+    each = [valve.for_muscle(i) for i in range(len(leg.muscles))]
+    ranges = [one.command_range(muscle.domain) for one, muscle in zip(each, leg.muscles, strict=True)]
+
+    def volumes(at: Array, rate: Array) -> list[AirVolume | None]:
+        if not valve.holds_air:
+            return [None] * len(each)
+
+        def held(q: Array) -> Array:
+            muscles = [(one.muscle.specimen, one.path) for one in leg.routed_muscles(leg.held(tuple(q)))]
+            return jnp.stack([specimen.volume(specimen.contraction_at(path)) for specimen, path in muscles])
+
+        found, slopes = jax.jvp(held, (at,), (rate,))
+        return [AirVolume(found[i] + dead, slopes[i]) for i in range(len(each))]
+
+    def advance(state: Any, row: tuple[Array, ...]) -> tuple[Any, tuple[Array, Array]]:
+        at, rate, target = row
+        following, commands = [], []
+        for i, ((pressure, held), air) in enumerate(zip(state, volumes(at, rate), strict=True)):
+            command = each[i].command_toward(pressure, held, target[i], air, period, period)
+            command = jnp.clip(command, *ranges[i])
+            following.append(each[i].predict(pressure, held, command, air, period))
+            commands.append(command)
+        return following, (jnp.stack(commands), jnp.stack([one for one, _ in state]))
+
+    start = [(pressures[0, i], each[i].init_model(pressures[0, i])) for i in range(len(each))]
+    targets = jnp.concatenate([pressures[1:], pressures[-1:]])
+    return lax.scan(advance, start, (angles, rates, targets))[1]

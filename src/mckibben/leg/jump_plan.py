@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -9,23 +10,21 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from mckibben.actuator.base import AirVolume
 from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import McKibbenError, RangeError
 from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
-from mckibben.leg.foot import movable
-from mckibben.leg.foot_pressures import pressures_for_foot_stiffness
-from mckibben.leg.jump_control import PlannedControl
+from mckibben.leg.foot import foot_jacobian, movable
+from mckibben.leg.foot_pressures import pressures_for_foot_stiffness, square_jacobian
+from mckibben.leg.jump_control import PlannedControl, planned_commands
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.numerics.calculus import bracketed_root, value_and_derivative
 from mckibben.numerics.compiled import compiled
-from mckibben.units import mm, ms
+from mckibben.units import bar, mm, ms
 
 Floats = NDArray[np.float64]
 
@@ -89,7 +88,7 @@ class JumpPlan:
     limits
         Muscle and limit that keep the stiffness from the wanted one, the strongest; () where it is exact.
     commands, attained
-        Commands [Pa], and the pressures [Pa] that the valves reach with them by their model along the plan.
+        Commands [Pa], averaged about each time, and the pressures [Pa] that the valves reach by their model.
     take_off, touchdown
         Times [s] at which the foot leaves the ground, and touches it again.
     """
@@ -109,6 +108,11 @@ class JumpPlan:
     touchdown: float
 
     @property
+    def landing_force(self) -> float:
+        """Largest planned force of the ground after touchdown [N]."""
+        return float(self.ground_force[self.times >= self.touchdown].max())
+
+    @property
     def valve_error(self) -> float:
         """Largest difference [Pa] between a planned pressure and that which the valves reach."""
         return float(np.abs(self.attained - self.pressures).max())
@@ -116,6 +120,38 @@ class JumpPlan:
     def controller(self) -> PlannedControl:
         """Return the controller that gives the commands of the plan."""
         return PlannedControl(self.commands.T, float(self.times[1]), self.take_off, self.touchdown)
+
+    def record(self, standing: float = 0.0) -> dict[str, Any]:
+        """Return the plan as plain data; the apex is above the height of the centre of mass when standing [m]."""
+        standing_rows = (self.times <= self.take_off) | (self.times >= self.touchdown)
+        found: dict[str, Any] = {
+            "apex_mm": float(self.mass_height.max() - standing) / mm,
+            "take_off_ms": self.take_off / ms,
+            "touchdown_ms": self.touchdown / ms,
+            "duration_ms": float(self.times[-1]) / ms,
+            "ground_force": [float(self.ground_force[self.times <= self.take_off].max()), self.landing_force],
+            "valve_error_bar": self.valve_error / bar,
+        }
+        if np.isfinite(self.errors).all():
+            errors, least = self.errors[standing_rows], self.least[standing_rows]
+            limits = Counter(" ".join(one) for one, on in zip(self.limits, standing_rows, strict=True) if one and on)
+            found |= {
+                "stiffness_error": {"mean": float(errors.mean()), "largest": float(errors.max())},
+                "stiffness_least_error": {"mean": float(least.mean()), "largest": float(least.max())},
+                "limits": dict(limits.most_common()),
+            }
+        return found
+
+    def describe(self, standing: float = 0.0) -> str:
+        """Return apex, forces and errors of the stiffness as text."""
+        one = self.record(standing)
+        push, land = one["ground_force"]
+        text = f"apex {one['apex_mm']:.1f} mm, force of the ground up to {push:.0f} N and at landing {land:.0f} N"
+        if "stiffness_error" not in one:
+            return text
+        error = one["stiffness_error"]
+        text += f", stiffness of the foot on the ground within {error['largest']:.2g} (mean {error['mean']:.2g})"
+        return f"{text}, limited by {next(iter(one['limits']))}" if one["limits"] else text
 
     def start(self) -> LegStart:
         """Return the start of the jump, at rest on the ground."""
@@ -148,8 +184,9 @@ def plan_jump(
         Distance [m] by which the centre of mass sinks after touchdown.
     stiffness
         Wanted stiffness of the foot [N/m] in the squat, in the take-off posture and at the end of the landing, as
-        matrices; linear between them. It is that of the muscles, without the part of the ground's force. Default: the
-        middle of the attainable stiffness of each joint.
+        matrices, of the muscles alone: without the part of the ground's force. The stiffness matrix of the joints that
+        gives it is linear between these postures, and constant in flight. Default: the middle of the attainable
+        stiffness of each joint.
     period
         Control period [s] for which the commands are found.
 
@@ -196,16 +233,24 @@ def plan_jump(
     force, torques = line.dynamics(moved, ~flying)
     angles = line.angles(moved[0])
     _check_stops(leg, angles, times)
-    pressures, tracked = _pressures(plant, angles, torques, times, stiffness, _bends(moved[0], times < touchdown))
-    commands, attained = _commands(plant, times, angles, pressures, period)
-    found = angles.T, torques.T, course[0], force, pressures.T, *tracked, commands.T, attained.T
-    return JumpPlan(times, *found, float(push.duration), float(touchdown))
-
-
-def _bends(places: Floats, before: NDArray[np.bool_]) -> Floats:
-    """Part of the way from the take-off posture to the lowest one, before and after the flight; 0 in flight."""
-    lowest = np.where(before, 0.0, min(places[-1], 1 - 1e-9))
-    return np.where(before, 1.0, -1.0) * np.clip((1 - places) / (1 - lowest), 0.0, 1.0)
+    wanted = None if stiffness is None else line.wanted(stiffness, moved[0], flying, times < touchdown)
+    pressures, (errors, least, limits) = _pressures(plant, angles, torques, times, wanted)
+    commands, attained = planned_commands(plant, times, angles, pressures, period)
+    return JumpPlan(
+        times=times,
+        angles=angles.T,
+        torques=torques.T,
+        mass_height=course[0],
+        ground_force=force,
+        pressures=pressures.T,
+        errors=errors,
+        least=least,
+        limits=limits,
+        commands=commands.T,
+        attained=attained.T,
+        take_off=float(push.duration),
+        touchdown=touchdown,
+    )
 
 
 def _quintic(start: Sequence[float], end: Sequence[float], duration: float) -> Polynomial:
@@ -288,6 +333,26 @@ class _Line:
             )
         return best[1]
 
+    def wanted(
+        self, stiffness: Sequence[ArrayLike], places: Floats, flying: NDArray[np.bool_], before: NDArray[np.bool_]
+    ) -> Floats:
+        """Wanted stiffness of the foot [N/m] at places; that of the joints is linear between those of the ends."""
+        leg, free = self.plant.leg, movable(self.plant.leg)
+
+        def jacobian(place: float) -> Floats:
+            return square_jacobian(foot_jacobian(leg, self.angles(place).tolist())[0][:, free])
+
+        ends = np.array([0.0, 1.0, places[-1]])
+        jacobians = [jacobian(place) for place in ends]
+        at_ends = [one.T @ np.asarray(each, float) @ one for one, each in zip(jacobians, stiffness, strict=True)]
+        matrices = []
+        for place, flies, early in zip(places.tolist(), flying, before, strict=True):
+            end = 0 if early else 2
+            part = 0.0 if flies else (1 - place) / (1 - ends[end])
+            inverse = np.linalg.inv(jacobian(place))
+            matrices.append(inverse.T @ (at_ends[1] + part * (at_ends[end] - at_ends[1])) @ inverse)
+        return np.array(matrices)
+
     def dynamics(self, moved: Floats, standing: NDArray[np.bool_]) -> tuple[Floats, Floats]:
         """Force of the ground [N] and torques of the muscles [N*m] for places on the line, and their derivatives."""
         force, torques = _dynamics(self.plant, tuple(self.start), tuple(self.change), moved, standing)
@@ -322,7 +387,7 @@ def _places(
 
 
 @compiled
-def _dynamics(plant: LegPlant, start: Any, change: Any, moved: Array, standing: Array) -> tuple[Array, Array]:
+def _dynamics(plant: LegPlant, start: Any, change: Any, moved: Any, standing: Any) -> tuple[Array, Array]:
     """Force of the ground along its normal, and torques, at points of the line; with the foot on the ground or not."""
     leg, normal = plant.leg, plant.ground.normal
     free = np.flatnonzero(movable(leg))
@@ -374,70 +439,22 @@ def _check_stops(leg: Leg, angles: Floats, times: Floats) -> None:
 
 
 def _pressures(
-    plant: LegPlant, angles: Floats, torques: Floats, times: Floats, stiffness: Any, bends: Floats
+    plant: LegPlant, angles: Floats, torques: Floats, times: Floats, wanted: Floats | None
 ) -> tuple[Floats, tuple[Any, ...]]:
     """Pressures [Pa], (times, muscles), and errors, bounds and limits of a wanted stiffness."""
     leg, supply = plant.leg, float(getattr(plant.valve, "supply", None) or np.inf)
-    if stiffness is None:
+    if wanted is None:
         rows = leg.pressures_for(tuple(angles.T), tuple(torques.T), [None] * len(leg.joints))
         unknown = np.full(times.shape, np.nan)
         pressures = np.stack(np.broadcast_arrays(*rows, times)[:-1], -1)
         return pressures, (unknown, unknown, ((),) * times.size)
-    squat, take_off, landed = (np.asarray(one, float) for one in stiffness)
     found = []
-    for at, q, torque, bend in zip(times, angles.tolist(), torques.tolist(), bends, strict=True):
-        wanted = take_off + abs(bend) * ((squat if bend > 0 else landed) - take_off)
+    for at, q, torque, one in zip(times, angles.tolist(), torques.tolist(), wanted, strict=True):
         try:
-            found.append(pressures_for_foot_stiffness(leg, q, wanted, torques=torque, supply=supply))
+            found.append(pressures_for_foot_stiffness(leg, q, one, torques=torque, supply=supply))
         except McKibbenError as error:
             error.message = f"at {at / ms:.0f} ms of the plan, {error.message}"
             raise
     limits = tuple(one.limits[0] if one.limits else () for one in found)
     errors, least = (np.array([getattr(one, name) for one in found]) for name in ("error", "least"))
     return np.array([one.pressures for one in found]), (errors, least, limits)
-
-
-def _commands(plant: LegPlant, times: Floats, angles: Floats, pressures: Floats, period: float) -> tuple[Floats, ...]:
-    """Commands [Pa] at the times, and the pressures that follow by the model of the valves, (times, muscles)."""
-    from scipy.interpolate import make_interp_spline
-
-    fine = period * np.arange(int(np.ceil(times[-1] / period)) + 1)
-    within = np.minimum(fine, times[-1])
-    paths = [make_interp_spline(times, one)(within) for one in (angles, pressures)]
-    rates = np.gradient(paths[0], period, axis=0)
-    commands, reached = _valves(plant, *paths, rates, np.asarray(period))
-    found = (np.asarray(one) for one in (commands, reached))
-    return tuple(np.stack([np.interp(times, fine, column) for column in one.T], -1) for one in found)
-
-
-@compiled
-def _valves(plant: LegPlant, angles: Array, pressures: Array, rates: Array, period: Array) -> tuple[Array, Array]:
-    """Commands that lead the pressures along a plan, by the model that controllers have of the valves."""
-    leg, valve, dead = plant.leg, plant.valve, plant.valve.attached_volume
-    each = [valve.for_muscle(i) for i in range(len(leg.muscles))]
-    ranges = [one.command_range(muscle.domain) for one, muscle in zip(each, leg.muscles, strict=True)]
-
-    def volumes(at: Array, rate: Array) -> list[AirVolume | None]:
-        if not valve.holds_air:
-            return [None] * len(each)
-
-        def held(q: Array) -> Array:
-            muscles = [(one.muscle.specimen, one.path) for one in leg.routed_muscles(leg.held(tuple(q)))]
-            return jnp.stack([specimen.volume(specimen.contraction_at(path)) for specimen, path in muscles])
-
-        found, slopes = jax.jvp(held, (at,), (rate,))
-        return [AirVolume(found[i] + dead, slopes[i]) for i in range(len(each))]
-
-    def advance(state: Any, row: tuple[Array, ...]) -> tuple[Any, tuple[Array, Array]]:
-        at, rate, target = row
-        following, commands = [], []
-        for i, ((pressure, held), air) in enumerate(zip(state, volumes(at, rate), strict=True)):
-            command = each[i].command_toward(pressure, held, target[i], air, period, period)
-            command = jnp.clip(command, *ranges[i])
-            following.append(each[i].predict(pressure, held, command, air, period))
-            commands.append(command)
-        return following, (jnp.stack(commands), jnp.stack([one for one, _ in following]))
-
-    start = [(pressures[0, i], each[i].init_model(pressures[0, i])) for i in range(len(each))]
-    targets = jnp.concatenate([pressures[1:], pressures[-1:]])
-    return lax.scan(advance, start, (angles, rates, targets))[1]

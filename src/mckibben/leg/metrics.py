@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
 import jax
@@ -35,15 +34,6 @@ class LegMetrics(NamedTuple):
             note="later than 10 ms after the first touch",
         ),
     ]
-    peak_landing_force: Annotated[
-        Scalar,
-        Largest(
-            "N",
-            "largest upward force of the ground after a flight",
-            of="force_after_flight",
-            note="0 if the foot did not leave the ground and touch it again",
-        ),
-    ]
     peak_trunk_force: Annotated[
         Scalar,
         Largest(
@@ -72,6 +62,15 @@ class LegMetrics(NamedTuple):
     ]
     take_off_speed: Annotated[
         Scalar, Tracked("m/s", "upward speed of the centre of mass at take-off", of="take_off_speed")
+    ]
+    peak_landing_force: Annotated[
+        Scalar,
+        Tracked(
+            "N",
+            "largest upward force of the ground after the flight",
+            of="landing_force",
+            note="that `apex` is of; 0 if the run ends before it lands",
+        ),
     ]
     muscle_work: Annotated[
         Scalar,
@@ -117,13 +116,13 @@ class EnergyBalance(NamedTuple):
     potential: float
 
     @classmethod
-    def of(cls, plant: LegPlant, run: Mapping[str, Any]) -> EnergyBalance:
+    def of(cls, plant: LegPlant, run: Any) -> EnergyBalance:
         """Return the balance of a `LegResult`, whose powers are integrated by the trapezoidal rule."""
         powers = ("muscle_power", "stop_power", "resisting_power", "ground_power")
-        works = [float(np.trapezoid(run[name], run["time"])) for name in powers]
+        muscles, stops, resisting, ground = (float(np.trapezoid(run[name], run["time"])) for name in powers)
         weight = float(plant.leg.total_mass) * float(plant.gravity)
-        changes = [float(run[name][-1] - run[name][0]) for name in ("kinetic", "mass_height")]
-        return cls(*works, changes[0], weight * changes[1])
+        kinetic, rise = (float(run[name][-1] - run[name][0]) for name in ("kinetic", "mass_height"))
+        return cls(muscles, stops, resisting, ground, kinetic, weight * rise)
 
     @property
     def residual(self) -> float:
@@ -136,7 +135,6 @@ class LegMetricSample(NamedTuple):
 
     ground_up: Scalar  # [N]
     force_after_impact: Scalar  # [N], 0 before
-    force_after_flight: Scalar  # [N], 0 before
     trunk_force: Scalar  # [N]
     depth: Scalar  # of the hip below its height at the first touch [m], 0 before
     stop_torque: tuple[Scalar, ...]  # [N*m]
@@ -155,6 +153,7 @@ class Flight(NamedTuple):
     air: tuple[Scalar, ...]
     apex: Scalar  # -inf before a flight
     take_off_speed: Scalar
+    landing_force: Scalar
     muscle_work: Scalar
     stop_energy: Scalar
     air_mass: Scalar
@@ -163,7 +162,7 @@ class Flight(NamedTuple):
     def of(cls, first: LegSample) -> Flight:
         zero = jnp.zeros_like(first.z)
         none = zero - jnp.inf
-        return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, zero, zero, zero, zero)
+        return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, *[zero] * 5)
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> tuple[Flight, LegMetricSample]:
         """Return the state after a further sample, a period [s] later, and what metrics are made of."""
@@ -189,6 +188,7 @@ class Flight(NamedTuple):
             air=sample.air_mass,
             apex=jnp.where(higher, ballistic, self.apex),
             take_off_speed=jnp.where(higher, sample.mass_speed, self.take_off_speed),
+            landing_force=jnp.where(counts, 0.0, jnp.maximum(self.landing_force, force)),
             muscle_work=jnp.where(counts, work, self.muscle_work),
             stop_energy=jnp.where(counts, absorbed, self.stop_energy),
             air_mass=jnp.where(counts, drawn, self.air_mass),
@@ -196,7 +196,6 @@ class Flight(NamedTuple):
         return following, LegMetricSample(
             ground_up=force,
             force_after_impact=jnp.where(touched > IMPACT, force, 0.0),
-            force_after_flight=jnp.where(self.apex > -jnp.inf, force, 0.0),
             trunk_force=plant.leg.trunk.mass * ((sample.speed - self.speed) / period + gravity),
             depth=jnp.where(touched >= 0, height - sample.z, 0.0),
             stop_torque=sample.stop_torque,
@@ -213,7 +212,7 @@ class MetricSums(NamedTuple):
     @classmethod
     def of(cls, first: LegSample) -> MetricSums:
         zero = jnp.zeros_like(first.z)
-        nothing = LegMetricSample(zero, zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
+        nothing = LegMetricSample(zero, zero, zero, zero, tuple(zero for _ in first.stop_torque), zero)
         return cls(_totals(nothing).empty(), Flight.of(first))
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> MetricSums:
