@@ -28,8 +28,8 @@ from mckibben.leg import (
 )
 from mckibben.leg.dynamics import at_rest as resting
 from mckibben.leg.dynamics import motion, posture_of
-from mckibben.leg.foot_pressures import stiffness_map
 from mckibben.leg.metrics import EnergyBalance
+from mckibben.leg.stiffness_map import stiffness_map
 from mckibben.units import bar, deg, mm
 
 SQUAT, TAKE_OFF = (0.0, -20 * deg), (0.0, 0.0)
@@ -87,9 +87,10 @@ def test_pressures_give_the_torques(plant: LegPlant, plan: JumpPlan) -> None:
         for k in range(0, one.times.size, 9):
             found = stiffness_map(plant.leg, one.angles[:, k].tolist()).torque_at(one.pressures[:, k])
             np.testing.assert_allclose(found, one.torques[:, k], atol=1e-6)
-    assert np.isnan(plan.errors).all() and set(plan.limits) == {()}
-    assert (stiff.errors < 0.2).all()
-    np.testing.assert_allclose(stiff.least, stiff.errors, rtol=1e-3, atol=1e-5)  # no pressures do better
+    assert plan.foot == () and len(stiff.foot) == stiff.times.size
+    errors, least = (np.array([getattr(one, name) for one in stiff.foot]) for name in ("error", "least"))
+    assert (errors < 0.2).all()
+    np.testing.assert_allclose(least, errors, rtol=1e-3, atol=1e-5)  # no pressures do better
     assert "stiffness" in stiff.describe() and "stiffness" not in plan.describe()
 
 
@@ -106,7 +107,7 @@ def test_leg_in_space_that_does_not_swing_is_the_planar_one(scenario: LegScenari
 def test_ideal_valves_and_firm_ground_follow_the_plan(plant: LegPlant) -> None:
     firm = LegPlant(plant.leg, mk.IdealValve(), Ground(stiffness=200e3, damping=0.5, friction=0.0))
     plan = plan_jump(firm, SQUAT, TAKE_OFF, **HEIGHTS)
-    np.testing.assert_allclose(plan.attained, plan.pressures, atol=0.005 * bar)
+    np.testing.assert_allclose(plan.attained, plan.pressures, atol=0.02 * bar)
     run = simulate_leg(firm, plan.controller(), plan.start(), duration=0.6, control_period=0.25e-3)
     before = run["time"] < plan.touchdown
     followed = np.array([np.interp(run["plan_time"], plan.times, one) for one in plan.angles])

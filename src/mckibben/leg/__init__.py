@@ -10,7 +10,12 @@ from mckibben.leg.control import (
     TimedReference,
 )
 from mckibben.leg.foot import FootStiffness, attainable_foot_stiffness, foot_stiffness
-from mckibben.leg.foot_pressures import FootPressures, foot_matrix, pressures_for_foot_stiffness
+from mckibben.leg.foot_pressures import (
+    FootPressures,
+    foot_matrix,
+    pressures_for_foot_stiffness,
+    trajectory_pressures,
+)
 from mckibben.leg.ground import Ground
 from mckibben.leg.jump_control import PlannedControl
 from mckibben.leg.jump_plan import JumpPlan, plan_jump
@@ -60,4 +65,5 @@ __all__ = [
     "simulate_legs",
     "study_jump",
     "study_landing",
+    "trajectory_pressures",
 ]

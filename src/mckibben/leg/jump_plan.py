@@ -14,11 +14,11 @@ from jaxtyping import Array, ArrayLike
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from mckibben.component.checks import check_positive, check_within
+from mckibben.component.checks import check_positive
 from mckibben.errors import McKibbenError, RangeError
 from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.leg.foot import foot_jacobian, movable
-from mckibben.leg.foot_pressures import pressures_for_foot_stiffness, square_jacobian
+from mckibben.leg.foot_pressures import FootPressures, square_jacobian, trajectory_pressures
 from mckibben.leg.jump_control import PlannedControl, planned_commands
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegPlant, LegStart
@@ -83,10 +83,8 @@ class JumpPlan:
         Height of the centre of mass [m], and force of the ground along its normal [N].
     pressures
         Gauge pressures [Pa] that give the torques and, if wanted, the stiffness of the foot nearest to the wanted one.
-    errors, least
-        Error of the stiffness of the foot, and its certified bound, as in `FootPressures`; NaN if none is wanted.
-    limits
-        Muscle and limit that keep the stiffness from the wanted one, the strongest; () where it is exact.
+    foot
+        Stiffness of the foot at each time, with its certified error; empty if none is wanted.
     commands, attained
         Commands [Pa], averaged about each time, and the pressures [Pa] that the valves reach by their model.
     take_off, touchdown
@@ -99,9 +97,7 @@ class JumpPlan:
     mass_height: Floats
     ground_force: Floats
     pressures: Floats
-    errors: Floats
-    least: Floats
-    limits: tuple[tuple[str, str] | tuple[()], ...]
+    foot: tuple[FootPressures, ...]
     commands: Floats
     attained: Floats
     take_off: float
@@ -121,30 +117,29 @@ class JumpPlan:
         """Return the controller that gives the commands of the plan."""
         return PlannedControl(self.commands.T, float(self.times[1]), self.take_off, self.touchdown)
 
-    def record(self, standing: float = 0.0) -> dict[str, Any]:
-        """Return the plan as plain data; the apex is above the height of the centre of mass when standing [m]."""
-        standing_rows = (self.times <= self.take_off) | (self.times >= self.touchdown)
+    def record(self, level: float = 0.0) -> dict[str, Any]:
+        """Return the plan as plain data; the apex is above a level [m]."""
         found: dict[str, Any] = {
-            "apex_mm": float(self.mass_height.max() - standing) / mm,
+            "apex_mm": float(self.mass_height.max() - level) / mm,
             "take_off_ms": self.take_off / ms,
             "touchdown_ms": self.touchdown / ms,
             "duration_ms": float(self.times[-1]) / ms,
             "ground_force": [float(self.ground_force[self.times <= self.take_off].max()), self.landing_force],
             "valve_error_bar": self.valve_error / bar,
         }
-        if np.isfinite(self.errors).all():
-            errors, least = self.errors[standing_rows], self.least[standing_rows]
-            limits = Counter(" ".join(one) for one, on in zip(self.limits, standing_rows, strict=True) if one and on)
-            found |= {
-                "stiffness_error": {"mean": float(errors.mean()), "largest": float(errors.max())},
-                "stiffness_least_error": {"mean": float(least.mean()), "largest": float(least.max())},
-                "limits": dict(limits.most_common()),
-            }
+        if self.foot:
+            standing = (self.times <= self.take_off) | (self.times >= self.touchdown)
+            grounded = [one for one, on in zip(self.foot, standing, strict=True) if on]
+            for name, key in (("error", "stiffness_error"), ("least", "stiffness_least_error")):
+                errors = np.array([getattr(one, name) for one in grounded])
+                found[key] = {"mean": float(errors.mean()), "largest": float(errors.max())}
+            limits = Counter(" ".join(one.limits[0]) for one in grounded if one.limits)
+            found["limits"] = dict(limits.most_common())
         return found
 
-    def describe(self, standing: float = 0.0) -> str:
-        """Return apex, forces and errors of the stiffness as text."""
-        one = self.record(standing)
+    def describe(self, level: float = 0.0) -> str:
+        """Return apex above a level [m], forces and errors of the stiffness as text."""
+        one = self.record(level)
         push, land = one["ground_force"]
         text = f"apex {one['apex_mm']:.1f} mm, force of the ground up to {push:.0f} N and at landing {land:.0f} N"
         if "stiffness_error" not in one:
@@ -232,9 +227,8 @@ def plan_jump(
     course[0, flying] = (rise + speed * flown - gravity / 2 * flown**2)[flying]
     force, torques = line.dynamics(moved, ~flying)
     angles = line.angles(moved[0])
-    _check_stops(leg, angles, times)
     wanted = None if stiffness is None else line.wanted(stiffness, moved[0], flying, times < touchdown)
-    pressures, (errors, least, limits) = _pressures(plant, angles, torques, times, wanted)
+    pressures, foot = _pressures(plant, angles, torques, times, wanted)
     commands, attained = planned_commands(plant, times, angles, pressures, period)
     return JumpPlan(
         times=times,
@@ -243,9 +237,7 @@ def plan_jump(
         mass_height=course[0],
         ground_force=force,
         pressures=pressures.T,
-        errors=errors,
-        least=least,
-        limits=limits,
+        foot=foot,
         commands=commands.T,
         attained=attained.T,
         take_off=float(push.duration),
@@ -429,32 +421,17 @@ def _dynamics(plant: LegPlant, start: Any, change: Any, moved: Any, standing: An
     return jax.vmap(at, in_axes=-1)(moved, standing)
 
 
-def _check_stops(leg: Leg, angles: Floats, times: Floats) -> None:
-    for joint, path in zip(leg.joints, angles.T, strict=True):
-        for at in (path.argmin(), path.argmax()):
-            low, high = joint.lower - 1e-9, joint.upper + 1e-9
-            remedy = "plan less height or a more bent take-off posture"
-            what = f"{joint.name} at {times[at] / ms:.0f} ms of the plan"
-            check_within(what, low, high, "rad", remedy=remedy, angle=float(path[at]))
-
-
 def _pressures(
     plant: LegPlant, angles: Floats, torques: Floats, times: Floats, wanted: Floats | None
-) -> tuple[Floats, tuple[Any, ...]]:
-    """Pressures [Pa], (times, muscles), and errors, bounds and limits of a wanted stiffness."""
+) -> tuple[Floats, tuple[FootPressures, ...]]:
+    """Pressures [Pa], (times, muscles), and those for a wanted stiffness in detail."""
     leg, supply = plant.leg, float(getattr(plant.valve, "supply", None) or np.inf)
     if wanted is None:
         rows = leg.pressures_for(tuple(angles.T), tuple(torques.T), [None] * len(leg.joints))
-        unknown = np.full(times.shape, np.nan)
-        pressures = np.stack(np.broadcast_arrays(*rows, times)[:-1], -1)
-        return pressures, (unknown, unknown, ((),) * times.size)
-    found = []
-    for at, q, torque, one in zip(times, angles.tolist(), torques.tolist(), wanted, strict=True):
-        try:
-            found.append(pressures_for_foot_stiffness(leg, q, one, torques=torque, supply=supply))
-        except McKibbenError as error:
-            error.message = f"at {at / ms:.0f} ms of the plan, {error.message}"
-            raise
-    limits = tuple(one.limits[0] if one.limits else () for one in found)
-    errors, least = (np.array([getattr(one, name) for one in found]) for name in ("error", "least"))
-    return np.array([one.pressures for one in found]), (errors, least, limits)
+        return np.stack(np.broadcast_arrays(*rows, times)[:-1], -1), ()
+    try:
+        found = trajectory_pressures(leg, angles.tolist(), list(wanted), torques=torques.tolist(), supply=supply)
+    except McKibbenError as error:
+        error.message += f" (postures every {times[1] / ms:.1f} ms of the plan)"
+        raise
+    return np.array([one.pressures for one in found]), tuple(found)

@@ -166,8 +166,9 @@ def plan_stiffness(study: JumpStudy) -> Figure:
         left.plot(plan.times / ms, plan.pressures[i] / bar, label=name, **look)
     left.set(xlabel="time of the plan [ms]", ylabel="planned pressure [bar]")
     letter(left, 0, "pressures")
-    right.plot(plan.times / ms, plan.errors * 100, color=BLUE, label="error")
-    right.plot(plan.times / ms, plan.least * 100, color=ORANGE, linestyle=(0, (4, 2)), label="lower bound")
+    errors, least = (np.array([getattr(one, name) for one in plan.foot]) for name in ("error", "least"))
+    right.plot(plan.times / ms, errors * 100, color=BLUE, label="error")
+    right.plot(plan.times / ms, least * 100, color=ORANGE, linestyle=(0, (4, 2)), label="lower bound")
     right.set(xlabel="time of the plan [ms]", ylabel="error of the stiffness [%]", ylim=(0, None))
     right.legend()
     letter(right, 1, "stiffness of the foot")
@@ -232,7 +233,7 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
         "with the foot on the ground. Dashed: apex; dotted: planned."
     )
     figures = [ReportFigure("jump", "", "Jumps", caption, "Time traces of the jumps", jump_traces(study))]
-    if study.plan is not None and np.isfinite(study.plan.errors).all():
+    if study.plan is not None and study.plan.foot:
         what = "Planned pressures, and error of the stiffness of the foot with its certified bound. Grey: flight."
         figures.append(ReportFigure("plan", "", "Plan", what, "Pressures and errors over time", plan_stiffness(study)))
     tables = [
