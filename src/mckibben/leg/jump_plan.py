@@ -20,7 +20,6 @@ from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion
 from mckibben.leg.foot import foot_jacobian, movable
 from mckibben.leg.foot_pressures import FootPressures, square_jacobian, trajectory_pressures
 from mckibben.leg.jump_control import PlannedControl, planned_commands
-from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.numerics.calculus import bracketed_root, value_and_derivative
 from mckibben.numerics.compiled import compiled

@@ -156,13 +156,16 @@ def jump_traces(study: JumpStudy) -> Figure:
 
 @styled
 def plan_stiffness(study: JumpStudy) -> Figure:
-    """Certified error of the stiffness of the foot along the plan, and its planned pressures."""
-    plan = study.plan
-    assert plan is not None
-    figure = blank(DOUBLE, 2.6)
-    left, right = figure.subplots(1, 2)
-    names = list(study.scenario.leg.muscle_names)
-    for i, (name, look) in enumerate(looks_of(names).items()):
+    """Planned pressures, certified error of the stiffness of the foot, and displacements of the foot under 1 N.
+
+    Grey: attainable with the torques of the plan, without muscles over two joints.
+    """
+    plan, leg = study.plan, study.scenario.leg
+    assert plan is not None and plan.foot
+    figure = blank(DOUBLE, 4.8)
+    grid = figure.add_gridspec(2, 4)
+    left, right = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:])
+    for i, (name, look) in enumerate(looks_of(list(leg.muscle_names)).items()):
         left.plot(plan.times / ms, plan.pressures[i] / bar, label=name, **look)
     left.set(xlabel="time of the plan [ms]", ylabel="planned pressure [bar]")
     letter(left, 0, "pressures")
@@ -175,6 +178,24 @@ def plan_stiffness(study: JumpStudy) -> Figure:
     for axes in (left, right):
         axes.axvspan(plan.take_off / ms, plan.touchdown / ms, color=BAND, alpha=0.4, linewidth=0)
     legend_above(figure, left)
+    pushed = int(np.argmax(np.where(plan.times < plan.take_off, plan.ground_force, 0.0)))
+    left_at = int(np.searchsorted(plan.times, plan.take_off))
+    moments = {"squat": 0, "largest force": pushed, "take-off": left_at, "after landing": plan.times.size - 1}
+    shared: Axes | None = None
+    for number, (title, k) in enumerate(moments.items()):
+        axes = figure.add_subplot(grid[1, number], sharex=shared, sharey=shared)
+        shared = shared or axes
+        angles, torques = plan.angles[:, k].tolist(), plan.torques[:, k].tolist()
+        for one in attainable_foot_stiffness(leg, angles, torques, levels=7 if leg.is_planar else 4):
+            axes.plot(*(one.ellipse()[[0, -1]] / mm), color=BAND, linewidth=0.8, zorder=1)
+        wanted = stiffness_of(np.linalg.inv(plan.foot[k].wanted))
+        axes.plot(*(plan.foot[k].stiffness.ellipse()[[0, -1]] / mm), color=VERMILLION, label="attained")
+        axes.plot(*(wanted.ellipse()[[0, -1]] / mm), color=BLUE, linestyle=(0, (4, 2)), label="wanted")
+        axes.set_xlabel("forwards [mm]")
+        letter(axes, 2 + number, title)
+        if number == 0:
+            axes.set_ylabel("up, under 1 N [mm]")
+            axes.legend(loc="upper right", fontsize="x-small")
     return figure
 
 
@@ -234,7 +255,10 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
     )
     figures = [ReportFigure("jump", "", "Jumps", caption, "Time traces of the jumps", jump_traces(study))]
     if study.plan is not None and study.plan.foot:
-        what = "Planned pressures, and error of the stiffness of the foot with its certified bound. Grey: flight."
+        what = (
+            "Planned pressures, error of the stiffness of the foot with its certified bound (grey: flight), and "
+            "displacement of the foot under 1 N in each direction (grey: attainable with the planned torques)."
+        )
         figures.append(ReportFigure("plan", "", "Plan", what, "Pressures and errors over time", plan_stiffness(study)))
     tables = [
         Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()),
