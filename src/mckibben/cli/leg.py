@@ -88,7 +88,10 @@ def jump(
     resume: Resume = False,
     accuracy: Accuracy = "",
 ) -> None:
-    """Find the highest jumps with constant and timed pressures, and simulate a planned one; can be resumed."""
+    """Find the highest jumps with constant and timed pressures, and simulate a planned one; can be resumed.
+
+    Of each jump --animate writes a file, with the name of the jump after that of FILE.
+    """
     if resume:
         required_folder(out, "study to be continued")
     journal = out / "jump.journal" if out else None
@@ -97,7 +100,10 @@ def jump(
     from mckibben.leg.jumping import study_jump
 
     read = _read(file, accuracy)
-    _check_animation(animate, force)
+    names = ["constant", "timed", *(["planned"] if read.jump and read.jump.plan else [])]
+    films = {name: animate.with_stem(f"{animate.stem}-{name}") for name in names} if animate else {}
+    for film in films.values():
+        _check_animation(film, force)
     if journal and not resume:
         journal.unlink(missing_ok=True)  # of the study that --force replaces
     with long_job(quiet=json, kept="the search is kept; continue with --resume" if out else "") as report:
@@ -108,16 +114,17 @@ def jump(
 
         with keeping(out):
             write_json(out / "results.json", numbers)
+            (out / "planned.nc").unlink(missing_ok=True)  # of a study with a plan that --force replaces
             for name, one in study.jumps.items():
                 one.run.to_netcdf(out / f"{name}.nc")
             read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)
-    if animate:
-        _animate(read.plant(), list(study.jumps.values())[-1].run, animate, json)
+    for name, film in films.items():
+        _animate(read.plant(), study.jumps[name].run, film, json)
     if out:
-        names = ", ".join(f"{name}.nc" for name in study.jumps)
-        notify(f"wrote jump.html, results.json, {names} and leg.yaml to {out}", json)
+        results = ", ".join(f"{name}.nc" for name in names)
+        notify(f"wrote jump.html, results.json, {results} and leg.yaml to {out}", json)
 
 
 @leg.command()
