@@ -28,7 +28,7 @@ def test_text_reads_back(scenario: LegScenario) -> None:
 
 
 def test_the_file_of_the_docs_is_a_leg() -> None:
-    text = Path("docs/leg.md").read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    text = Path("docs/leg.md").read_text(encoding="utf-8").split("## Files")[1].split("```yaml\n")[1].split("```")[0]
     assert LegScenario.parse(text).plant().leg.muscle_names[-1] == "rectus"
 
 
