@@ -13,6 +13,7 @@ import pytest
 import mckibben as mk
 from mckibben.errors import FileError, RangeError, ScenarioError, UnreachableError
 from mckibben.leg import (
+    EnergyBalance,
     Ground,
     JumpPlan,
     LegMeasurement,
@@ -28,7 +29,6 @@ from mckibben.leg import (
 )
 from mckibben.leg.dynamics import at_rest as resting
 from mckibben.leg.dynamics import motion, posture_of
-from mckibben.leg.metrics import EnergyBalance
 from mckibben.leg.stiffness_map import stiffness_map
 from mckibben.units import bar, deg, mm
 

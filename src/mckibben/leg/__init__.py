@@ -22,7 +22,7 @@ from mckibben.leg.jump_plan import JumpPlan, plan_jump
 from mckibben.leg.jumping import JumpStudy, study_jump
 from mckibben.leg.landing import LandingStudy, study_landing
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
-from mckibben.leg.metrics import LegMetrics
+from mckibben.leg.metrics import EnergyBalance, LegMetrics
 from mckibben.leg.plant import LegMeasurement, LegPlant, LegStart, LegState
 from mckibben.leg.scenario import LegScenario, read_leg
 from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate_legs
@@ -30,6 +30,7 @@ from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate
 __all__ = [
     "BiarticularMuscle",
     "CoupledControl",
+    "EnergyBalance",
     "FootPressures",
     "FootStiffness",
     "Ground",

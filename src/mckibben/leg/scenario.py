@@ -333,7 +333,7 @@ def _unknown_joint(leg: Leg, name: str) -> tuple[str, str]:
 
 
 def _check_posture(leg: Leg, angles: Angles) -> None:
-    """Refuse angles of joints that do not exist, are locked elsewhere, or have stops before."""
+    """Refuse angles of unknown joints, of joints that are locked elsewhere, and beyond stops."""
     joints = {joint.name: joint for joint in leg.joints}
     for name, angle in angles.items():
         if name not in joints:
