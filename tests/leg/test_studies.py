@@ -280,7 +280,7 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, mon
         assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
         assert jump["integration"]["substeps"] >= 1
     assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
-    assert len(study.rows()[1]) == 2 and "mm" in study.describe()
+    assert len(study.rows()[1]) == 3 and "mm" in study.describe()
 
 
 @pytest.mark.slow
