@@ -14,8 +14,8 @@ import mckibben as mk
 from mckibben import catalog
 from mckibben.leg import Ground, Leg, LegJoint, LegPlant, Link, Trunk, attainable_foot_stiffness, foot_stiffness
 from mckibben.leg.dynamics import Posture, Velocity, acceleration, motion
+from mckibben.leg.ground import compliant_force
 from mckibben.leg.jumping import standing_torques
-from mckibben.leg.plant import compliant_force
 from mckibben.numerics.spatial import ZERO
 from mckibben.units import deg
 from tests.leg.conftest import leg_of

@@ -24,9 +24,10 @@ from mckibben.leg import (
     foot_stiffness,
     pressures_for_foot_stiffness,
     read_leg,
+    trajectory_pressures,
 )
 from mckibben.leg.foot import foot_jacobian
-from mckibben.leg.foot_pressures import stiffness_map
+from mckibben.leg.stiffness_map import stiffness_map
 from mckibben.units import bar, deg
 
 POSTURES = {"lei-leg-planar": (0.02, -0.3), "lei-leg": (0.05, 0.02, -0.3)}
@@ -106,6 +107,44 @@ def test_no_point_of_a_grid_is_nearer(principal: tuple[float, float], direction:
     assert found.error == pytest.approx(best, rel=0.01)
     assert found.least == pytest.approx(found.error, rel=1e-6)
     assert found.error == pytest.approx(error(tuple(np.diag(found.joint_stiffness))), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_no_point_of_a_grid_is_nearer_along_a_trajectory() -> None:
+    """Postures from squat to stretched, with the torques of a push, over co-contractions of both pairs."""
+    leg = read_leg("lei-leg-planar")
+    part = np.linspace(0.0, 1.0, 7)
+    angles = np.stack([0.02 - 0.04 * part, -0.35 + 0.5 * part], -1)
+    torques = np.stack([5.0 - 7.0 * part, 8.0 - 8.0 * part], -1)
+    wanted = np.array([foot_matrix((25.0 - 4 * at, 800.0 + 1500 * at), -0.25 + 0.2 * at) for at in part])
+    found = trajectory_pressures(leg, angles.tolist(), list(wanted), torques=torques.tolist(), minimum_tension=0.0)
+    for k, one in enumerate(found):
+        alone = pressures_for_foot_stiffness(leg, angles[k], wanted[k], torques=torques[k], minimum_tension=0.0)
+        assert one.pressures == alone.pressures and one.least == alone.least
+        np.testing.assert_allclose(leg.torques(angles[k], one.pressures), torques[k], atol=1e-6)
+        inverse = np.linalg.inv(foot_jacobian(leg, angles[k])[0])
+        values, vectors = np.linalg.eigh(wanted[k])
+        root = vectors @ np.diag(values**-0.5) @ vectors.T
+        ranges = [
+            np.linspace(*pair.muscles.attainable_stiffness(at, torque), 401)
+            for pair, at, torque in zip(leg.joints, angles[k], torques[k], strict=True)
+        ]
+        first, second = np.meshgrid(*ranges)
+        own = np.einsum("ai,nij,bj->nab", root @ inverse.T, _diagonal(first.ravel(), second.ravel()), root @ inverse.T)
+        best = np.linalg.norm(own - np.eye(2), axis=(1, 2)).min()
+        assert one.least <= one.error <= best * (1 + 1e-6)
+        assert one.error == pytest.approx(best, rel=0.01)
+    with pytest.raises(RangeError) as caught:
+        trajectory_pressures(leg, angles.tolist(), list(wanted[:3]))
+    assert caught.value.field == "wanted"
+    with pytest.raises(UnreachableError) as beyond:
+        trajectory_pressures(leg, angles.tolist(), list(wanted), torques=(4 * torques).tolist())
+    assert beyond.value.remedy
+
+
+def _diagonal(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    zero = np.zeros_like(first)
+    return np.stack([np.stack([first, zero], -1), np.stack([zero, second], -1)], -1)
 
 
 def test_random_pressures_are_no_nearer_with_a_biarticular_muscle_in_space() -> None:

@@ -33,6 +33,7 @@ leg = typer.Typer(name="leg", help="Landing and jumping of a leg, and stiffness 
 Animate = Annotated[
     Path | None, Option("--animate", metavar="FILE", help="Animation, .webp or .gif; needs the package mujoco.")
 ]
+Resume = Annotated[bool, Option("--resume", help="Continue the study in DIR.")]
 _FIGURE = "foot_stiffness"
 LegFile = Annotated[Path, Argument(metavar="LEG.yaml", help="Leg; see examples/leg/.")]
 
@@ -44,7 +45,7 @@ def land(
     out: Out = None,
     force: Force = False,
     animate: Animate = None,
-    resume: Annotated[bool, Option("--resume", help="Continue the study in DIR.")] = False,
+    resume: Resume = False,
     accuracy: Accuracy = "",
 ) -> None:
     """Simulate drop landings over stiffness, drop height and valve, with intervals; can be resumed."""
@@ -84,31 +85,46 @@ def jump(
     out: Out = None,
     force: Force = False,
     animate: Animate = None,
+    resume: Resume = False,
     accuracy: Accuracy = "",
 ) -> None:
-    """Find the highest jumps with constant and with timed pressures, with intervals."""
-    results_folder(out, ("results.json", "constant.nc", "timed.nc", "leg.yaml", "jump.html"), force)
+    """Find the highest jumps with constant and timed pressures, and simulate a planned one; can be resumed.
+
+    Of each jump --animate writes a file, with the name of the jump after that of FILE.
+    """
+    if resume:
+        required_folder(out, "study to be continued")
+    journal = out / "jump.journal" if out else None
+    runs = ("constant.nc", "timed.nc", "planned.nc")
+    results_folder(out, ("results.json", *runs, "leg.yaml", "jump.html", "jump.journal"), force or resume)
     from mckibben.leg.jumping import study_jump
 
     read = _read(file, accuracy)
-    _check_animation(animate, force)
-    with long_job(quiet=json, kept="") as report:
-        study = study_jump(read, source=str(file), progress=report)
+    names = ["constant", "timed", *(["planned"] if read.jump and read.jump.plan else [])]
+    films = {name: animate.with_stem(f"{animate.stem}-{name}") for name in names} if animate else {}
+    for film in films.values():
+        _check_animation(film, force)
+    if journal and not resume:
+        journal.unlink(missing_ok=True)  # of the study that --force replaces
+    with long_job(quiet=json, kept="the search is kept; continue with --resume" if out else "") as report:
+        study = study_jump(read, source=str(file), journal=journal, resume=resume, progress=report)
     numbers = study.records()
     if out:
         from mckibben.report.leg import write_jump
 
         with keeping(out):
             write_json(out / "results.json", numbers)
-            study.constant.run.to_netcdf(out / "constant.nc")
-            study.timed.run.to_netcdf(out / "timed.nc")
+            (out / "planned.nc").unlink(missing_ok=True)  # of a study with a plan that --force replaces
+            for name, one in study.jumps.items():
+                one.run.to_netcdf(out / f"{name}.nc")
             read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)
-    if animate:
-        _animate(read.plant(), study.timed.run, animate, json)
+    for name, film in films.items():
+        _animate(read.plant(), study.jumps[name].run, film, json)
     if out:
-        notify(f"wrote jump.html, results.json, constant.nc, timed.nc and leg.yaml to {out}", json)
+        results = ", ".join(f"{name}.nc" for name in names)
+        notify(f"wrote jump.html, results.json, {results} and leg.yaml to {out}", json)
 
 
 @leg.command()

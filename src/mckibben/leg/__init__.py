@@ -10,22 +10,32 @@ from mckibben.leg.control import (
     TimedReference,
 )
 from mckibben.leg.foot import FootStiffness, attainable_foot_stiffness, foot_stiffness
-from mckibben.leg.foot_pressures import FootPressures, foot_matrix, pressures_for_foot_stiffness
+from mckibben.leg.foot_pressures import (
+    FootPressures,
+    foot_matrix,
+    pressures_for_foot_stiffness,
+    trajectory_pressures,
+)
+from mckibben.leg.ground import Ground
+from mckibben.leg.jump_control import PlannedControl
+from mckibben.leg.jump_plan import JumpPlan, plan_jump
 from mckibben.leg.jumping import JumpStudy, study_jump
 from mckibben.leg.landing import LandingStudy, study_landing
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
-from mckibben.leg.metrics import LegMetrics
-from mckibben.leg.plant import Ground, LegMeasurement, LegPlant, LegStart, LegState
+from mckibben.leg.metrics import EnergyBalance, LegMetrics
+from mckibben.leg.plant import LegMeasurement, LegPlant, LegStart, LegState
 from mckibben.leg.scenario import LegScenario, read_leg
 from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate_legs
 
 __all__ = [
     "BiarticularMuscle",
     "CoupledControl",
+    "EnergyBalance",
     "FootPressures",
     "FootStiffness",
     "Ground",
     "JointwiseControl",
+    "JumpPlan",
     "JumpStudy",
     "LandingStudy",
     "Leg",
@@ -41,6 +51,7 @@ __all__ = [
     "LegState",
     "Link",
     "PhasedReference",
+    "PlannedControl",
     "PressureSchedule",
     "TimedReference",
     "Trunk",
@@ -48,10 +59,12 @@ __all__ = [
     "foot_matrix",
     "foot_stiffness",
     "leg_metrics",
+    "plan_jump",
     "pressures_for_foot_stiffness",
     "read_leg",
     "simulate_leg",
     "simulate_legs",
     "study_jump",
     "study_landing",
+    "trajectory_pressures",
 ]

@@ -108,15 +108,18 @@ def foot_stiffness(
             value=len(given),
             remedy="give one of each for each joint, from the trunk down, or the stiffness matrix",
         )
-    jacobian, geometric = foot_jacobian(leg, angles, force)
-    free = movable(leg)
-    joints = (np.diag(given) if given.ndim == 1 else given) - geometric
-    yielding = joints[np.ix_(free, free)]
+    joints = np.diag(given) if given.ndim == 1 else given
+    return stiffness_through(*foot_jacobian(leg, angles, force), movable(leg), joints)
+
+
+def stiffness_through(jacobian: Floats, geometric: Floats, free: NDArray[np.bool_], stiffness: Floats) -> FootStiffness:
+    """Return the stiffness of the foot by the stiffness matrix [N*m/rad] of the joints, of which some are free."""
+    yielding = (stiffness - geometric)[np.ix_(free, free)]
     if free.any() and np.linalg.eigvalsh((yielding + yielding.T) / 2).min() <= 0:
         raise RangeError(
             "the posture is not stable under the force",
             field="stiffness",
-            value=given.tolist(),
+            value=stiffness.tolist(),
             remedy="give more stiffness, a straighter leg or less force",
         )
     moved = jacobian[:, free]

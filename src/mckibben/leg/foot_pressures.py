@@ -10,19 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_within
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
-from mckibben.joint import RigidTendon
-from mckibben.leg.foot import FootStiffness, foot_jacobian, foot_stiffness, movable, stiffness_of
+from mckibben.leg.foot import FootStiffness, foot_jacobian, movable, stiffness_of, stiffness_through
 from mckibben.leg.mechanism import Leg, check_contractions
-from mckibben.muscle import PressureAffineLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.leg.stiffness_map import StiffnessMap, check_affine, map_at
+from mckibben.muscle import Domain
 from mckibben.units import bar
 
 if TYPE_CHECKING:
@@ -39,26 +37,6 @@ _CENTRED = 1e-6
 _SINGULAR = 1e-6
 _SURE = 0.01
 """Relative difference of error and bound below which the error is called the least possible."""
-
-
-class StiffnessMap(NamedTuple):
-    """Torques, stiffness and tensions at a posture, affine in the pressures of taut muscles: offset + slope p.
-
-    Torques [N*m] of the joints, (joints,) and (joints, muscles); stiffness matrix [N*m/rad], minus the derivative of
-    the torques, (joints, joints) and (joints, joints, muscles); tensions [N], (muscles,), each by its own pressure.
-    """
-
-    torque: tuple[Floats, Floats]
-    stiffness: tuple[Floats, Floats]
-    tension: tuple[Floats, Floats]
-
-    def torque_at(self, pressures: ArrayLike) -> Floats:
-        """Return the torques [N*m] at gauge pressures [Pa]."""
-        return self.torque[0] + self.torque[1] @ np.asarray(pressures, float)
-
-    def stiffness_at(self, pressures: ArrayLike) -> Floats:
-        """Return the stiffness matrix [N*m/rad] at gauge pressures [Pa]."""
-        return self.stiffness[0] + self.stiffness[1] @ np.asarray(pressures, float)
 
 
 class FootPressures(NamedTuple):
@@ -140,32 +118,6 @@ def _listed(numbers: Sequence[float]) -> str:
     return ", ".join(f"{one:.4g}" for one in numbers)
 
 
-def stiffness_map(leg: Leg, angles: Sequence[float]) -> StiffnessMap:
-    """Return torques, stiffness and tensions at angles [rad] as affine functions of the pressures.
-
-    Raises
-    ------
-    RangeError
-        If a law is not affine in pressure, or a tendon is not rigid.
-    """
-    tendons = [*(pair.muscles.tendon for pair in leg.joints for _ in (1, 2)), *(RigidTendon() for _ in leg.biarticular)]
-    for name, muscle, tendon in zip(leg.muscle_names, leg.muscles, tendons, strict=True):
-        for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
-            if not isinstance(part, kind):
-                raise RangeError(
-                    f"{name}: with a {type(part).__name__} the stiffness is not affine in the pressures",
-                    field="muscle",
-                    value=type(part).__name__,
-                    remedy="give it a law that is affine in pressure, and a rigid tendon",
-                )
-    (torque, gain, offset, slope), (stiffness, coupling) = _affine(leg, tuple(map(float, angles)))
-    return StiffnessMap(
-        (np.asarray(torque), np.asarray(gain)),
-        (-np.asarray(stiffness), -np.asarray(coupling).transpose(0, 2, 1)),
-        (np.asarray(offset), np.asarray(slope)),
-    )
-
-
 def pressures_for_foot_stiffness(
     leg: Leg,
     angles: Sequence[float],
@@ -217,17 +169,71 @@ def pressures_for_foot_stiffness(
     >>> found.limits
     (('hip1', 'slack'), ('knee1', 'highest pressure'))
     """
+    forces, holding = (None if one is None else [one] for one in (force, torques))
+    limits = {"supply": supply, "minimum_tension": minimum_tension}
+    return trajectory_pressures(leg, [angles], [wanted], forces=forces, torques=holding, **limits)[0]
+
+
+def trajectory_pressures(
+    leg: Leg,
+    angles: Sequence[Sequence[float]],
+    wanted: Sequence[ArrayLike],
+    *,
+    forces: Sequence[Sequence[float]] | None = None,
+    torques: Sequence[Sequence[float]] | None = None,
+    supply: float = np.inf,
+    minimum_tension: float = 1.0,
+) -> list[FootPressures]:
+    """Return what `pressures_for_foot_stiffness` does for each posture of a sequence.
+
+    Parameters
+    ----------
+    angles, wanted, forces, torques
+        One row, or matrix, for each posture; see there for the other arguments and the meaning.
+
+    Raises
+    ------
+    RangeError, UnreachableError
+        As there; of several postures, with the number of the posture, from 0.
+    """
+    count = len(angles)
+    for name, given in {"wanted": wanted, "forces": forces, "torques": torques}.items():
+        if given is not None and len(given) != count:
+            raise RangeError(f"{len(given)} {name} for {count} postures", field=name, remedy=f"give {count}")
+    _check_angles(leg, angles)
+    check_affine(leg)
+    domains, found = [muscle.domain for muscle in leg.muscles], []
+    for k in range(count):
+        force, holding = (None if one is None else one[k] for one in (forces, torques))
+        try:
+            limits = domains, supply, minimum_tension
+            found.append(_nearest(leg, angles[k], wanted[k], force, holding, limits))
+        except McKibbenError as error:
+            error.message = error.message if count == 1 else f"posture {k}: {error.message}"
+            raise
+    return found
+
+
+def _nearest(
+    leg: Leg,
+    angles: Sequence[float],
+    wanted: ArrayLike,
+    force: Sequence[float] | None,
+    torques: Sequence[float] | None,
+    limits: tuple[list[Domain], float, float],
+) -> FootPressures:
+    """Pressures at one posture; `limits` are the domains of the muscles, the supply [Pa] and the lowest tension [N]."""
     from scipy.linalg import sqrtm
     from scipy.optimize import lsq_linear
 
-    _check_angles(leg, angles)
-    affine, free = stiffness_map(leg, angles), movable(leg)
+    affine, free = map_at(leg, angles), movable(leg)
     jacobian, geometric = foot_jacobian(leg, angles, force)
+    whole = jacobian, geometric
     wanted = _checked(wanted, len(jacobian))
-    moved, geometric = _square(jacobian[:, free]), geometric[np.ix_(free, free)]
+    moved, geometric = square_jacobian(jacobian[:, free]), geometric[np.ix_(free, free)]
     pushed = np.zeros(len(jacobian)) if force is None else np.asarray(force, float)
     holding = -jacobian.T @ pushed if torques is None else np.asarray(torques, float)
-    low, high, names = _pressure_ranges(leg, affine, supply, minimum_tension)
+    low, high, names = _pressure_ranges(leg, affine, *limits)
 
     # errors of the stiffness in the norm, as factors @ p - target, with p in bar
     root = np.linalg.inv(np.real(sqrtm(wanted)))
@@ -255,7 +261,7 @@ def pressures_for_foot_stiffness(
     return FootPressures(
         tuple(pressures.tolist()),
         tuple(np.maximum(affine.tension[0] + affine.tension[1] * pressures, 0.0).tolist()),
-        foot_stiffness(leg, angles, joints, force=force),
+        stiffness_through(*whole, free, joints),
         joints,
         wanted,
         moved.T @ wanted @ moved + geometric,
@@ -326,18 +332,23 @@ def _checked(wanted: ArrayLike, directions: int) -> Floats:
     return matrix
 
 
-def _check_angles(leg: Leg, angles: Sequence[float]) -> None:
-    """Raise `RangeError` for angles beyond stops, and for contractions outside the domains of the muscles."""
-    for joint, angle in zip(leg.joints, angles, strict=True):
+def _check_angles(leg: Leg, angles: Sequence[Sequence[float]]) -> None:
+    """Raise `RangeError` for postures beyond stops, and for contractions outside the domains of the muscles."""
+    columns = tuple(np.asarray(angles, float).reshape(-1, len(leg.joints)).T)
+    for joint, column in zip(leg.joints, columns, strict=True):
         if joint.locked is None:
             low, high = joint.lower - 1e-9, joint.upper + 1e-9
-            check_within(joint.name, low, high, "rad", remedy="choose an angle between its stops", angle=angle)
-    for name, unit in zip(leg.muscle_names, leg.routed_muscles(leg.held(tuple(angles))), strict=True):
-        check_contractions(name, unit.muscle, jnp.atleast_1d(unit.path), ["this posture"])
+            for angle in (column.min(), column.max()):
+                remedy = "choose an angle between its stops"
+                check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
+    places = ["this posture"] if len(angles) == 1 else [f"posture {k}" for k in range(len(angles))]
+    for name, unit in zip(leg.muscle_names, leg.routed_muscles(leg.held(columns)), strict=True):
+        paths = jnp.broadcast_to(unit.path, (len(angles),))
+        check_contractions(name, unit.muscle, paths, places)
 
 
-def _square(jacobian: Floats) -> Floats:
-    """The Jacobian of the movable joints; raise unless it can be inverted."""
+def square_jacobian(jacobian: Floats) -> Floats:
+    """Return the Jacobian of the movable joints; `RangeError` unless it can be inverted."""
     directions, joints = jacobian.shape
     if directions != joints:
         raise RangeError(
@@ -357,12 +368,12 @@ def _square(jacobian: Floats) -> Floats:
 
 
 def _pressure_ranges(
-    leg: Leg, affine: StiffnessMap, supply: float, minimum_tension: float
+    leg: Leg, affine: StiffnessMap, domains: list[Domain], supply: float, minimum_tension: float
 ) -> tuple[Floats, Floats, list[tuple[str, str]]]:
     """Lowest and highest pressure [Pa] of each taut muscle, and what limits it below and above."""
     lows, highs, names = [], [], []
-    for name, muscle, offset, slope in zip(leg.muscle_names, leg.muscles, *affine.tension, strict=True):
-        domain = muscle.domain
+    muscles = zip(leg.muscle_names, leg.muscles, domains, *affine.tension, strict=True)
+    for name, muscle, domain, offset, slope in muscles:
         below = {"lowest pressure": float(domain.pressure_min)}
         above = {"highest pressure": min(float(domain.pressure_max), supply)}
         if slope > 0:
@@ -441,26 +452,3 @@ def _limits(leg: Leg, multipliers: Floats, names: list[tuple[str, str]]) -> tupl
     order = np.argsort(-strength, kind="stable")
     counted = [i for i in order if strength[i] > EXACT * max(1.0, float(strength.max()))]
     return tuple((leg.muscle_names[i], names[i][1 if multipliers[i] > 0 else 0]) for i in counted)
-
-
-@compiled
-def _affine(leg: Leg, angles: tuple[ArrayLike, ...]) -> tuple[tuple[Array, ...], tuple[Array, Array]]:
-    """Torques and tensions, offsets and slopes over the pressures; and the derivatives of the torques by the angles."""
-
-    def terms(q: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        units = leg.routed_muscles(leg.held(tuple(q)))
-        pairs = [
-            unit.muscle.force_law.pressure_terms(unit.muscle.specimen.contraction_at(unit.path))  # type: ignore
-            for unit in units
-        ]
-        offset, gain = (jnp.stack([jnp.asarray(one) for one in column]) for column in zip(*pairs, strict=True))
-        zero = jnp.zeros(())
-        arms = jnp.stack(
-            [jnp.stack([-unit.slopes.get(joint, zero) for unit in units]) for joint in range(len(leg.joints))]
-        )
-        return (arms @ offset, arms * gain), (offset, gain)
-
-    q = jnp.stack([jnp.asarray(one) for one in angles])
-    (torque, gain), (offset, slope) = terms(q)
-    stiffness, coupling = jax.jacfwd(lambda x: terms(x)[0])(q)
-    return (torque, gain, offset, slope), (stiffness, coupling)

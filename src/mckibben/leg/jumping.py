@@ -1,13 +1,14 @@
-"""Jumps from a squat: pressures and their timing for the highest jump, compared with the best constant pressures."""
+"""Jumps from a squat: the best constant and the best timed pressures for the highest jump, and a planned jump."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,90 +18,118 @@ from numpy.typing import NDArray
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
+from mckibben.leg.foot_pressures import foot_matrix
+from mckibben.leg.jump_control import PlannedControl
+from mckibben.leg.jump_plan import JumpPlan, plan_jump
+from mckibben.leg.jump_search import LANES, Evaluations, JumpRuns, ScheduleVariables, highest
 from mckibben.leg.landing import EDGES
+from mckibben.leg.metrics import EnergyBalance
 from mckibben.leg.plant import LegPlant, LegStart
-from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate_legs
+from mckibben.leg.scenario import LegScenario, PlanSettings
+from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
+from mckibben.leg.study_journal import StudyJournal, StudyKind
 from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import compiled
 from mckibben.numerics.spatial import Z
 from mckibben.plant.base import MOST_SUBSTEPS
-from mckibben.simulation.engine import BatchFunction, dynamic_steps
-from mckibben.simulation.problem import sampling_times
-from mckibben.simulation.table import Batch
+from mckibben.simulation.software import engine_of_job
 from mckibben.units import bar, deg, mm, ms
 
 Floats = NDArray[np.float64]
 
-_GENERATIONS, _POPULATION = 80, 10  # of differential evolution; the latter for each variable
 _POSTURES = 41  # of each joint, tried for the highest
-_POLISHING = 30  # iterations of L-BFGS-B
+_LANDING = 0.25  # s of a jump after the duration of its search, or after its plan
+_KIND = StudyKind("mckibben jumps", 1, "evaluations of the search")
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump with its schedule, time traces, and heights over the draws, of which the first is nominal.
+    """A jump with its controller, time traces, and results over the draws, of which the first is nominal.
 
     Attributes
     ----------
-    schedule
-        Commands of the muscles.
+    controller
+        `PressureSchedule`, or `PlannedControl` of a planned jump.
     run
         Time traces of the nominal jump (`simulate_leg`), with its `resolution`.
+    balance
+        Energies of the nominal run, landing included.
     substeps
         Integration steps per control period of the jumps of the draws.
     heights
         Heights [m] of the centre of mass at the apex above that of the standing leg of the same draw.
     rises
         Rise of the centre of mass [m] after take-off.
+    push_force, landing_force
+        Largest force of the ground [weight of the leg] before the apex, nominal, and after the flight, over the draws.
     work
         Work of the muscles [J] until take-off, nominal.
+    stop_energy
+        Energy [J] that the stops absorb until then.
     air_energy
         Exergy [J], at room temperature, of the air in the muscles at the start and of the inflow until take-off.
     """
 
-    schedule: PressureSchedule
+    controller: PressureSchedule | PlannedControl
     run: LegResult
+    balance: EnergyBalance
     substeps: int
     heights: Floats
     rises: Floats
+    push_force: float
+    landing_force: Floats
     work: float
+    stop_energy: float
     air_energy: float
 
     def record(self) -> dict[str, Any]:
         """The results as plain data."""
-        low, high = np.nanpercentile(self.heights[1:], EDGES)
         resolution = self.run.resolution
         assert resolution is not None
-        return {
+        found = {
             "height_mm": float(self.heights[0] / mm),
-            "height_interval_mm": [float(low / mm), float(high / mm)],
+            "height_interval_mm": interval(self.heights / mm),
             "rise_mm": float(self.rises[0] / mm),
+            "rise_interval_mm": interval(self.rises / mm),
+            "push_off_force_weights": self.push_force,
+            "landing_force_weights": float(self.landing_force[0]),
+            "landing_force_interval": interval(self.landing_force),
             "muscle_work_J": self.work,
+            "stop_energy_J": self.stop_energy,
             "air_energy_J": self.air_energy,
             "efficiency": self.work / self.air_energy if self.air_energy > 0 else None,
-            "levels_bar": [[float(one) / bar for one in levels] for levels in self.schedule.levels],
-            "switches_ms": [[float(one) / ms for one in times] for times in self.schedule.switches],
+            "energies_J": self.balance._asdict() | {"residual": self.balance.residual},
             "integration": {
                 "substeps": self.substeps,
                 "error_estimate_rad": resolution.error if math.isfinite(resolution.error) else None,
                 "runs_chaotic": int(resolution.chaotic),
             },
         }
+        if isinstance(self.controller, PressureSchedule):
+            found["levels_bar"] = [[float(one) / bar for one in levels] for levels in self.controller.levels]
+            found["switches_ms"] = [[float(one) / ms for one in times] for times in self.controller.switches]
+        return found
+
+
+def interval(values: Floats) -> list[float]:
+    """Return 5 and 95 % of the draws, without the nominal one."""
+    return np.nanpercentile(values[1:], EDGES).tolist()
 
 
 @dataclass(frozen=True)
 class JumpStudy:
-    """The best jump with constant pressures from the start on, and the best with timed ones.
+    """The best jump with constant pressures from the start on, the best with timed ones, and the planned one.
 
     Attributes
     ----------
     scenario
         File of the leg.
-    constant, timed
-        Both jumps.
+    constant, timed, planned
+        The jumps; the last is None without a plan.
+    plan
+        Plan of the last one.
     standing
         Greatest height [m] of the centre of mass with the foot on the ground, over the ranges of the joints; nominal.
     leg_length
@@ -112,12 +141,20 @@ class JumpStudy:
     timed: Jump
     standing: float
     leg_length: float
+    planned: Jump | None = None
+    plan: JumpPlan | None = None
+
+    @property
+    def jumps(self) -> dict[str, Jump]:
+        """The jumps by name."""
+        found = {"constant": self.constant, "timed": self.timed}
+        return found if self.planned is None else {**found, "planned": self.planned}
 
     def gain(self) -> tuple[float, float, float]:
         """Height [m] that timing adds: nominal, and 5 to 95 % over the same draws."""
         added = self.timed.heights - self.constant.heights
-        low, high = np.nanpercentile(added[1:], EDGES)
-        return float(added[0]), float(low), float(high)
+        low, high = interval(added)
+        return float(added[0]), low, high
 
     def records(self) -> dict[str, Any]:
         """The results as plain data; intervals are 5 to 95 % of the draws."""
@@ -129,32 +166,56 @@ class JumpStudy:
             "standing_mass_height_mm": self.standing / mm,
             "leg_length_mm": self.leg_length / mm,
             "muscles": list(self.scenario.plant().leg.muscle_names),
-            "constant": self.constant.record(),
-            "timed": self.timed.record(),
+            **{name: jump.record() for name, jump in self.jumps.items()},
             "gain_mm": gain[0] / mm,
             "gain_interval_mm": [gain[1] / mm, gain[2] / mm],
+            "plan": None if self.plan is None else self.plan.record(self.standing),
         }
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headers and rows of a table, one for each jump."""
-        headers = ("pressures", "height [mm]", "rise after take-off [mm]", "work of muscles", "of the air's energy")
+        headers = (
+            "pressures",
+            "height [mm]",
+            "rise after take-off [mm]",
+            "force at push-off, landing [weights]",
+            "work of muscles",
+            "of the air's energy",
+            "absorbed by stops",
+        )
         rows = []
-        for name, jump in (("constant", self.constant), ("timed", self.timed)):
+        for name, jump in self.jumps.items():
             one = jump.record()
-            low, high = one["height_interval_mm"]
             share = "-" if one["efficiency"] is None else f"{one['efficiency'] * 100:.0f} %"
-            height = f"{one['height_mm']:.1f} ({low:.1f} to {high:.1f})"
-            rows.append((name, height, f"{one['rise_mm']:.1f}", f"{one['muscle_work_J']:.2f} J", share))
+            force = "-"  # in a run that ends before it lands
+            if one["landing_force_weights"] > 0:
+                force = _with_interval(one["landing_force_weights"], one["landing_force_interval"])
+            rows.append(
+                (
+                    name,
+                    _with_interval(one["height_mm"], one["height_interval_mm"]),
+                    _with_interval(one["rise_mm"], one["rise_interval_mm"]),
+                    f"{one['push_off_force_weights']:.1f}, {force}",
+                    f"{one['muscle_work_J']:.2f} J",
+                    share,
+                    f"{one['stop_energy_J']:.2f} J",
+                )
+            )
         return headers, rows
 
     def describe(self) -> str:
-        """Gain in height by timing, as text."""
+        """Gain in height by timing, and what the plan foresees, as text."""
         gain, low, high = (one / mm for one in self.gain())
-        return f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
+        text = f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
+        return text if self.plan is None else f"{text}; planned: {self.plan.describe(self.standing)}"
 
     def __repr__(self) -> str:
-        heights = (f"{jump.heights[0] / mm:.0f} mm" for jump in (self.constant, self.timed))
-        return f"<JumpStudy of {self.scenario.name!r}: constant {', timed '.join(heights)}>"
+        heights = ", ".join(f"{name} {jump.heights[0] / mm:.0f} mm" for name, jump in self.jumps.items())
+        return f"<JumpStudy of {self.scenario.name!r}: {heights}>"
+
+
+def _with_interval(value: float, bounds: list[float]) -> str:
+    return f"{value:.1f} ({bounds[0]:.1f} to {bounds[1]:.1f})"
 
 
 def standing_torques(plant: LegPlant, angles: tuple[float, ...]) -> Floats:
@@ -183,98 +244,34 @@ def _standing(plant: LegPlant, angles: tuple[ArrayLike, ...]) -> Array:
     return jnp.linalg.solve(matrix, jnp.where(free, -offset, 0.0))
 
 
-class ScheduleVariables(eqx.Module):
-    """Schedules by variables from 0 to 1: levels of the muscles, and, if timed, two switching times of each.
-
-    Parameters
-    ----------
-    held
-        Gauge pressures [Pa] of the start.
-    low, high
-        Range of the levels [Pa].
-    latest
-        Latest switching time [s].
-    timed
-        Whether each muscle switches twice; else all change their command once, at the start.
-    """
-
-    held: tuple[Any, ...]
-    low: Any
-    high: Any
-    latest: Any
-    timed: bool = eqx.field(static=True)
-
-    @property
-    def size(self) -> int:
-        """Number of variables."""
-        return len(self.held) * (4 if self.timed else 1)
-
-    def schedule(self, variables: Any) -> PressureSchedule:
-        """Return the schedule of variables, shape (size, ...)."""
-        n = len(self.held)
-        x = [variables[i] for i in range(self.size)]
-        level: list[Any] = [self.low + (self.high - self.low) * one for one in x[: n * (2 if self.timed else 1)]]
-        if not self.timed:
-            return PressureSchedule(tuple((own,) for own in level))
-        first = [self.latest * one for one in x[2 * n : 3 * n]]
-        second = [at + (self.latest - at) * one for at, one in zip(first, x[3 * n :], strict=True)]
-        levels: Any = tuple((self.held[i], level[i], level[n + i]) for i in range(n))
-        return PressureSchedule(levels, tuple(zip(first, second, strict=True)))
-
-
-class JumpRuns(NamedTuple):
-    """Jumps of a plant from a start: heights to which the centre of mass rises, and their gradient."""
-
-    plant: LegPlant
-    start: LegStart
-    variables: ScheduleVariables
-    duration: float
-    step: float
-    substeps: int  # those that the first schedule needs, so that all jumps have the same
-
-    def simulate(self, plant: LegPlant, schedule: PressureSchedule) -> Batch:
-        """Metrics of many jumps."""
-        steps = {"control_period": self.step, "substeps": self.substeps}
-        return simulate_legs(plant, schedule, self.start, duration=self.duration, **steps)
-
-    def heights(self, variables: Floats) -> Floats:
-        """Height [m] of the apex for columns of variables; 0 where the foot stays on the ground."""
-        found = self.simulate(self.plant, self.variables.schedule(np.asarray(variables)))["apex"]
-        return np.where(np.isfinite(found), found, 0.0)
-
-    def height_and_gradient(self, variables: Floats, engine: str = "auto") -> tuple[float, Floats]:
-        """Height [m] of `heights`, and its gradient by forward differentiation: a direction in each lane."""
-        x = np.asarray(variables, float)
-        times, period = sampling_times(self.duration, self.step), np.asarray(self.step)
-        steps = dynamic_steps(self.substeps)
-        shared = numeric((self.plant, self.start, self.variables, x, times, period)), steps
-        (value, gradient), _ = _derivative(engine, shared, np.eye(x.size))
-        return float(np.asarray(value)[0]), np.asarray(gradient)
-
-
-@BatchFunction
-def _derivative(shared: Any, direction: Any) -> tuple[Array, Array]:
-    """Height of a jump, and its derivative in one direction."""
-    (plant, start, given, variables, times, period), steps = shared
-
-    def height(x: Array) -> Array:
-        return leg_metrics(plant, given.schedule(x), start, times, period, steps).apex
-
-    return jax.jvp(height, (variables,), (direction,))
-
-
 def study_jump(
-    scenario: LegScenario, *, source: str = "", seed: int = 0, progress: Progress | None = None
+    scenario: LegScenario,
+    *,
+    source: str = "",
+    seed: int = 0,
+    journal: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
 ) -> JumpStudy:
-    """Find the highest jumps of a scenario, with constant and with timed pressures.
+    """Find the highest jumps of a scenario, with constant and with timed pressures, and simulate its planned one.
 
     Both are searched by differential evolution over many runs at once, and polished by L-BFGS-B with gradients of
     forward differentiation. The constant jump changes all commands at the start; the timed one may change each twice.
 
+    Parameters
+    ----------
+    scenario, source, seed
+        File of the leg, its name for errors, and the seed of the search.
+    journal, resume
+        File that keeps the evaluations of the search, and whether to continue one; its plan may be another.
+
     Raises
     ------
     ScenarioError
-        If there is no section `jump`, or the muscles cannot hold the squat; with the attainable range.
+        If there is no section `jump`, the muscles cannot hold the squat, or the plan is not possible; with the
+        attainable range.
+    FileError
+        As for `study_landing`.
     """
     jump, source = scenario.jump, source or scenario.name
     if jump is None:
@@ -290,68 +287,99 @@ def study_jump(
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
+    plan = _plan(scenario, source)
     drawn = drawn_plant(scenario)
     standing, length = _standing_heights(plant, drawn)
     found, duration, substeps = [], scenario.whole_steps(jump.duration), scenario.substeps
     best: Floats | None = None
-    for timed in (False, True):
-        variables = ScheduleVariables(pressures, jump.low, jump.high, jump.latest, timed)
-        if substeps is None:
-            schedule = variables.schedule([0.5] * variables.size)
-            nominal = simulate_leg(plant, schedule, start, duration=duration, **scenario.steps)
-            assert nominal.resolution is not None
-            substeps = nominal.resolution.batch_substeps(plant.needed_substeps(angles, None, scenario.step))
-        runs = JumpRuns(plant, start, variables, duration, scenario.step, substeps)
-        # The constant jump is one of the timed ones.
-        guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(pressures))])
-        name = "timed pressures" if timed else "constant pressures"
-        best = _highest(runs, guess, seed, lambda part, n=name, k=timed: progress and progress(n, (k + part) / 2))
-        found.append(_jump(scenario, runs, best, drawn, standing))
-    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length)
+    variables = [ScheduleVariables(pressures, jump.low, jump.high, jump.latest, timed) for timed in (False, True)]
+    if substeps is None:
+        schedule = variables[0].schedule([0.5] * variables[0].size)
+        nominal = simulate_leg(plant, schedule, start, duration=duration, **scenario.steps)
+        assert nominal.resolution is not None
+        substeps = nominal.resolution.batch_substeps(plant.needed_substeps(angles, None, scenario.step))
+    runs = [JumpRuns(plant, start, each, duration, scenario.step, substeps) for each in variables]
+    engine = "auto"
+    if journal is not None:
+        trial = functools.partial(runs[0].simulate, np.full((variables[0].size, LANES), 0.5))
+        engine = engine_of_job(lambda: {trial().engine}, _KIND.software(journal) if resume else None)
+    searched = scenario.model_copy(update={"jump": jump.model_copy(update={"plan": None})})
+    with StudyJournal(journal, _KIND, searched, engine, resume) as kept:
+        evaluations = Evaluations(kept)
+        for k, (name, each) in enumerate(zip(("constant pressures", "timed pressures"), runs, strict=True)):
+            # The constant jump is one of the timed ones.
+            guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(pressures))])
+            report = functools.partial(_report, progress, name, k)
+            best = highest(each._replace(engine=engine), guess, seed, evaluations, report)
+            schedule = each.variables.schedule([float(one) for one in best])
+            found.append(_jump(scenario, each, schedule, drawn, standing))
+    planned = None
+    if plan is not None:
+        own = runs[0]._replace(start=plan.start(), duration=max(duration, float(plan.times[-1])))
+        planned = _jump(scenario, own, plan.controller(), drawn, standing)
+    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length, planned, plan)
 
 
-def _highest(runs: JumpRuns, guess: Floats | None, seed: int, report: Callable[[float], object]) -> Floats:
-    """Variables of the highest jump found."""
-    from scipy.optimize import differential_evolution, minimize
-
-    size, generation = runs.variables.size, iter(range(1, 10_000))
-    found = differential_evolution(
-        lambda x: -runs.heights(x) if x.ndim > 1 else -runs.heights(np.tile(x[:, None], 16))[0],
-        [(0.0, 1.0)] * size,
-        maxiter=_GENERATIONS,
-        popsize=_POPULATION,
-        rng=seed,
-        x0=guess,
-        polish=False,
-        vectorized=True,
-        updating="deferred",
-        callback=lambda *_, **__: report(0.9 * next(generation) / _GENERATIONS) and None,
-    )
-
-    def lost(x: Floats) -> tuple[float, Floats]:
-        height, gradient = runs.height_and_gradient(x)
-        return -height, -gradient
-
-    options = {"maxiter": _POLISHING}
-    polished = minimize(lost, found.x, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * size, options=options)
-    report(1.0)
-    return np.asarray(polished.x if polished.fun <= found.fun else found.x)
+def _report(progress: Progress | None, name: str, search: int, part: float) -> None:
+    if progress:
+        progress(name, (search + part) / 2)
 
 
-def _jump(scenario: LegScenario, runs: JumpRuns, variables: Floats, drawn: LegPlant, standing: Floats) -> Jump:
-    """A jump with its traces, and its heights for plants that differ."""
-    schedule = runs.variables.schedule([float(one) for one in variables])
-    run = simulate_leg(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.steps)
-    table = runs.simulate(drawn, schedule)
-    valve: Any = runs.plant.valve
+def _plan(scenario: LegScenario, source: str) -> JumpPlan | None:
+    """The planned jump of a scenario, if it has one."""
+    jump = scenario.jump
+    if jump is None or jump.plan is None:
+        return None
+    plan, plant = jump.plan, scenario.plant()
+    wanted = None
+    if plan.stiffness is not None:
+        each = (plan.stiffness.squat, plan.stiffness.take_off, plan.stiffness.landing)
+        squat_matrix, take_off_matrix, landing_matrix = (
+            foot_matrix(one.principal, one.direction, one.sideways) for one in each
+        )
+        wanted = squat_matrix, take_off_matrix, landing_matrix
+    squat, take_off = (plant.leg.posture_angles(one) for one in (jump.squat, plan.take_off))
+    heights = {"height": plan.height, "landing_depth": plan.landing_depth}
+    try:
+        return plan_jump(plant, squat, take_off, **heights, stiffness=wanted, period=scenario.step)
+    except McKibbenError as error:
+        field = "jump.plan" if error.field not in PlanSettings.model_fields else f"jump.plan.{error.field}"
+        raise ScenarioError(source, [Problem.of(error, field=field)]) from error
+
+
+def _jump(
+    scenario: LegScenario,
+    runs: JumpRuns,
+    controller: PressureSchedule | PlannedControl,
+    drawn: LegPlant,
+    standing: Floats,
+) -> Jump:
+    """A jump with its traces, and its results for plants that differ."""
+    plant, start = runs.plant, runs.start
+    duration = scenario.whole_steps(runs.duration + _LANDING)
+    run = simulate_leg(plant, controller, start, duration=duration, **scenario.steps)
+    steps = {"control_period": runs.step, "substeps": runs.substeps}
+    table = simulate_legs(drawn, controller, start, duration=duration, **steps)
+    valve: Any = plant.valve
     supply = float(np.asarray(valve.supply if valve.holds_air else runs.variables.high)) + ATMOSPHERE
     inflow = float(table["air_mass"][0]) * ENERGY * math.log(supply / ATMOSPHERE)
     ratio = 1 + run["pressure"][:, 0] / ATMOSPHERE
     stored = run["air_mass"][:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY
-    rises = table["take_off_speed"] ** 2 / (2 * runs.plant.gravity)
-    heights = table["apex"] - standing
-    work = float(table["muscle_work"][0])
-    return Jump(schedule, run, runs.substeps, heights, rises, work, inflow + float(stored))
+    before = run["ground_up"][: int(run["mass_height"].argmax())]
+    weight = np.asarray(drawn.leg.total_mass) * plant.gravity
+    return Jump(
+        controller,
+        run,
+        EnergyBalance.of(plant, run),
+        runs.substeps,
+        heights=table["apex"] - standing,
+        rises=table["take_off_speed"] ** 2 / (2 * plant.gravity),
+        push_force=float(before.max(initial=0.0)) / float(np.ravel(weight)[0]),
+        landing_force=table["peak_landing_force"] / weight,
+        work=float(table["muscle_work"][0]),
+        stop_energy=float(table["stop_energy"][0]),
+        air_energy=inflow + float(stored),
+    )
 
 
 def _standing_heights(plant: LegPlant, drawn: LegPlant) -> tuple[Floats, float]:

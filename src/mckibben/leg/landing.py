@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,28 +12,20 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import AirActuator
 from mckibben.component.columns import attributes
-from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError, SimulationError
+from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LegMetrics
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
 from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
+from mckibben.leg.study_journal import StudyJournal, StudyKind
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
-from mckibben.simulation.software import engine_of_job, software
+from mckibben.simulation.software import engine_of_job
 from mckibben.simulation.table import Batch
-from mckibben.storage.files import explain_write_errors, file_lock
-from mckibben.storage.journal import (
-    Journal,
-    JournalReader,
-    array_record,
-    header_differences,
-    read_header,
-    unpack_arrays,
-)
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
@@ -48,7 +38,7 @@ BEST_WITHIN = 0.02
 """The softest stiffness whose force on the trunk is within this part of the least one is the best."""
 ROWS = 4096
 """Landings of a block, which a journal keeps."""
-_BLOCK, _FORMAT, _VERSION = b"B", "mckibben landings", 3
+_KIND = StudyKind("mckibben landings", 4, "landings")
 _COLUMNS = (*LegMetrics._fields, *STEP_COLUMNS)
 _SHUT = 1e-6  # of the conductance
 EDGES = (5.0, 95.0)
@@ -309,10 +299,9 @@ def study_landing(
         return {land(valve, slice(0, 1), "auto", silent).engine for valve in valves.values()}
 
     if journal is not None:
-        software_before = read_header(journal, _FORMAT, _VERSION).get("software") if resume else None
-        engine = engine_of_job(engines_used, software_before, engine)
+        engine = engine_of_job(engines_used, _KIND.software(journal) if resume else None, engine)
         engines.add(engine)
-    with _writing(journal), _Blocks(journal, scenario, engine, resume) as kept:
+    with StudyJournal(journal, _KIND, scenario, engine, resume) as kept:
         for place, (name, valve) in enumerate(valves.items()):
             parts = []
             for block, rows in enumerate(blocks):
@@ -379,56 +368,6 @@ def valve_with(valve: AirActuator, plant: LegPlant, time_constant: float) -> Air
             remedy="give a longer one, or a valve with less lag",
         )
     return valve.scaled((now - lag) / (time_constant - lag))
-
-
-@contextmanager
-def _writing(journal: Path | None) -> Iterator[None]:
-    """Lock out other processes from the journal, and explain a full disk."""
-    if journal is None:
-        yield
-        return
-    lock = file_lock(journal.with_name(f".{journal.name}.lock"), "computing this study")
-    kept, remedy = "finished landings are kept", "make room, and continue with --resume (resume=True)"
-    with lock, explain_write_errors(journal.parent, lambda: kept, remedy):
-        yield
-
-
-class _Blocks:
-    """Finished blocks of landings, kept in a journal if there is one."""
-
-    def __init__(self, path: Path | None, scenario: LegScenario, engine: str, resume: bool) -> None:
-        self._kept: dict[int, bytes] = {}
-        self._journal: Journal | None = None
-        header = {"format": _FORMAT, "version": _VERSION, "software": software(engine), "leg": scenario.dumps()}
-        if path is None:
-            return
-        if not resume:
-            self._journal = Journal.create(path, header)
-            return
-        remedy = "continue with the same leg, or begin anew with --force"
-        if problems := header_differences(read_header(path, _FORMAT, _VERSION), header, "the study", remedy=remedy):
-            raise FileError(str(path), problems)
-        reader = JournalReader(path)
-        self._kept = {record.number: record.payload for record in reader if record.kind == _BLOCK}
-        reader.warn_of_damage("blocks")
-        self._journal = Journal.resume(reader)
-
-    def __enter__(self) -> _Blocks:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._journal is not None:
-            self._journal.close()
-
-    def found(self, number: int) -> dict[str, Floats] | None:
-        """A kept block; None if it is to be computed."""
-        content = self._kept.get(number)
-        return None if content is None else unpack_arrays(content)
-
-    def keep(self, number: int, columns: dict[str, Floats]) -> None:
-        """Append a block."""
-        if self._journal is not None:
-            self._journal.append(array_record(_BLOCK, number, columns))
 
 
 def _table(

@@ -320,13 +320,14 @@ class Leg(Component):
 
     def pressures_for(
         self,
-        angles: Sequence[float],
-        torques: Sequence[float],
-        stiffness: Sequence[float | None],
+        angles: Sequence[Any],
+        torques: Sequence[Any],
+        stiffness: Sequence[Any],
         biarticular: Sequence[float] = (),
-    ) -> tuple[float, ...]:
+    ) -> tuple[Any, ...]:
         """Return gauge pressures [Pa] of all muscles for torques [N*m] and stiffness [N*m/rad] of the joints.
 
+        Numbers, or arrays over postures.
         Stiffness is that of a joint's own pair, None for the middle of the attainable range. Those of biarticular
         muscles are given; the pairs take over their torque.
 
@@ -341,10 +342,11 @@ class Leg(Component):
             tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
             for joint, slope in unit.slopes.items():
                 needed[joint] = needed[joint] + tension * slope
-        found: list[float] = []
+        found: list[Any] = []
         for joint, angle, torque, wanted in zip(self.joints, angles, needed, stiffness, strict=True):
             try:
-                found += map(float, joint.muscles.pressures_for(angle, torque, wanted))
+                pair = map(np.asarray, joint.muscles.pressures_for(angle, torque, wanted))
+                found += (float(one) if one.ndim == 0 else one for one in pair)
             except McKibbenError as error:
                 error.message = f"{joint.name}: {error.message}"
                 raise

@@ -6,6 +6,7 @@ from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
@@ -62,6 +63,15 @@ class LegMetrics(NamedTuple):
     take_off_speed: Annotated[
         Scalar, Tracked("m/s", "upward speed of the centre of mass at take-off", of="take_off_speed")
     ]
+    peak_landing_force: Annotated[
+        Scalar,
+        Tracked(
+            "N",
+            "largest upward force of the ground after the flight",
+            of="landing_force",
+            note="that `apex` is of; 0 if the run ends before it lands",
+        ),
+    ]
     muscle_work: Annotated[
         Scalar,
         Tracked(
@@ -71,6 +81,9 @@ class LegMetrics(NamedTuple):
             note="the integral of tension times rate of shortening, until the take-off of the flight that `apex` is "
             "of, or, without one, to the end of the run",
         ),
+    ]
+    stop_energy: Annotated[
+        Scalar, Tracked("J", "energy that the stops have absorbed", of="stop_energy", note="until then")
     ]
     air_mass: Annotated[
         Scalar,
@@ -82,6 +95,39 @@ class LegMetrics(NamedTuple):
         ),
     ]
     time_outside_domain: Annotated[Scalar, Duration("s", "time with a muscle outside its domain", of="outside")]
+
+
+class EnergyBalance(NamedTuple):
+    """Energies of a run [J], from its start to its last sample; works are those done on the bodies.
+
+    Attributes
+    ----------
+    muscles, stops, resisting, ground
+        Work of the muscles, of the stops, of damping, friction and disturbances of the joints, and of the ground.
+    kinetic, potential
+        Changes of the energies of the bodies.
+    """
+
+    muscles: float
+    stops: float
+    resisting: float
+    ground: float
+    kinetic: float
+    potential: float
+
+    @classmethod
+    def of(cls, plant: LegPlant, run: Any) -> EnergyBalance:
+        """Return the balance of a `LegResult`, whose powers are integrated by the trapezoidal rule."""
+        powers = ("muscle_power", "stop_power", "resisting_power", "ground_power")
+        muscles, stops, resisting, ground = (float(np.trapezoid(run[name], run["time"])) for name in powers)
+        weight = float(plant.leg.total_mass) * float(plant.gravity)
+        kinetic, rise = (float(run[name][-1] - run[name][0]) for name in ("kinetic", "mass_height"))
+        return cls(muscles, stops, resisting, ground, kinetic, weight * rise)
+
+    @property
+    def residual(self) -> float:
+        """Work that does not appear as energy [J]: the error of sampling and integration."""
+        return self.muscles + self.stops + self.resisting + self.ground - self.kinetic - self.potential
 
 
 class LegMetricSample(NamedTuple):
@@ -102,17 +148,21 @@ class Flight(NamedTuple):
     height: Scalar  # of the hip at the first touch [m]
     speed: Scalar  # of the hip, upwards [m/s]
     work: Scalar  # of the muscles so far [J]
+    absorbed: Scalar  # by the stops so far [J]
     drawn: Scalar  # air so far [kg]
     air: tuple[Scalar, ...]
     apex: Scalar  # -inf before a flight
     take_off_speed: Scalar
+    landing_force: Scalar
     muscle_work: Scalar
+    stop_energy: Scalar
     air_mass: Scalar
 
     @classmethod
     def of(cls, first: LegSample) -> Flight:
         zero = jnp.zeros_like(first.z)
-        return cls(zero - 1, first.z, first.speed, zero, zero, first.air_mass, zero - jnp.inf, zero, zero, zero)
+        none = zero - jnp.inf
+        return cls(zero - 1, first.z, first.speed, zero, zero, zero, first.air_mass, none, *[zero] * 5)
 
     def after(self, sample: LegSample, period: ArrayLike, plant: LegPlant) -> tuple[Flight, LegMetricSample]:
         """Return the state after a further sample, a period [s] later, and what metrics are made of."""
@@ -126,17 +176,21 @@ class Flight(NamedTuple):
         higher = flying & (ballistic > self.apex + 1e-6)  # in flight it is constant except for rounding
         inflow = [jnp.maximum(new - old, 0.0) for new, old in zip(sample.air_mass, self.air, strict=True)]
         work, drawn = self.work + sample.muscle_power * period, self.drawn + sum(inflow)
+        absorbed = self.absorbed - sample.stop_power * period
         counts = higher | (self.apex == -jnp.inf)
         following = Flight(
             touched=touched,
             height=height,
             speed=sample.speed,
             work=work,
+            absorbed=absorbed,
             drawn=drawn,
             air=sample.air_mass,
             apex=jnp.where(higher, ballistic, self.apex),
             take_off_speed=jnp.where(higher, sample.mass_speed, self.take_off_speed),
+            landing_force=jnp.where(counts, 0.0, jnp.maximum(self.landing_force, force)),
             muscle_work=jnp.where(counts, work, self.muscle_work),
+            stop_energy=jnp.where(counts, absorbed, self.stop_energy),
             air_mass=jnp.where(counts, drawn, self.air_mass),
         )
         return following, LegMetricSample(

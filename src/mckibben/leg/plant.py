@@ -14,13 +14,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
-from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement, RigidTendon
 from mckibben.leg.dynamics import (
-    Contact,
     Posture,
     Velocity,
     acceleration,
@@ -31,78 +29,23 @@ from mckibben.leg.dynamics import (
     motion,
     posture_of,
 )
+from mckibben.leg.ground import Ground, compliant_force
 from mckibben.leg.mechanism import Leg, RoutedMuscle
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import floating
-from mckibben.numerics.spatial import Vector, Z, total
+from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
 from mckibben.plant.sensors import Disturbance
-from mckibben.units import Gravity, Quantity, Share, Speed, mm, show
-
-Slope = Annotated[float, Quantity("rad", "deg", -60, 60)]
-ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
-ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
+from mckibben.units import Gravity, show
 
 Scalar = Float[Array, ""]
 
 _MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
 _ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
-
-
-def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, damping: ArrayLike) -> Array:
-    """Return k d (1 + c d') at a depth d, 0 outside and never pulling.
-
-    K. H. Hunt and F. R. E. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of
-    Applied Mechanics 42 (1975), with the exponent 1: continuous at the first touch, unlike a damper in parallel with a
-    spring.
-    """
-    pressed = jnp.maximum(jnp.asarray(depth), 0.0)
-    return jnp.asarray(stiffness) * pressed * jnp.maximum(1 + jnp.asarray(damping) * rate, 0.0)
-
-
-class Ground(Component):
-    """Plane ground at the height 0 below the start: a compliant contact with friction.
-
-    Parameters
-    ----------
-    stiffness, damping
-        k [N/m] and c [s/m] of the normal force k d (1 + c d') at a depth d [m], never pulling (`compliant_force`).
-    friction
-        Coefficient of friction.
-    slip_speed
-        Speed [m/s] v0 that regularises it: the force is -mu N v / sqrt(|v|^2 + v0^2), with the velocity v along the
-        ground.
-    slope, side_slope
-        Angles [rad] by which the ground rises forwards and to the left. Default: level.
-    """
-
-    stiffness: ContactStiffness = 20e3
-    damping: ContactDamping = 0.5
-    friction: Share = 0.8
-    slip_speed: Speed = 100 * mm
-    slope: Slope | None = None
-    side_slope: Slope | None = None
-
-    @property
-    def normal(self) -> Vector:
-        """Unit vector up from the ground; that of level ground is known when traced."""
-        forward, left = (0.0 if one is None else -jnp.tan(one) for one in (self.slope, self.side_slope))
-        if self.slope is None and self.side_slope is None:
-            return Z
-        return Vector(forward, left, 1.0).scaled(1 / jnp.sqrt(1 + forward * forward + left * left))
-
-    def force(self, point: Contact) -> Vector:
-        """Return the force [N] on the foot: forwards, to the left, and up."""
-        normal = self.normal
-        speed = point.velocity.dot(normal)
-        pressed = compliant_force(-point.position.dot(normal), -speed, self.stiffness, self.damping)
-        along = point.velocity - normal.scaled(speed)
-        slip = jnp.sqrt(total(along.dot(along), self.slip_speed * self.slip_speed))
-        return normal.scaled(pressed) - along.scaled(self.friction * pressed / slip)
 
 
 class LegState(NamedTuple):
@@ -162,6 +105,9 @@ class LegSample(NamedTuple):
     mass_speed: Annotated[Scalar, Label("m/s", "upward speed of the centre of mass")]
     kinetic: Annotated[Scalar, Label("J", "kinetic energy")]
     muscle_power: Annotated[Scalar, Label("W", "power of the muscles")]
+    stop_power: Annotated[Scalar, Label("W", "power of the stops")]
+    resisting_power: Annotated[Scalar, Label("W", "power of damping, friction and disturbances of the joints")]
+    ground_power: Annotated[Scalar, Label("W", "power of the ground")]
     air_mass: Annotated[tuple[Scalar, ...], Label("kg", "mass of the air", along="muscle")]
     outside: Annotated[Array, Label("1", "a muscle's contraction is outside its domain")]
 
@@ -236,7 +182,10 @@ class LegPlant(Plant):
     def observe(self, state: LegState) -> LegSample:
         forces, volumes = self.forces(state), self.air_volumes(state)
         moving = motion(self.leg, state.posture, state.velocity, self.gravity)
-        tensions = zip(forces.tensions, forces.path_rates, strict=True)
+        rates = state.velocity.angles
+        by_muscles = -_power(forces.tensions, forces.path_rates)
+        by_stops, by_all = _power(forces.stops, rates), _power(forces.torques, rates)
+        touched = contact(self.leg, frames(self.leg, state.posture, state.velocity), self.ground.normal)
         contents = enumerate(zip(state.pressures, volumes, strict=True))
         inside = [
             muscle.domain.contains_contraction(one)
@@ -263,7 +212,10 @@ class LegPlant(Plant):
             mass_height=moving.height,
             mass_speed=moving.upward_speed,
             kinetic=moving.kinetic,
-            muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
+            muscle_power=by_muscles,
+            stop_power=by_stops,
+            resisting_power=by_all - by_stops - by_muscles,
+            ground_power=jnp.asarray(forces.ground.dot(touched.velocity)),
             air_mass=tuple(
                 at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
                 for i, (pressure, one) in contents
@@ -466,6 +418,11 @@ class LegPlant(Plant):
 def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
     """Rate of the length of a muscle's path [m/s]."""
     return sum((slope * rates[joint] for joint, slope in unit.slopes.items()), start=jnp.zeros(()))
+
+
+def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:
+    """Power [W] of forces at the rates of their coordinates."""
+    return sum((force * rate for force, rate in zip(forces, rates, strict=True)), start=jnp.zeros(()))
 
 
 def _check_count(field: str, given: int, names: Sequence[str]) -> None:

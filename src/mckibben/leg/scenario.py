@@ -12,8 +12,9 @@ from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import quoted, suggest
+from mckibben.leg.ground import Ground
 from mckibben.leg.mechanism import Leg
-from mckibben.leg.plant import Ground, LegPlant
+from mckibben.leg.plant import LegPlant
 from mckibben.muscle import SpringLaw
 from mckibben.plant import IdealValve, PerfectSensors
 from mckibben.scenario.scenario import RunSettings, SensorsPart, Substeps, ValvePart
@@ -37,6 +38,7 @@ from mckibben.units import (
 
 FootStiffnessValue = Annotated[float, Quantity("N/m", "N/m", 0, 1e6, open_lower=True)]
 DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
+JumpHeight = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]
 Spread = Annotated[float, Percent("1", "%", 0, 50)]
 
 _DEEPEST = 50 * mm
@@ -87,6 +89,54 @@ class LandingSettings(ConfigModel):
     duration: Duration = 0.3
 
 
+class FootStiffnessSettings(ConfigModel):
+    """A stiffness of the foot, as its main axes.
+
+    Attributes
+    ----------
+    principal
+        Stiffness [N/m] along the first axis, and across it, both in the plane of walking.
+    direction
+        Angle [rad] of the first axis from the forward direction.
+    sideways
+        Stiffness to the side [N/m], of a leg in space.
+    """
+
+    principal: tuple[FootStiffnessValue, FootStiffnessValue]
+    direction: Angle = 0.0
+    sideways: FootStiffnessValue | None = None
+
+
+class PlannedStiffness(ConfigModel):
+    """Stiffness of the foot along a planned jump: in the squat, at take-off and touchdown, and after the landing."""
+
+    squat: FootStiffnessSettings
+    take_off: FootStiffnessSettings
+    landing: FootStiffnessSettings
+
+
+class PlanSettings(ConfigModel):
+    """A planned jump with a soft landing, from the squat.
+
+    Attributes
+    ----------
+    take_off
+        Angles of the joints [rad] in which the foot leaves the ground and touches it again.
+    height
+        Rise of the centre of mass in flight [m].
+    landing_depth
+        Distance [m] by which the centre of mass sinks after touchdown.
+    stiffness
+        Wanted stiffness of the foot, without the part of the ground's force. Default: the middle of the attainable
+        stiffness of each joint.
+    """
+
+    take_off: Angles = Field(default_factory=dict)
+    height: JumpHeight
+    landing_depth: JumpHeight
+    stiffness: PlannedStiffness | None = None
+
+
 class JumpSettings(ConfigModel):
     """A jump from a squat.
 
@@ -98,6 +148,8 @@ class JumpSettings(ConfigModel):
         Gauge pressures [Pa] between which the muscles are switched.
     latest
         Latest switching time [s].
+    plan
+        A planned jump, simulated alongside. Default: none.
     """
 
     squat: Angles = Field(default_factory=dict)
@@ -105,6 +157,7 @@ class JumpSettings(ConfigModel):
     high: Pressure = 6e5
     latest: Duration = 0.15
     duration: Duration = 0.5
+    plan: PlanSettings | None = None
 
     @model_validator(mode="after")
     def _in_order(self) -> JumpSettings:
@@ -121,27 +174,18 @@ class JumpSettings(ConfigModel):
         return self
 
 
-class StiffnessSettings(ConfigModel):
+class StiffnessSettings(FootStiffnessSettings):
     """A stiffness of the foot at a posture, as its main axes.
 
     Attributes
     ----------
     posture
         Angles of the joints [rad].
-    principal
-        Stiffness [N/m] along the first axis, and across it, both in the plane of walking.
-    direction
-        Angle [rad] of the first axis from the forward direction.
-    sideways
-        Stiffness to the side [N/m], of a leg in space.
     force
         Force of the ground on the foot [N]: forwards and up, or in space forwards, to the left and up. Default: none.
     """
 
     posture: Angles = Field(default_factory=dict)
-    principal: tuple[FootStiffnessValue, FootStiffnessValue]
-    direction: Angle = 0.0
-    sideways: FootStiffnessValue | None = None
     force: tuple[SignedForce, ...] | None = None
 
 
@@ -190,18 +234,19 @@ class LegScenario(RunSettings):
             )
         return value
 
-    @field_validator("stiffness", mode="after")
+    @field_validator("stiffness", "jump", mode="after")
     @classmethod
-    def _directions(cls, value: StiffnessSettings | None, info: ValidationInfo) -> StiffnessSettings | None:
+    def _directions(cls, value: Any, info: ValidationInfo) -> Any:
         leg = info.data.get("leg")
         if value is None or leg is None:
             return value
         directions = 2 if leg.is_planar else 3
-        if (value.sideways is None) != leg.is_planar:
-            remedy = "leave sideways out" if leg.is_planar else "give sideways, the stiffness to the side"
-            fail_validation(f"the leg moves in {directions} directions", remedy)
-        if value.force is not None and len(value.force) != directions:
-            fail_validation(f"force has {len(value.force)} numbers", f"give {directions}")
+        for one in _foot_stiffnesses(value):
+            if (one.sideways is None) != leg.is_planar:
+                remedy = "leave sideways out" if leg.is_planar else "give sideways, the stiffness to the side"
+                fail_validation(f"the leg moves in {directions} directions", remedy)
+            if isinstance(one, StiffnessSettings) and one.force is not None and len(one.force) != directions:
+                fail_validation(f"force has {len(one.force)} numbers", f"give {directions}")
         return value
 
     @field_validator("landing", "jump", "stiffness", mode="after")
@@ -212,27 +257,26 @@ class LegScenario(RunSettings):
             return value
         if leg.trunk.freedom == "fixed" and not isinstance(value, StiffnessSettings):
             fail_validation("needs a trunk that can move", "give the trunk a freedom such as vertical")
-        ranges = {joint.name: (joint.lower, joint.upper) for joint in leg.joints}
-        locked = {joint.name: joint.locked for joint in leg.joints if joint.locked is not None}
+        postures = []
         if isinstance(value, LandingSettings):
-            angles = value.touchdown
+            postures.append(value.touchdown)
+            if value.joint not in [joint.name for joint in leg.joints]:
+                fail_validation(*_unknown_joint(leg, value.joint))
+            if leg.joints[leg.index(value.joint)].locked is not None:
+                fail_validation(f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move")
+        elif isinstance(value, JumpSettings):
+            postures.append(value.squat)
+            if value.plan is not None:
+                postures.append(value.plan.take_off)
+                if leg.trunk.freedom != "vertical":
+                    fail_validation(
+                        f"a plan needs a trunk on a vertical slider, and its freedom is {leg.trunk.freedom}",
+                        "leave plan out, or give the trunk the freedom vertical",
+                    )
         else:
-            angles = value.squat if isinstance(value, JumpSettings) else value.posture
-        for name in [*angles, *([value.joint] if isinstance(value, LandingSettings) else [])]:
-            if name not in ranges:
-                fail_validation(f"there is no joint {quoted(name)}", suggest(name, list(ranges)))
-        if isinstance(value, LandingSettings) and value.joint in locked:
-            fail_validation(f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move")
-        for name, angle in angles.items():
-            lower, upper = ranges[name]
-            if name in locked and abs(angle - locked[name]) > 1e-9:
-                fail_validation(f"{name} is locked at {locked[name] / deg:g} deg", "leave it out", value=angle)
-            if not lower <= angle <= upper:
-                fail_validation(
-                    f"{name} is at {angle / deg:.4g} deg, beyond its stops",
-                    f"give an angle of {lower / deg:.4g} to {upper / deg:.4g} deg",
-                    value=angle,
-                )
+            postures.append(value.posture)
+        for angles in postures:
+            _check_posture(leg, angles)
         return value
 
     @field_validator("jump", mode="after")
@@ -274,6 +318,35 @@ class LegScenario(RunSettings):
         """The simulated leg."""
         plant = LegPlant(self.leg, self.valve, self.ground, sensors=self.sensors, command_delay=self.command_delay)
         return plant.with_period(self.step)
+
+
+def _foot_stiffnesses(value: StiffnessSettings | JumpSettings) -> list[FootStiffnessSettings]:
+    """Wanted stiffness of the foot in a section."""
+    if isinstance(value, StiffnessSettings):
+        return [value]
+    wanted = None if value.plan is None else value.plan.stiffness
+    return [] if wanted is None else [wanted.squat, wanted.take_off, wanted.landing]
+
+
+def _unknown_joint(leg: Leg, name: str) -> tuple[str, str]:
+    return f"there is no joint {quoted(name)}", suggest(name, [joint.name for joint in leg.joints])
+
+
+def _check_posture(leg: Leg, angles: Angles) -> None:
+    """Refuse angles of unknown joints, of joints that are locked elsewhere, and beyond stops."""
+    joints = {joint.name: joint for joint in leg.joints}
+    for name, angle in angles.items():
+        if name not in joints:
+            fail_validation(*_unknown_joint(leg, name))
+        lower, upper, locked = joints[name].lower, joints[name].upper, joints[name].locked
+        if locked is not None and abs(angle - locked) > 1e-9:
+            fail_validation(f"{name} is locked at {locked / deg:g} deg", "leave it out", value=angle)
+        if not lower <= angle <= upper:
+            fail_validation(
+                f"{name} is at {angle / deg:.4g} deg, beyond its stops",
+                f"give an angle of {lower / deg:.4g} to {upper / deg:.4g} deg",
+                value=angle,
+            )
 
 
 def read_leg(name: str | os.PathLike[str]) -> Leg:

@@ -22,6 +22,7 @@ from .joint import torque_stiffness_map as torque_stiffness_map
 from .leg import foot_ellipses as foot_ellipses
 from .leg import jump_traces as jump_traces
 from .leg import landing_forces as landing_forces
+from .leg import plan_stiffness as plan_stiffness
 from .leg import write_jump as write_jump
 from .leg import write_landing as write_landing
 from .leg_animation import render_leg as render_leg

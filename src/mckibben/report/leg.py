@@ -125,11 +125,11 @@ def foot_ellipses(
 
 @styled
 def jump_traces(study: JumpStudy) -> Figure:
-    """Pressures, force of the ground and height of the centre of mass of the constant and of the timed jump."""
+    """Pressures, force of the ground and height of the centre of mass of each jump, and of the plan."""
+    jumps = study.jumps
     figure = blank(DOUBLE, 5.6)
-    grid = figure.subplots(3, 2, sharex=True, sharey="row")
-    jumps = (("constant pressures", study.constant), ("timed pressures", study.timed))
-    for j, (title, jump) in enumerate(jumps):
+    grid = figure.subplots(3, len(jumps), sharex=True, sharey="row")
+    for j, (title, jump) in enumerate(jumps.items()):
         run = jump.run
         time = run["time"] / ms
         names = list(run.muscles)
@@ -142,11 +142,60 @@ def jump_traces(study: JumpStudy) -> Figure:
         grid[2, j].axhline(jump.heights[0] / mm, color=ORANGE, linewidth=0.8, linestyle=(0, (4, 2)))
         letter(grid[0, j], j, title)
         grid[2, j].set_xlabel("time [ms]")
+    if study.plan is not None:
+        times, planned = study.plan.times / ms, {"color": BLACK, "linewidth": 0.9, "linestyle": (0, (1, 1))}
+        grid[1, -1].plot(times, study.plan.ground_force, **planned)
+        grid[2, -1].plot(times, (study.plan.mass_height - study.standing) / mm, **planned)
     grid[0, 0].set_ylabel("pressure [bar]")
     grid[1, 0].set_ylabel("force of the\nground [N]")
     grid[2, 0].set_ylabel("centre of mass above\nthat of standing [mm]")
     figure.align_ylabels(list(grid[:, 0]))
     legend_above(figure, grid[0, 0])
+    return figure
+
+
+@styled
+def plan_stiffness(study: JumpStudy) -> Figure:
+    """Planned pressures, certified error of the stiffness of the foot, and displacements of the foot under 1 N.
+
+    Grey: attainable with the torques of the plan, without muscles over two joints.
+    """
+    plan, leg = study.plan, study.scenario.leg
+    assert plan is not None and plan.foot
+    figure = blank(DOUBLE, 4.8)
+    grid = figure.add_gridspec(2, 4)
+    left, right = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:])
+    for i, (name, look) in enumerate(looks_of(list(leg.muscle_names)).items()):
+        left.plot(plan.times / ms, plan.pressures[i] / bar, label=name, **look)
+    left.set(xlabel="time of the plan [ms]", ylabel="planned pressure [bar]")
+    letter(left, 0, "pressures")
+    errors, least = (np.array([getattr(one, name) for one in plan.foot]) for name in ("error", "least"))
+    right.plot(plan.times / ms, errors * 100, color=BLUE, label="error")
+    right.plot(plan.times / ms, least * 100, color=ORANGE, linestyle=(0, (4, 2)), label="lower bound")
+    right.set(xlabel="time of the plan [ms]", ylabel="error of the stiffness [%]", ylim=(0, None))
+    right.legend()
+    letter(right, 1, "stiffness of the foot")
+    for axes in (left, right):
+        axes.axvspan(plan.take_off / ms, plan.touchdown / ms, color=BAND, alpha=0.4, linewidth=0)
+    legend_above(figure, left)
+    pushed = int(np.argmax(np.where(plan.times < plan.take_off, plan.ground_force, 0.0)))
+    left_at = int(np.searchsorted(plan.times, plan.take_off))
+    moments = {"squat": 0, "largest force": pushed, "take-off": left_at, "after landing": plan.times.size - 1}
+    shared: Axes | None = None
+    for number, (title, k) in enumerate(moments.items()):
+        axes = figure.add_subplot(grid[1, number], sharex=shared, sharey=shared)
+        shared = shared or axes
+        angles, torques = plan.angles[:, k].tolist(), plan.torques[:, k].tolist()
+        for one in attainable_foot_stiffness(leg, angles, torques, levels=7 if leg.is_planar else 4):
+            axes.plot(*(one.ellipse()[[0, -1]] / mm), color=BAND, linewidth=0.8, zorder=1)
+        wanted = stiffness_of(np.linalg.inv(plan.foot[k].wanted))
+        axes.plot(*(plan.foot[k].stiffness.ellipse()[[0, -1]] / mm), color=VERMILLION, label="attained")
+        axes.plot(*(wanted.ellipse()[[0, -1]] / mm), color=BLUE, linestyle=(0, (4, 2)), label="wanted")
+        axes.set_xlabel("forwards [mm]")
+        letter(axes, 2 + number, title)
+        if number == 0:
+            axes.set_ylabel("up, under 1 N [mm]")
+            axes.legend(loc="upper right", fontsize="x-small")
     return figure
 
 
@@ -194,15 +243,48 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
         f"standing leg with the best constant pressures, {study.timed.heights[0] / mm:.0f} mm with the best timed "
         f"ones: {gain:.0f} mm more ({low:.0f} to {high:.0f} mm in 5 to 95 % of the draws of muscles and masses)."
     )
+    if study.planned is not None and study.plan is not None:
+        weight = float(study.scenario.leg.total_mass) * float(study.scenario.plant().gravity)
+        text += (
+            f" The planned jump lands with {study.planned.landing_force[0]:.1f} weights of the leg (planned: "
+            f"{study.plan.landing_force / weight:.1f}), the timed one with {study.timed.landing_force[0]:.1f}."
+        )
     caption = (
         "Pressures (thin: commands), force of the ground and height of the centre of mass above its greatest height "
-        "with the foot on the ground. Dashed: apex."
+        "with the foot on the ground. Dashed: apex; dotted: planned."
     )
-    figure = ReportFigure("jump", "", "Jumps", caption, "Time traces of two jumps", jump_traces(study))
-    tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _published(study)]
+    figures = [ReportFigure("jump", "", "Jumps", caption, "Time traces of the jumps", jump_traces(study))]
+    if study.plan is not None and study.plan.foot:
+        what = (
+            "Planned pressures, error of the stiffness of the foot with its certified bound (grey: flight), and "
+            "displacement of the foot under 1 N in each direction (grey: attainable with the planned torques)."
+        )
+        figures.append(ReportFigure("plan", "", "Plan", what, "Pressures and errors over time", plan_stiffness(study)))
+    tables = [
+        Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()),
+        _energies(study),
+        _published(study),
+    ]
     plant = study.scenario.plant()
-    runs = {name: (plant, jump.run) for name, jump in (("constant", study.constant), ("timed", study.timed))}
-    return _page(Path(folder), "jump.html", study.scenario, text, tables, [figure], leg_player(runs))
+    runs = {name: (plant, jump.run) for name, jump in study.jumps.items()}
+    return _page(Path(folder), "jump.html", study.scenario, text, tables, figures, leg_player(runs))
+
+
+def _energies(study: JumpStudy) -> Table:
+    """Energies of the nominal jumps, landing included."""
+    names = ("muscles", "stops", "resisting", "ground", "kinetic", "potential", "residual")
+    head = (
+        "pressures",
+        "work of muscles",
+        "of stops",
+        "of damping and friction",
+        "of the ground",
+        "change of kinetic energy",
+        "of potential energy",
+        "residual",
+    )
+    rows = [(name, *(f"{getattr(jump.balance, one):.3f} J" for one in names)) for name, jump in study.jumps.items()]
+    return Table("Energies from the start to the end of the nominal runs, landing included", head, rows)
 
 
 def _published(study: JumpStudy) -> Table:

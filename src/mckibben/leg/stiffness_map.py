@@ -1,0 +1,99 @@
+"""Torques, stiffness and tensions at a posture as affine functions of the pressures of taut muscles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.errors import RangeError
+from mckibben.joint import RigidTendon
+from mckibben.leg.mechanism import Leg
+from mckibben.muscle import PressureAffineLaw
+from mckibben.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+
+
+class StiffnessMap(NamedTuple):
+    """Torques, stiffness and tensions at a posture, affine in the pressures of taut muscles: offset + slope p.
+
+    Torques [N*m] of the joints, (joints,) and (joints, muscles); stiffness matrix [N*m/rad], minus the derivative of
+    the torques, (joints, joints) and (joints, joints, muscles); tensions [N], (muscles,), each by its own pressure.
+    """
+
+    torque: tuple[Floats, Floats]
+    stiffness: tuple[Floats, Floats]
+    tension: tuple[Floats, Floats]
+
+    def torque_at(self, pressures: ArrayLike) -> Floats:
+        """Return the torques [N*m] at gauge pressures [Pa]."""
+        return self.torque[0] + self.torque[1] @ np.asarray(pressures, float)
+
+    def stiffness_at(self, pressures: ArrayLike) -> Floats:
+        """Return the stiffness matrix [N*m/rad] at gauge pressures [Pa]."""
+        return self.stiffness[0] + self.stiffness[1] @ np.asarray(pressures, float)
+
+
+def stiffness_map(leg: Leg, angles: Sequence[float]) -> StiffnessMap:
+    """Return torques, stiffness and tensions at angles [rad] as affine functions of the pressures.
+
+    Raises
+    ------
+    RangeError
+        If a law is not affine in pressure, or a tendon is not rigid.
+    """
+    check_affine(leg)
+    return map_at(leg, angles)
+
+
+def map_at(leg: Leg, angles: Sequence[float]) -> StiffnessMap:
+    """Return the `stiffness_map` of a leg that is known to have one."""
+    (torque, gain, offset, slope), (stiffness, coupling) = _affine(leg, tuple(map(float, angles)))
+    return StiffnessMap(
+        (np.asarray(torque), np.asarray(gain)),
+        (-np.asarray(stiffness), -np.asarray(coupling).transpose(0, 2, 1)),
+        (np.asarray(offset), np.asarray(slope)),
+    )
+
+
+def check_affine(leg: Leg) -> None:
+    """Raise `RangeError` unless laws are affine in pressure and tendons rigid."""
+    tendons = [*(pair.muscles.tendon for pair in leg.joints for _ in (1, 2)), *(RigidTendon() for _ in leg.biarticular)]
+    for name, muscle, tendon in zip(leg.muscle_names, leg.muscles, tendons, strict=True):
+        for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
+            if not isinstance(part, kind):
+                raise RangeError(
+                    f"{name}: with a {type(part).__name__} the stiffness is not affine in the pressures",
+                    field="muscle",
+                    value=type(part).__name__,
+                    remedy="give it a law that is affine in pressure, and a rigid tendon",
+                )
+
+
+@compiled
+def _affine(leg: Leg, angles: tuple[ArrayLike, ...]) -> tuple[tuple[Array, ...], tuple[Array, Array]]:
+    """Torques and tensions, offsets and slopes over the pressures; and the derivatives of the torques by the angles."""
+
+    def terms(q: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        units = leg.routed_muscles(leg.held(tuple(q)))
+        pairs = [
+            unit.muscle.force_law.pressure_terms(unit.muscle.specimen.contraction_at(unit.path))  # type: ignore
+            for unit in units
+        ]
+        offset, gain = (jnp.stack([jnp.asarray(one) for one in column]) for column in zip(*pairs, strict=True))
+        zero = jnp.zeros(())
+        arms = jnp.stack(
+            [jnp.stack([-unit.slopes.get(joint, zero) for unit in units]) for joint in range(len(leg.joints))]
+        )
+        return (arms @ offset, arms * gain), (offset, gain)
+
+    q = jnp.stack([jnp.asarray(one) for one in angles])
+    (torque, gain), (offset, slope) = terms(q)
+    stiffness, coupling = jax.jacfwd(lambda x: terms(x)[0])(q)
+    return (torque, gain, offset, slope), (stiffness, coupling)
