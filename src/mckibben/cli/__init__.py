@@ -24,6 +24,7 @@ from mckibben.cli.air import identify_air
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
+from mckibben.cli.creep import identify_creep
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, points, validate
 from mckibben.cli.leg import leg
@@ -102,6 +103,7 @@ app.command()(check)
 app.command()(points)
 app.command()(identify)
 app.command()(identify_air)
+app.command()(identify_creep)
 app.command()(validate)
 
 

@@ -2,6 +2,7 @@
 
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.creep import CreepFit, identify_creep
+from mckibben.identification.delayed_share import CreepStructure
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import ResidualCorrelation, identify
 from mckibben.identification.friction_forms import FormComparison, FrictionForm, LackOfFit
@@ -10,6 +11,7 @@ from mckibben.identification.intervals import ForceIntervals, Interval, Interval
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.posterior import Noise, Posterior, posterior
+from mckibben.identification.pressure_creep import PressureCreepFit, identify_pressure_creep
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.storage import read_law
@@ -19,6 +21,7 @@ from mckibben.identification.validation import ErrorStatistics, HoldOut, Validat
 __all__ = [
     "Bootstrap",
     "CreepFit",
+    "CreepStructure",
     "DatasetSummary",
     "ErrorStatistics",
     "Fit",
@@ -35,6 +38,7 @@ __all__ = [
     "Noise",
     "Outlier",
     "Posterior",
+    "PressureCreepFit",
     "Profile",
     "RankedLaw",
     "Ranking",
@@ -48,6 +52,7 @@ __all__ = [
     "identify",
     "identify_creep",
     "identify_hysteresis",
+    "identify_pressure_creep",
     "posterior",
     "profile",
     "rank",
