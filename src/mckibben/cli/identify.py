@@ -6,7 +6,7 @@ import dataclasses
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument, Option
 
@@ -46,7 +46,7 @@ from mckibben.units import bar, percent, show
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recipe, Recording
-    from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking
+    from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking, ThresholdFit
     from mckibben.muscle import MaxwellSlip
 
 
@@ -230,6 +230,9 @@ def identify(
     fill: Annotated[
         str, Option(metavar="VOLUME", help="Measured volume of the air at contraction 0, in place of --diameter.")
     ] = "",
+    threshold: Annotated[
+        bool, Option("--threshold", help="Identify a pressure threshold of the law, if the data ask for one.")
+    ] = False,
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
     displacement: Displacement = "",
@@ -258,9 +261,9 @@ def identify(
     law_type = law_type_named(law) if law != _ALL else None
     if (friction_form or no_drift) and not hysteresis:
         raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
-    if law_type is None and (profile or bootstrap or hysteresis or level != _LEVEL):
+    if law_type is None and (profile or bootstrap or hysteresis or threshold or level != _LEVEL):
         raise ParameterError(
-            "--level, --profile, --bootstrap and --hysteresis apply to a single law",
+            "--level, --profile, --bootstrap, --hysteresis and --threshold apply to a single law",
             remedy="choose one, such as --law exponential",
         )
     form = _friction_form(friction_form) if friction_form else None
@@ -274,18 +277,24 @@ def identify(
         _rank(data, points, how, inner, json, out)
         return
     from mckibben.identification import identify as run
-    from mckibben.identification import identify_hysteresis
+    from mckibben.identification import identify_hysteresis, identify_threshold
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
     friction = identify_hysteresis(law_type, points, drift=not no_drift, form=form) if hysteresis else None
     static = friction.corrected(points) if friction else points
-    fit = run(law_type, static)
+    late = identify_threshold(law_type, static) if threshold else None
+    fit, static = (late.fit, late.effective(static)) if late else (run(law_type, static), static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
     notes = points.table.attrs.get("preprocessing", "").splitlines()
     numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
     if friction:
         numbers["hysteresis"] = hysteresis_numbers(friction)
     texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
+    if late:
+        numbers["threshold"] = late.records()
+        texts.append(late.report())
+        if late.is_significant:
+            texts.append("\nForce law at the pressures above the threshold, as in the figures and fit.yaml:\n")
     texts += [fit.report(level), uncertainty.describe()]
     drawn, kept = {}, ""
     if out:
@@ -293,7 +302,7 @@ def identify(
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, fit, inner, friction.friction if friction else None)
+            kept = _keep_muscle(out, data, points, fit, inner, friction.friction if friction else None, late)
             how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
@@ -343,6 +352,7 @@ def _keep_muscle(
     fit: Fit,
     inner: _Inner,
     friction: MaxwellSlip | None = None,
+    late: ThresholdFit | None = None,
 ) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
     from mckibben.muscle.air import volume_terms
@@ -354,7 +364,10 @@ def _keep_muscle(
     if volume is None and inner.diameter is not None and length:
         volume = math.pi / 4 * inner.diameter**2 * length
     terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
-    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction, volume_terms=terms)
+    law: Any = "fit.yaml"
+    if late and late.is_significant:
+        law = {"class": "threshold", "law": law, "threshold": show(late.threshold, "bar", 6)}
+    text = muscle_text(law, specimen=name, initial_length=length, friction=friction, volume_terms=terms)
     if not text:
         return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
     with atomic_write(out / "muscle.yaml", overwrite=True) as part:

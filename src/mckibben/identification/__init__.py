@@ -15,6 +15,7 @@ from mckibben.identification.pressure_creep import PressureCreepFit, identify_pr
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.storage import read_law
+from mckibben.identification.threshold import ThresholdFit, identify_threshold
 from mckibben.identification.uncertainty import Grouping
 from mckibben.identification.validation import ErrorStatistics, HoldOut, Validation, hold_out, validate
 
@@ -44,6 +45,7 @@ __all__ = [
     "Ranking",
     "ResidualCorrelation",
     "SensorDrift",
+    "ThresholdFit",
     "Validation",
     "bootstrap",
     "design_matrix",
@@ -53,6 +55,7 @@ __all__ = [
     "identify_creep",
     "identify_hysteresis",
     "identify_pressure_creep",
+    "identify_threshold",
     "posterior",
     "profile",
     "rank",

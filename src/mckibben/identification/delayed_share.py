@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.errors import IdentificationError
+from mckibben.identification.intervals import profile_interval, t_quantile
 from mckibben.identification.pressure_plateaus import (
     FEWEST_LEVELS,
     MOVED,
@@ -252,20 +253,12 @@ class DelayedShareFit:
 
     def time_constant_interval(self, tau: float, inflation: float) -> tuple[float, float]:
         """95 % profile interval of the time constant; 0 or infinite where the data impose no bound."""
-        limit = t_quantile(self.error(tau)[1]) ** 2
+        limit = float(t_quantile(0.95, self.error(tau)[1]))
         least, place = self.solve(tau).cost, int(np.searchsorted(self.grid, tau))
         grid, costs = (np.insert(one, place, here) for one, here in ((self.grid, tau), (self.grid_costs, least)))
-        excess = (costs / least - 1) * self.freedom / inflation - limit
-        below, above = np.flatnonzero((excess > 0) & (grid < tau)), np.flatnonzero((excess > 0) & (grid > tau))
-
-        def crossing(outside: int, inside: int) -> float:
-            part = excess[outside] / (excess[outside] - excess[inside])
-            return float(grid[outside] * (grid[inside] / grid[outside]) ** part)
-
-        return (
-            crossing(below[-1], below[-1] + 1) if len(below) else 0.0,
-            crossing(above[0], above[0] - 1) if len(above) else math.inf,
-        )
+        roots = np.sqrt(np.maximum(costs / least - 1, 0) * self.freedom / inflation)
+        low, high = profile_interval(np.log(grid), roots, limit, place, -math.inf)
+        return math.exp(low), math.exp(high)
 
     def structure(self, tau: float) -> tuple[CreepStructure, ...]:
         """Significant dependences of the residuals, with errors correlated within plateaus."""
@@ -305,13 +298,6 @@ class DelayedShareFit:
 
     def root_mean_square(self, values: Floats) -> float:
         return math.sqrt(float(np.average(values**2, weights=self.weight)))
-
-
-def t_quantile(freedom: float) -> float:
-    """Half width of a 95 % interval in standard errors."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.975))
 
 
 def _least_squares(columns: Floats, values: Floats, weight: Floats) -> tuple[Floats, Floats, float]:

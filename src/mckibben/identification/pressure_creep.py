@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mckibben.dataset import Recording
-from mckibben.identification.delayed_share import CreepStructure, DelayedShareFit, t_quantile
+from mckibben.identification.delayed_share import CreepStructure, DelayedShareFit
+from mckibben.identification.intervals import t_quantile
 from mckibben.identification.pressure_plateaus import RecordedBins
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show
@@ -153,7 +154,7 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Pres
     p_value = fit.p_value(tau, inflation)
     interval = fit.time_constant_interval(tau, inflation)
     share, (error, freedom) = solution.values[0], fit.error(tau)
-    half = t_quantile(freedom) * error
+    half = float(t_quantile(0.95, freedom)) * error
     significant = p_value < _SIGNIFICANT
     warnings = []
     if significant and not interval[1] < _WIDE * interval[0]:
