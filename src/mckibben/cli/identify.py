@@ -230,9 +230,7 @@ def identify(
     fill: Annotated[
         str, Option(metavar="VOLUME", help="Measured volume of the air at contraction 0, in place of --diameter.")
     ] = "",
-    threshold: Annotated[
-        bool, Option("--threshold", help="Identify a pressure threshold of the law, if the data ask for one.")
-    ] = False,
+    threshold: Annotated[bool, Option("--threshold", help="Identify a pressure threshold with the law.")] = False,
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
     displacement: Displacement = "",
@@ -293,8 +291,7 @@ def identify(
     if late:
         numbers["threshold"] = late.records()
         texts.append(late.report())
-        if late.is_significant:
-            texts.append("\nForce law at the pressures above the threshold, as in the figures and fit.yaml:\n")
+        texts += ["\nForce law at the pressures above it, as in figures and fit.yaml:\n"] if late.is_significant else []
     texts += [fit.report(level), uncertainty.describe()]
     drawn, kept = {}, ""
     if out:

@@ -54,14 +54,12 @@ class CreepStructure:
 
     def describe(self) -> str:
         """Dependence as text."""
-        of = (
-            "the relaxation has more than one time constant"
-            if self.quantity == "time"
-            else (f"the share depends on the {self.quantity}")
-        )
+        found = "the relaxation has more than one time constant"
+        if self.quantity != "time":
+            found = f"the share depends on the {self.quantity}"
         return (
-            f"the residuals are structured: {of} ({self.part / percent:.2g} % of the creep, p = {self.p_value:.1g}), "
-            "which the form of the creep lacks"
+            f"the residuals are structured: {found}, which the form of the creep lacks "
+            f"({self.part / percent:.2g} % of the creep, p = {self.p_value:.1g})"
         )
 
 

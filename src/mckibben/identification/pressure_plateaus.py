@@ -105,7 +105,7 @@ class RecordedBins:
         return dataclasses.replace(self, pressure=pressure)
 
 
-@functools.lru_cache(maxsize=32)
+@functools.lru_cache(maxsize=8)
 def pressure_lags(bins: RecordedBins, time_constants: tuple[float, ...]) -> Floats:
     """Lag of the delayed pressure behind the pressure [Pa], shape (bins, time constants)."""
     elapsed, taus = np.diff(bins.time)[:, None], np.array(time_constants)
