@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben.codegen.native import NativeFunction, compiler
-from mckibben.errors import RangeError
+from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.muscle import LAWS, ChouLaw, Muscle, ThresholdLaw, scaled_law
 from mckibben.units import bar
 
@@ -25,7 +25,7 @@ def test_the_law_sees_nothing_below_the_threshold_and_the_rest_above(late, law):
     seen = np.asarray(late.effective_pressure(PRESSURE))
     np.testing.assert_allclose((seen - (PRESSURE - 0.4 * bar)) * seen, (0.2 * 0.4 * bar) ** 2 / 4, rtol=1e-9)
     assert 0 < seen[0] < 0.012 * 0.4 * bar and seen[-1] - 5.6 * bar < 0.001 * bar
-    np.testing.assert_array_equal(late.force(0.05, PRESSURE), law.force(0.05, seen))
+    np.testing.assert_allclose(late.force(0.05, PRESSURE), law.force(0.05, seen), rtol=1e-12)
     assert late.domain == law.domain
 
 
@@ -79,3 +79,10 @@ def test_a_joint_with_it_has_a_stiffness_and_pressures_for_a_state(knee, late):
 def test_numbers_without_meaning_are_refused(law, fields):
     with pytest.raises(RangeError):
         ThresholdLaw(law=law, **fields)
+
+
+def test_only_the_given_pressure_counts_for_the_warning_of_numbers_in_bar(late, specimen):
+    for pressure in (0.0, 0.05 * bar):  # effective pressures below 1 kPa
+        assert np.isfinite(late.force(0.0, pressure)) and np.isfinite(Muscle(specimen, late).force(0.0, pressure))
+    with pytest.warns(McKibbenWarning, match="numbers are in SI"):
+        late.force(0.0, 6.0)

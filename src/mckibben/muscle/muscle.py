@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Component
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
-from mckibben.muscle.base import LEAST_PRESSURE, ForceLaw, scaled_law, user_level
+from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law, user_level
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
@@ -212,7 +212,7 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
     highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
-    if 0 < highest < LEAST_PRESSURE:
+    if ZERO_PRESSURE < highest < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]

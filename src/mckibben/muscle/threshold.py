@@ -8,8 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw
+from mckibben.muscle.base import ForceLaw, check_point
 from mckibben.muscle.specimen import Domain
+from mckibben.numerics.compiled import compiled_alone
 from mckibben.units import Percent, Quantity
 
 Threshold = Annotated[float, Quantity("Pa", "bar", 0.01, 5)]
@@ -73,6 +74,11 @@ class ThresholdLaw(ForceLaw):
         return effective_pressure(jnp.asarray(pressure), self.threshold, self.smoothness)
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        check_point(contraction, pressure)
+        return self._force(contraction, pressure)
+
+    @compiled_alone  # traced: the law would warn of effective pressures near 0, as of numbers in bar
+    def _force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         return self.law.force(contraction, self.effective_pressure(pressure))
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
