@@ -12,7 +12,7 @@ from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import ScenarioError
 from mckibben.identification import Fit
-from mckibben.muscle import Muscle
+from mckibben.muscle import Muscle, ThresholdLaw
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 
@@ -348,3 +348,25 @@ def test_a_recipe_may_be_empty_but_needs_a_sign(tmp_path):
     with pytest.raises(ScenarioError) as caught:
         Recipe.parse("decimal: ','\nforce_sign: 0\n")
     assert [(problem.line, problem.field) for problem in caught.value.problems] == [(2, "force_sign")]
+
+
+@pytest.mark.slow
+def test_threshold_of_the_law_is_found_kept_and_read_back(cli, tmp_path):
+    """The law in muscle.yaml has the threshold, and gives the measured forces."""
+    late = ThresholdLaw(law=catalog.law("lei-mas-10-180n"), threshold=0.4 * bar)
+    pressure, contraction = map(np.ravel, np.meshgrid(np.arange(13) * 0.25, np.linspace(-3, 10, 9)))
+    force = np.asarray(late.force(contraction / 100, pressure * bar))
+    force = np.maximum(force + np.random.default_rng(1).normal(0, 0.3, force.size), 0)
+    rows = [f"{p},{c},{f}" for p, c, f in zip(pressure, contraction, force, strict=True)]
+    (tmp_path / "points.csv").write_text("\n".join(["pressure_bar,contraction_percent,force_N", *rows]))
+    given = ("identify", "points.csv", "--threshold", "--initial-length", "180 mm", "--slack-force", "2 N")
+    found = cli(*given, "--json", "--out", "kept")
+    assert found.code == 0, found.err
+    numbers = json.loads(found.out)["threshold"]
+    assert numbers["significant"] and numbers["threshold"]["value"] == pytest.approx(0.4 * bar, rel=0.05)
+    muscle = read_component(Muscle, tmp_path / "kept" / "muscle.yaml")
+    assert isinstance(muscle.law, ThresholdLaw)
+    np.testing.assert_allclose(
+        muscle.law.force(0.05, np.array([1e5, 3e5])), late.force(0.05, np.array([1e5, 3e5])), atol=1
+    )
+    assert "ask for" not in cli(*given).out

@@ -131,7 +131,7 @@ def test_corrupt_rows_are_refused_or_left_out_and_named(run):
         (("--levels", "1,, 2 bar", "--isometric"), UnitError, "--levels '1,, 2 bar'"),
         (("--levels", "1 bra, 2 bra", "--isometric"), UnitError, "--levels: unknown unit 'bra'"),
         (("--column", "Druck"), UnitError, "--column 'Druck'"),
-        (("--out", "points.txt"), DatasetError, "is neither .csv nor .nc"),
+        (("--out", "points.txt"), DatasetError, "does not have the ending .csv or .nc"),
     ],
 )
 def test_options_that_cannot_be_read(arguments, error, expected, run):

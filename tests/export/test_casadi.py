@@ -69,9 +69,8 @@ def test_a_rate_is_differentiable(scenario):
 
 @pytest.mark.slow
 def test_friction_and_creep_are_in_the_step_and_said_to_be_missing_in_the_rate(knee, load):
-    muscle = mk.Muscle(
-        knee.muscle1.specimen, knee.muscle1.law, MaxwellSlip(12.0, 5e-4, elements=2), MaxwellCreep(900.0, 0.5)
-    )
+    slip, creep = MaxwellSlip(12.0, 5e-4, elements=2), MaxwellCreep(900.0, 0.5, pressure_share=0.1)
+    muscle = mk.Muscle(knee.muscle1.specimen, knee.muscle1.law, slip, creep)
     joint = mk.AntagonisticJoint(knee.geometry, muscle, muscle)
     plant = mk.JointPlant(joint, load, mk.FirstOrderValve(time_constant=0.02))
     made = casadi_plant(plant, control_period=1e-3)

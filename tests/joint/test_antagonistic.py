@@ -155,10 +155,10 @@ def test_creep_follows_the_lengths_of_both_muscles(knee):
     states = creeping.init_state(angle, pressures)
     before, after = (creeping.geometry.path_lengths(angle + velocity * side) for side in (-step, step))
     stretching = [float(b - a) / (2 * step) for a, b in zip(before, after, strict=True)]
-    rates = creeping.state_rate(states, angle, velocity)
+    rates = creeping.state_rate(states, angle, velocity, pressures)
     assert stretching[0] > 0 > stretching[1]
-    for held, rate, found in zip(states, stretching, rates, strict=True):
-        expected = [float(one) for one in jax.tree.leaves(muscle.state_rate(held, rate))]
+    for held, rate, pressure, found in zip(states, stretching, pressures, rates, strict=True):
+        expected = [float(one) for one in jax.tree.leaves(muscle.state_rate(held, rate, pressure))]
         assert [float(one) for one in jax.tree.leaves(found)] == pytest.approx(expected, rel=1e-6)
         assert expected[0] * rate > 0
     turned = jax.tree.map(lambda x: x * 1e-3, rates)

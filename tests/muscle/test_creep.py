@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, MuscleState, NoCreep
@@ -18,6 +19,11 @@ CREEP = MaxwellCreep(800.0, 4.0)
 DECADES = MaxwellCreep(900.0, 1.0, arms=3)
 FAR = 1e9  # N: a tension that bounds nothing
 CUT = 12  # steps that a move is cut into
+
+
+def constant(_):
+    """Tension over the pressure; without a share of the pressure nothing asks for it."""
+    raise AssertionError
 
 
 @st.composite
@@ -126,14 +132,14 @@ def test_the_rate_in_small_steps_is_the_response_of_a_path():
     @jax.jit
     def move(relaxing, travel, start, end):
         def one(k, x):
-            slope = DECADES.rate(x, travel / (steps * step))
+            slope = DECADES.rate(x, travel / (steps * step), 0.0)
             moved = jax.tree.map(lambda a, b: a + step * b, x, slope)
             return DECADES.project(moved, start + (end - start) * (k + 1) / steps)
 
         relaxing = jax.lax.fori_loop(0, steps, one, relaxing)
-        return relaxing, DECADES.force(relaxing, end)
+        return relaxing, DECADES.force(relaxing, end, constant)
 
-    relaxing = DECADES.initial(length[0])
+    relaxing = DECADES.initial(length[0], 0.0)
     for k in range(1, len(length)):
         relaxing, force = move(relaxing, length[k] - length[k - 1], tension[k - 1], tension[k])
         assert float(force) == pytest.approx(read[k], abs=0.02)
@@ -170,8 +176,8 @@ def test_the_force_of_a_muscle_with_a_state_is_law_friction_and_creep(specimen, 
 def test_none_is_none(specimen, law):
     assert Muscle(specimen, law).creep == NoCreep()
     none = NoCreep()
-    assert none.initial(0.2) == none.rate((), 1.0) == none.project((), 1.0) == ()
-    assert jax.tree.leaves(none) == [] and float(none.force((), 100.0)) == 0.0
+    assert none.initial(0.2, 0.0) == none.rate((), 1.0, 0.0) == none.project((), 1.0) == ()
+    assert jax.tree.leaves(none) == [] and float(none.force((), 100.0, constant)) == 0.0
     np.testing.assert_array_equal(
         none.path_response([0.1, 0.2], 1.0, move_time=1, hold_time=1, sample_times=[0, 1, 2]), np.zeros((2, 3))
     )
@@ -190,3 +196,57 @@ def test_numbers_without_meaning_are_refused(field, value, lower):
 def test_a_muscle_takes_creep_only_as_creep(specimen, law):
     with pytest.raises(RangeError, match="creep is a MaxwellSlip"):
         Muscle(specimen, law, creep=MaxwellSlip(12.0, 5e-4))
+
+
+SHARED = MaxwellCreep(800.0, 4.0, pressure_share=0.08, pressure_time_constant=2.5)
+
+
+def test_a_step_of_the_pressure_arrives_in_part_and_the_rest_as_an_exponential(specimen, law):
+    """Closed form: the delayed pressure is y = p1 - (p1 - p0) exp(-t/tau), and the share sees the law there."""
+    muscle = Muscle(specimen, law, creep=SHARED)
+    first, last, contraction = 2 * bar, 4 * bar, 0.08
+    before, after = (float(muscle.force(contraction, p)) for p in (first, last))
+    state = muscle.init_state(contraction, first)
+    assert float(muscle.force(contraction, first, state)) == pytest.approx(before, rel=1e-12)
+    assert float(muscle.force(contraction, last, state)) == pytest.approx(after - 0.08 * (after - before), rel=1e-12)
+    found = solve_ivp(
+        lambda _, y: [float(muscle.state_rate(MuscleState((), (jnp.zeros(()), y[0])), 0.0, last).creep[1])],
+        (0, 10),
+        [first],
+        rtol=1e-10,
+        atol=1e-6,
+        t_eval=[1.0, 5.0, 10.0],
+    )
+    expected = last - (last - first) * np.exp(-found.t / 2.5)
+    np.testing.assert_allclose(found.y[0], expected, rtol=1e-8)
+    for pressure in expected:
+        force = muscle.force(contraction, last, MuscleState((), (jnp.zeros(()), jnp.asarray(pressure))))
+        wanted = after - 0.08 * (after - float(muscle.force(contraction, pressure)))
+        assert float(force) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_without_a_share_of_the_pressure_the_state_is_that_of_the_arms():
+    assert DECADES.state_units == ("N",) * 3 and NoCreep().state_units == ()
+    assert len(DECADES.initial(0.2, 3e5)) == 3
+    both = MaxwellCreep(900.0, 1.0, arms=2, pressure_share=0.1)
+    assert both.state_units == ("N", "N", "Pa", "Pa") and both.pressure_time_constants == both.time_constants
+    assert [float(one) for one in both.initial(0.2, 3e5)] == [0.0, 0.0, 3e5, 3e5]
+
+
+@pytest.mark.parametrize("delayed", [0.0, 3 * bar, 6 * bar])
+def test_delayed_pressure_neither_makes_the_muscle_push_nor_exceeds_half_of_the_tension(specimen, law, delayed):
+    muscle = Muscle(specimen, law, creep=MaxwellCreep(5000.0, 1.0, pressure_share=0.5))
+    contraction = np.linspace(-0.03, 0.3, 67)[:, None]
+    pressure = np.linspace(0, 6, 13) * bar
+    tension = np.asarray(muscle.tension(contraction, pressure))
+    for arm in (-500.0, 0.0, 500.0):
+        state = MuscleState((), (jnp.asarray(arm), jnp.asarray(delayed)))
+        whole = np.asarray(muscle.tension(contraction, pressure, state))
+        assert np.all(np.abs(whole - tension) <= tension / 2 + 1e-9)
+
+
+def test_the_delay_needs_a_share_and_zero_stiffness_too():
+    assert MaxwellCreep(0.0, 4.0, pressure_share=0.1).stiffness == 0
+    with pytest.raises(RangeError) as refused:
+        MaxwellCreep(500.0, 4.0, pressure_time_constant=3.0)
+    assert refused.value.field == "pressure_time_constant"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
+from mckibben.codegen.native import NativeFunction
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
@@ -18,7 +19,8 @@ from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
 from mckibben.plant.joint_plant import Motion
-from mckibben.simulation import episode, simulate
+from mckibben.simulation import compiled_episode, episode, simulate
+from mckibben.simulation.engine import compute_with
 from mckibben.units import mm
 
 PERIODS, PERIOD = 1000, 1e-3
@@ -79,6 +81,48 @@ def test_it_moves_as_scipy_has_it(swing, paper_precontracted):
     np.testing.assert_allclose(creep_of(state), expected[2:], atol=1e-6)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["native", "xla"])
+def test_creep_after_steps_of_the_pressure_moves_as_scipy_has_it(engine, knee, load, playback, paper_precontracted):
+    """Lags of the valves, delayed pressures and the equation of motion, by Eqs. 3 and 5 written out."""
+    paper, share, delay, lag, steps = paper_precontracted, 0.12, 0.3, 0.02, (4.8e5, 4.6e5)
+    arm = MaxwellCreep(3000.0, 0.2, pressure_share=share, pressure_time_constant=delay)
+    plant = numeric(JointPlant(with_creep(knee, arm), load, FirstOrderValve(lag)))
+
+    def rate(_, y):
+        angle, velocity, x1, x2, y1, y2, p1, p2 = y
+        arms = paper.eq5(angle, math)
+        pulls = []
+        for contraction, p, x, held in zip(paper.contractions(angle, math), (p1, p2), (x1, x2), (y1, y2), strict=True):
+            tension = paper.eq3(contraction, p, math)
+            pulls.append(tension + x + share * (paper.eq3(contraction, held, math) - tension))
+        torque = pulls[1] * arms[1] - pulls[0] * arms[0] + paper.G * math.sin(math.pi / 6 - angle)
+        return (
+            velocity,
+            (torque - float(load.damping) * velocity) / paper.inertia,
+            3000 * arms[0] * velocity - x1 / 0.2,
+            -3000 * arms[1] * velocity - x2 / 0.2,
+            (p1 - y1) / delay,
+            (p2 - y2) / delay,
+            (steps[0] - p1) / lag,
+            (steps[1] - p2) / lag,
+        )
+
+    times = np.arange(PERIODS) * PERIOD
+    start = plant.init_state(0.0, (P1, P2))
+    first = (0.0, 0.0, 0.0, 0.0, P1, P2, P1, P2)
+    expected = solve_ivp(rate, (0, times[-1]), first, t_eval=times, rtol=1e-11, atol=1e-9, method="DOP853").y
+    held = Setpoint(*(jnp.full(PERIODS, p) for p in steps))
+    parts = (plant, playback, held, numeric(start), jnp.asarray(PERIOD), 4)
+    natively = NativeFunction(lambda parts, _: episode(*parts))
+    state = compute_with(engine, np.float64, lambda: natively(parts), lambda: compiled_episode(*parts))[0][1].state
+    delayed = np.array([muscle.creep[1] for muscle in state.muscles])
+    assert np.ptp(expected[0]) > math.radians(1) and np.ptp(expected[4:6], axis=1).min() > 4e4
+    np.testing.assert_allclose(state.angle, expected[0], atol=1e-8)
+    np.testing.assert_allclose(creep_of(state), expected[2:4], atol=1e-5)
+    np.testing.assert_allclose(delayed, expected[4:6], atol=0.5)
+
+
 @pytest.mark.parametrize("pressures", [(P1, P2), (1.2e5, 0.9e5)])  # the second goes slack and meets the bound
 def test_a_free_swing_only_loses_energy(swing, paper_precontracted, pressures):
     paper = paper_precontracted
@@ -111,7 +155,7 @@ def test_a_quick_turn_meets_more_than_the_law(creeping):
     """Creep resists a quick turn with its stiffness at the moment arms, and nothing a while after."""
     joint, (p1, p2) = creeping.joint, (P1, P2)
     arm1, arm2 = map(float, joint.geometry.moment_arms(0.0))
-    rates = joint.state_rate(joint.init_state(0.0, (p1, p2)), 0.0, 1.0)
+    rates = joint.state_rate(joint.init_state(0.0, (p1, p2)), 0.0, 1.0, (p1, p2))
     after = jax.tree.map(lambda x: x * 1e-3, rates)  # after a turn of a milliradian
     torque = float(joint.creep_torque(0.0, (p1, p2), after))
     assert torque == pytest.approx(-3000.0 * (arm1**2 + arm2**2) * 1e-3, rel=1e-9)

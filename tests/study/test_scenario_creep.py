@@ -31,6 +31,19 @@ def test_it_builds_what_it_says_and_comes_back_from_its_text():
     assert Scenario.parse(written) == scenario and "creep: {stiffness: 0.5 N/mm, time_constant: 8 s}" in written
 
 
+def test_creep_after_steps_of_the_pressure_comes_back_from_its_text():
+    shared = "{stiffness: 0.5 N/mm, time_constant: 8 s, pressure_share: 6 %, pressure_time_constant: 3 s}"
+    scenario = Scenario.parse(CREEPING.replace("{stiffness: 0.5 N/mm, time_constant: 8 s}", shared))
+    creep = scenario.plant().joint.muscle1.creep
+    assert creep == MaxwellCreep(500.0, 8.0, pressure_share=0.06, pressure_time_constant=3.0)
+    assert Scenario.parse(scenario.dumps()) == scenario
+    start = scenario.initial(scenario.plant())
+    assert [float(muscle.creep[1]) for muscle in start.muscles] == [float(p) for p in start.pressures]
+    alone = problem(CREEPING.replace("time_constant: 8 s", "time_constant: 8 s, pressure_time_constant: 3 s"))
+    assert alone.field.endswith("creep.pressure_time_constant")
+    assert find_parameter(scenario, "joint.muscle.creep.pressure_share").nominal == 0.06
+
+
 def test_without_it_all_is_as_before():
     scenario = Scenario.parse(BASE)
     assert scenario.plant().joint.muscle1.creep == NoCreep() and "creep" not in scenario.dumps()

@@ -376,7 +376,7 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
         states = joint.update_state(states, angle, pressures)
         found = joint.forces(angle, velocity, pressures, states)
         if joint.has_creep:
-            rates = joint.state_rate(states, angle, velocity)
+            rates = joint.state_rate(states, angle, velocity, pressures)
             states = tuple(
                 one._replace(creep=tuple(x + rate / RATE for x, rate in zip(one.creep, each.creep, strict=True)))
                 for one, each in zip(states, rates, strict=True)

@@ -24,6 +24,7 @@ from mckibben.cli.air import identify_air
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
+from mckibben.cli.creep import identify_creep
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, validate
 from mckibben.cli.leg import leg
@@ -246,7 +247,17 @@ def _listing(name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 _PANELS = {
     "The paper": (reproduce,),
-    "Muscles, data and test rig": (points, identify, identify_air, validate, plan, laws, specimens, rig),
+    "Muscles, data and test rig": (
+        points,
+        identify,
+        identify_creep,
+        identify_air,
+        validate,
+        plan,
+        laws,
+        specimens,
+        rig,
+    ),
     "Joint, leg and control": (size, simulate, envelope, stiffness, margins, oracle, calibrate, leg),
     "Studies": (tune, compare, sweep, merge),
     "Other programs": (web, export, check),

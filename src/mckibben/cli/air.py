@@ -11,12 +11,14 @@ from mckibben.cli.options import (
     Column,
     Decimal,
     Displacement,
+    FixedContraction,
     Force,
     ForceSign,
     InitialLength,
     Json,
     Out,
     RecipeFile,
+    SampleRate,
     SkipCorrupt,
     ZeroLength,
     echo,
@@ -33,13 +35,11 @@ from mckibben.storage.files import to_json, write_json
 def identify_air(
     recordings: Annotated[list[Path], Argument(metavar="RECORDING...", help="Files of pressure over time.")],
     specimen: Annotated[str, Option(help="Specimen, or its file, whose braid gives the volume.")],
-    contraction: Annotated[
-        str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")
-    ] = "",
+    contraction: FixedContraction = "",
     dead_volume: Annotated[
         str, Option(metavar="VOLUME", help="Volume of tube and fittings up to the valve, if tests are at one length.")
     ] = "0 cm^3",
-    sample_rate: Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")] = "",
+    sample_rate: SampleRate = "",
     initial_length: InitialLength = "",
     displacement: Displacement = "",
     zero_length: ZeroLength = "",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument, Option
 
@@ -40,7 +40,7 @@ from mckibben.units import show
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
-    from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking
+    from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking, ThresholdFit
     from mckibben.muscle import MaxwellSlip
 
 
@@ -68,6 +68,7 @@ def identify(
     fill: Annotated[
         str, Option(metavar="VOLUME", help="Measured volume of the air at contraction 0, in place of --diameter.")
     ] = "",
+    threshold: Annotated[bool, Option("--threshold", help="Identify a pressure threshold with the law.")] = False,
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with the friction.")] = False,
     initial_length: InitialLength = "",
     displacement: Displacement = "",
@@ -98,9 +99,9 @@ def identify(
         if hysteresis is False:
             raise ParameterError("--friction and --no-drift need friction", remedy="leave out --no-hysteresis")
         hysteresis = True
-    if law_type is None and (profile or bootstrap or hysteresis is not None or level != _LEVEL):
+    if law_type is None and (profile or bootstrap or hysteresis is not None or threshold or level != _LEVEL):
         raise ParameterError(
-            "--level, --profile, --bootstrap and --hysteresis apply to a single law",
+            "--level, --profile, --bootstrap, --hysteresis and --threshold apply to a single law",
             remedy="choose one, such as --law exponential",
         )
     form = _friction_form(friction_form) if friction_form else None
@@ -113,11 +114,13 @@ def identify(
     if law_type is None:
         _rank(data, points, how, inner, json, out)
         return
-    from mckibben.identification import identify_with_friction
+    from mckibben.identification import identify_threshold, identify_with_friction
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
     found = identify_with_friction(law_type, points, friction=hysteresis, drift=not no_drift, form=form)
     fit, static, loops = found.fit, found.points, found.hysteresis
+    late = identify_threshold(law_type, static) if threshold else None
+    fit, static = (late.fit, late.effective(static)) if late else (fit, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
     notes = points.table.attrs.get("preprocessing", "").splitlines()
     numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
@@ -127,6 +130,10 @@ def identify(
     numbers["friction_note"] = note
     texts = [note + "\n"] if note else []
     texts += [loops.report() + "\n\nForce law of the points corrected for friction and drift:\n"] if loops else []
+    if late:
+        numbers["threshold"] = late.records()
+        texts.append(late.report())
+        texts += ["\nForce law at the pressures above it, as in figures and fit.yaml:\n"] if late.is_significant else []
     texts += [fit.report(level), uncertainty.describe()]
     drawn, kept = {}, ""
     if out:
@@ -134,7 +141,7 @@ def identify(
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, fit, inner, found.friction)
+            kept = _keep_muscle(out, data, points, fit, inner, found.friction, late)
             how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
@@ -184,6 +191,7 @@ def _keep_muscle(
     fit: Fit,
     inner: _Inner,
     friction: MaxwellSlip | None = None,
+    late: ThresholdFit | None = None,
 ) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
     from mckibben.muscle.air import volume_terms
@@ -195,7 +203,10 @@ def _keep_muscle(
     if volume is None and inner.diameter is not None and length:
         volume = math.pi / 4 * inner.diameter**2 * length
     terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
-    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction, volume_terms=terms)
+    law: Any = "fit.yaml"
+    if late and late.is_significant:
+        law = {"class": "threshold", "law": law, "threshold": show(late.threshold, "bar", 6)}
+    text = muscle_text(law, specimen=name, initial_length=length, friction=friction, volume_terms=terms)
     if not text:
         return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
     with atomic_write(out / "muscle.yaml", overwrite=True) as part:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 from typer import Argument, Option
 
-from mckibben.errors import ParameterError, UnitError, printable
+from mckibben.errors import DatasetError, ParameterError, Problem, UnitError, printable
 from mckibben.storage.files import check_free, explain_write_errors, make_folder
 from mckibben.units import parse_range, quantity
 
@@ -76,6 +76,8 @@ Extrapolate = Annotated[
     bool,
     Option("--extrapolate", help="Apply the force laws at all pressures of their specimens, also where not measured."),
 ]
+FixedContraction = Annotated[str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")]
+SampleRate = Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")]
 Decimal = Annotated[
     str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
 ]
@@ -332,6 +334,17 @@ def long_job(*, quiet: bool, kept: str) -> Iterator[Callable[[str, float], None]
     except KeyboardInterrupt as interrupt:
         echo(f"interrupted: {str(interrupt) or kept or 'nothing is kept'}", err=True)
         raise typer.Exit(INTERRUPTED) from None
+
+
+def check_new(out: Path, *endings: str) -> None:
+    """Check, before the computation, that an output file is new and can be written."""
+    if out.suffix.lower() not in endings:
+        problem = Problem(f"does not have the ending {' or '.join(endings)}", remedy="rename it")
+        raise DatasetError(str(out), [problem])
+    if not out.parent.is_dir():
+        raise DatasetError(str(out), [Problem(f"there is no folder {out.parent}", remedy="create it")])
+    if out.exists():
+        raise DatasetError(str(out), [Problem("exists already", remedy="choose another file, or delete it")])
 
 
 def required_folder(out: Path | None, job: str) -> Path:

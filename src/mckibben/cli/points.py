@@ -12,13 +12,16 @@ from mckibben.cli.options import (
     Column,
     Decimal,
     Displacement,
+    FixedContraction,
     ForceSign,
     InitialLength,
     Json,
     RecipeFile,
+    SampleRate,
     SkipCorrupt,
     SlackForce,
     ZeroLength,
+    check_new,
     echo,
     notify,
     on_command_line,
@@ -28,7 +31,7 @@ from mckibben.cli.options import (
     report_reading,
     table,
 )
-from mckibben.errors import DatasetError, Problem, UnitError
+from mckibben.errors import UnitError
 from mckibben.storage.files import to_json
 from mckibben.units import bar, percent
 
@@ -61,9 +64,7 @@ def points(
         str, Option(metavar="'1, 2, 3 bar'", help="Levels of --isometric (default: evenly spaced).")
     ] = "",
     count: Annotated[int, Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
-    contraction: Annotated[
-        str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")
-    ] = "",
+    contraction: FixedContraction = "",
     pressure_tolerance: Annotated[str, Option(metavar="PRESSURE", help="Tolerance of a plateau.")] = "2 kPa",
     contraction_tolerance: Annotated[
         str, Option(metavar="RATIO", help="Tolerance of a plateau (default 0.1 %) or of --isometric (0.5 %).")
@@ -72,7 +73,7 @@ def points(
     dwell: Annotated[str, Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
     settle: Annotated[str, Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
     gap: Annotated[str, Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals).")] = "",
-    sample_rate: Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")] = "",
+    sample_rate: SampleRate = "",
     initial_length: InitialLength = "",
     displacement: Displacement = "",
     zero_length: ZeroLength = "",
@@ -91,7 +92,7 @@ def points(
     """Extract points from a raw recording: steady plateaus, or pressure levels at a fixed length."""
     for file, endings in ((out, (".csv", ".nc")), (save_recipe, (".yaml", ".yml"))):
         if file is not None:
-            _check_new(file, endings)
+            check_new(file, *endings)
     pressures = _levels(levels)
     how = recipe_of(
         recipe,
@@ -175,17 +176,6 @@ def _rows(found: ExtractedPoints) -> list[tuple[float | str, ...]]:
     )
     came_by = [str(one or other or "-") for one, other in zip(direction, phase, strict=True)]
     return list(zip(*(column.tolist() for column in numbers), came_by, strict=True))
-
-
-def _check_new(out: Path, endings: tuple[str, str]) -> None:
-    """Check, before the computation, that an output file is new and can be written."""
-    if out.suffix.lower() not in endings:
-        problem = Problem(f"is neither {endings[0]} nor {endings[1]}", remedy=f"use the ending {' or '.join(endings)}")
-        raise DatasetError(str(out), [problem])
-    if not out.parent.is_dir():
-        raise DatasetError(str(out), [Problem(f"there is no folder {out.parent}", remedy="create it")])
-    if out.exists():
-        raise DatasetError(str(out), [Problem("exists already", remedy="choose another file, or delete it")])
 
 
 def _levels(text: str) -> list[float] | None:

@@ -16,6 +16,7 @@ from typer import Argument, Option
 
 from mckibben.cli.options import (
     Json,
+    check_new,
     echo,
     format_metrics,
     job_progress,
@@ -260,11 +261,22 @@ def run(
 
 
 @rig.command()
-def data(folder: Annotated[Path, Argument(metavar="DIR", help="A folder of `rig run --out`.")]) -> None:
+def data(
+    folder: Annotated[Path, Argument(metavar="DIR", help="A folder of `rig run --out`.")],
+    recording: Annotated[
+        Path | None, Option(metavar="FILE.nc", help="New file: all samples over time, as for `points`.")
+    ] = None,
+) -> None:
     """Make the dataset of a test from its record, complete or not."""
-    from mckibben.study.rig.running import gather
+    from mckibben.study.rig.running import gather, gather_recording
 
+    if recording is not None:
+        check_new(recording, ".nc")
     echo(repr(gather(folder)))
+    if recording is not None:
+        whole = gather_recording(folder)
+        whole.to_netcdf(recording)
+        echo(repr(whole))
 
 
 @rig.command()

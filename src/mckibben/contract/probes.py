@@ -20,6 +20,7 @@ from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, Muscl
 from mckibben.leg.control import LegController, LegReference
 from mckibben.leg.plant import LegMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
+from mckibben.muscle.creep import CreepState, TensionAt
 from mckibben.numerics.calculus import derivative
 from mckibben.plant import Actuator, AirValve, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
 from mckibben.units import bar, mm, ms, percent
@@ -175,18 +176,35 @@ def _friction(_: Friction) -> Probes:
     )
 
 
-def _crept(creep: Creep, length: Any, force: Any, tension: Any, rate: Any) -> Any:
-    state = jax.tree.map(lambda x: x + force, creep.initial(length))
-    return creep.force(state, tension), creep.rate(state, rate), creep.project(state, tension)
+_AREA = 1e-4  # N/Pa
 
 
-def _creep_projected(creep: Creep, length: Any, force: Any, tension: Any, _: Any) -> tuple[Any, Any]:
-    state = jax.tree.map(lambda x: x + force, creep.initial(length))
-    return creep.force(creep.project(state, tension), tension), creep.force(state, tension)
+def _crept(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any, rate: Any) -> Any:
+    state, tension_at = _moved_creep(creep, length, pressure, step, tension)
+    return creep.force(state, tension, tension_at), creep.rate(state, rate, pressure), creep.project(state, tension)
+
+
+def _creep_projected(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any, _: Any) -> tuple[Any, Any]:
+    state, tension_at = _moved_creep(creep, length, pressure, step, tension)
+    return creep.force(creep.project(state, tension), tension, tension_at), creep.force(state, tension, tension_at)
+
+
+def _moved_creep(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any) -> tuple[CreepState, TensionAt]:
+    """State relaxed before a step of the pressure and a move, and the tension over the pressure."""
+    relaxed = creep.initial(length, pressure - step)
+    rates = creep.rate(relaxed, step / bar, pressure)
+    state = jax.tree.map(lambda x, rate: x + 0.1 * rate, relaxed, rates)
+    return state, lambda at: jnp.maximum(tension + _AREA * (at - pressure), 0.0)
 
 
 def _creep(_: Creep) -> Probes:
-    ranges = {"length": _LENGTH, "force": (-40.0, 40.0), "tension": (0.0, 300.0), "rate": (-0.1, 0.1)}
+    ranges = {
+        "length": _LENGTH,
+        "pressure": (0.0, 5 * bar),
+        "step": (-1 * bar, 1 * bar),
+        "tension": (0.0, 300.0),
+        "rate": (-0.1, 0.1),
+    }
     return Probes((Probe(_crept, ranges),), (Identity("projection", _creep_projected, ranges, _PROJECTION),))
 
 

@@ -141,8 +141,12 @@ def plant_unit(
     if valve.direct:
         commands = dict.fromkeys(commands, 0.0)
     starts = {**first, **(pressures if held else {}), **commands, "torque": 0.0}
-    creep = {path: "N" for path in (member.path for member in module.state) if ".creep" in path}
-    units = _PLANT_UNITS | {f"state.{path}": unit for path, unit in creep.items()}
+    creep = {
+        f"state.muscles.{i}.creep.{k}": unit
+        for i, muscle in enumerate(plant.muscles)
+        for k, unit in enumerate(muscle.creep.state_units)
+    }
+    units = _PLANT_UNITS | creep
     if valve.direct:
         units |= {"inputs.command1": "", "inputs.command2": ""}
     unit = FunctionalUnit(
@@ -179,13 +183,13 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     numbers, fixed = eqx.partition(muscle, is_real)
     module = SourceModule(name, numbers)
     inputs = {"contraction": _NUMBER, "pressure": _NUMBER}
-    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), muscle.init_state(0.0)._replace(creep=()))
+    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), muscle.init_state(0.0, 0.0)._replace(creep=()))
 
     def of(parameters: Any) -> Muscle:
         return eqx.combine(parameters, fixed)
 
     def init(parameters: Any, inputs: Any) -> dict[str, Any]:
-        return {"state": of(parameters).init_state(inputs["contraction"])._replace(creep=())}
+        return {"state": of(parameters).init_state(inputs["contraction"], inputs["pressure"])._replace(creep=())}
 
     def project(parameters: Any, state: MuscleState, inputs: Any) -> dict[str, Any]:
         return {"state": of(parameters).update_state(state, inputs["contraction"], inputs["pressure"])}

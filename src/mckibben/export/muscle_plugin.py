@@ -22,7 +22,7 @@ from mckibben.realtime.compiled_step import FlatTree
 
 
 class Activations(NamedTuple):
-    """Activations of an actuator: creep arms [N], valve state, and pressure [Pa] unless the valve is ideal.
+    """Activations of an actuator: state of the creep [N, Pa], valve state, and pressure [Pa] unless the valve is ideal.
 
     The state of the valve is paired with the temperature [K] of the air; empty ones have no leaves.
     """
@@ -140,7 +140,7 @@ class MuscleFunctions:
     def _rates(self, parameters: Any, given: Any) -> Any:
         plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, given)
         valve, command, velocity = plant.valve.for_muscle(self._number - 1), given["command"], given["velocity"]
-        creep = muscle.state_rate(held, slope * velocity).creep
+        creep = muscle.state_rate(held, slope * velocity, pressure).creep
         if not valve.holds_pressure:
             return self._layout.pack(Activations(creep, ((), ()), ()), jnp)
 
@@ -169,8 +169,8 @@ class MuscleFunctions:
         return found | ({"anchors": jnp.stack(friction)} if friction else {})
 
     def _unset(self, parameters: Any, given: Any) -> Any:
-        _, (muscle, _), path, *_ = self._at(parameters, given)
-        return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path)).friction)
+        _, (muscle, _), path, _, acts, _ = self._at(parameters, given)
+        return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path), acts.pressure).friction)
 
 
 def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:

@@ -2,6 +2,7 @@
 
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.creep import CreepFit, identify_creep
+from mckibben.identification.delayed_share import CreepStructure
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import ResidualCorrelation, identify
 from mckibben.identification.friction_forms import FormComparison, FrictionForm, LackOfFit
@@ -10,9 +11,11 @@ from mckibben.identification.intervals import ForceIntervals, Interval, Interval
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.posterior import Noise, Posterior, posterior
+from mckibben.identification.pressure_creep import PressureCreepFit, identify_pressure_creep
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.storage import read_law
+from mckibben.identification.threshold import ThresholdFit, identify_threshold
 from mckibben.identification.uncertainty import Grouping
 from mckibben.identification.validation import ErrorStatistics, HoldOut, Validation, hold_out, validate
 from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis
@@ -20,6 +23,7 @@ from mckibben.identification.with_friction import FitWithFriction, identify_with
 __all__ = [
     "Bootstrap",
     "CreepFit",
+    "CreepStructure",
     "DatasetSummary",
     "ErrorStatistics",
     "Fit",
@@ -37,11 +41,13 @@ __all__ = [
     "Noise",
     "Outlier",
     "Posterior",
+    "PressureCreepFit",
     "Profile",
     "RankedLaw",
     "Ranking",
     "ResidualCorrelation",
     "SensorDrift",
+    "ThresholdFit",
     "Validation",
     "bootstrap",
     "design_matrix",
@@ -50,6 +56,8 @@ __all__ = [
     "identify",
     "identify_creep",
     "identify_hysteresis",
+    "identify_pressure_creep",
+    "identify_threshold",
     "identify_with_friction",
     "posterior",
     "profile",

@@ -74,6 +74,25 @@ def t_quantile(level: float, freedom: ArrayLike) -> Floats:
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
 
 
+def profile_interval(grid: Floats, roots: Floats, limit: float, place: int, unbounded: float) -> tuple[float, float]:
+    """Ends of a profile interval on both sides of the estimate, which is at a place of an ascending grid.
+
+    `roots` are the roots of the increase of the cost, nearly linear on each side; the ends are where they reach a
+    limit. Where they do not, the ends are `unbounded` and infinity.
+    """
+    below = np.flatnonzero(roots[:place] > limit)
+    above = np.flatnonzero(roots[place:] > limit) + place
+
+    def crossing(outside: int, inside: int) -> float:
+        part = (roots[outside] - limit) / (roots[outside] - roots[inside])
+        return float(grid[outside] + part * (grid[inside] - grid[outside]))
+
+    return (
+        crossing(int(below[-1]), int(below[-1]) + 1) if len(below) else unbounded,
+        crossing(int(above[0]), int(above[0]) - 1) if len(above) else np.inf,
+    )
+
+
 def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats, Floats]]) -> IntervalEstimate:
     """T interval of a sum of independent variances V, with Satterthwaite's (sum V)^2 / sum(V^2/nu)."""
     value = np.asarray(value, np.float64)

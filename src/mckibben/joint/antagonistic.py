@@ -234,17 +234,19 @@ class AntagonisticJoint(Component):
         """Return unstressed, relaxed internal states of the muscles."""
         if not (self.has_friction or self.has_creep):
             return NO_STATES
-        contraction1, contraction2 = self.contractions(angle, pressures)
-        return self.muscle1.init_state(contraction1), self.muscle2.init_state(contraction2)
+        contractions, both = self.contractions(angle, pressures), pressure_pair(pressures)
+        return self.muscle1.init_state(contractions[0], both[0]), self.muscle2.init_state(contractions[1], both[1])
 
-    def state_rate(self, states: MuscleStates, angle: ArrayLike, velocity: ArrayLike) -> MuscleStates:
+    def state_rate(
+        self, states: MuscleStates, angle: ArrayLike, velocity: ArrayLike, pressures: Pressures
+    ) -> MuscleStates:
         """Return the time derivatives of the internal states at an angular velocity [rad/s]."""
         if not self.has_creep:
             return NO_STATES
-        arm1, arm2 = self.geometry.moment_arms(angle)
-        return (
-            self.muscle1.state_rate(states[0], arm1 * velocity),  # muscle 1 lengthens as the angle increases
-            self.muscle2.state_rate(states[1], -arm2 * velocity),
+        (arm1, arm2), (pressure1, pressure2) = self.geometry.moment_arms(angle), pressure_pair(pressures)
+        return (  # muscle 1 lengthens as the angle increases
+            self.muscle1.state_rate(states[0], arm1 * velocity, pressure1),
+            self.muscle2.state_rate(states[1], -arm2 * velocity, pressure2),
         )
 
     def update_state(self, states: MuscleStates, angle: ArrayLike, pressures: Pressures) -> MuscleStates:
@@ -285,8 +287,9 @@ class AntagonisticJoint(Component):
     def creep_torque(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates) -> Array:
         """Return the creep part [N*m] of the torque of `forces`."""
         (arm1, arm2), (tension1, tension2) = self.geometry.moment_arms(angle), self.tensions(angle, pressures)
-        force1 = self.muscle1.creep.force(states[0].creep, tension1)
-        return self.muscle2.creep.force(states[1].creep, tension2) * arm2 - force1 * arm1
+        contraction1, contraction2 = self.contractions(angle, pressures)
+        force1 = self.muscle1.creep_force(contraction1, tension1, states[0])
+        return self.muscle2.creep_force(contraction2, tension2, states[1]) * arm2 - force1 * arm1
 
     def closed_valve_stiffness(
         self,

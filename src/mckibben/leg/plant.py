@@ -316,7 +316,7 @@ class LegPlant(Plant):
     def init_muscles(self, state: LegState) -> tuple[MuscleState, ...]:
         units = zip(self.leg.routed_muscles(state.posture.angles), state.pressures, strict=True)
         return tuple(
-            unit.muscle.init_state(unit.tendon.contraction(unit.muscle, unit.path, pressure))
+            unit.muscle.init_state(unit.tendon.contraction(unit.muscle, unit.path, pressure), pressure)
             for unit, pressure in units
         )
 
@@ -372,8 +372,10 @@ class LegPlant(Plant):
             self.leg, state.posture, velocity, forces.torques, forces.ground, self.gravity, self.ground.normal
         )
         creep = tuple(
-            muscle.state_rate(held, rate).creep
-            for muscle, held, rate in zip(self.leg.muscles, state.muscles, forces.path_rates, strict=True)
+            muscle.state_rate(held, rate, pressure).creep
+            for muscle, held, rate, pressure in zip(
+                self.leg.muscles, state.muscles, forces.path_rates, state.pressures, strict=True
+            )
         )
         return Motion(Posture(*velocity), moved, creep)
 

@@ -14,6 +14,7 @@ from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
 from mckibben.muscle.smooth import SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.muscle.spring import SpringLaw, return_spring
+from mckibben.muscle.threshold import ThresholdLaw
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
@@ -52,6 +53,7 @@ __all__ = [
     "SmoothLaw",
     "Specimen",
     "SpringLaw",
+    "ThresholdLaw",
     "TonduLopezLaw",
     "TonduLopezVariableLaw",
     "TsagarakisCaldwellLaw",

@@ -119,6 +119,7 @@ class ForceLaw(Component):
 
 
 LEAST_PRESSURE = 1e3  # Pa: a lower maximum was given in bar or kPa
+ZERO_PRESSURE = 1e-6  # Pa: a lower pressure is 0, rounded
 _POSSIBLE = -0.5, 0.8  # contractions
 
 
@@ -135,7 +136,7 @@ def check_point(contraction: ArrayLike, pressure: ArrayLike) -> None:
             f"a contraction of {wrong[0] / percent:.4g} % is impossible: contractions are ratios, such as 10 * percent"
         )
         warnings.warn(text, DomainWarning, stacklevel=user_level())
-    if 0 < (highest := pressures.max(initial=0.0)) < LEAST_PRESSURE:
+    if ZERO_PRESSURE < (highest := pressures.max(initial=0.0)) < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 

@@ -1,8 +1,10 @@
-"""Creep of a muscle: viscoelastic force after a change of length, relaxing to zero."""
+"""Creep of a muscle: viscoelastic force after a change of length or pressure, relaxing to zero."""
 
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
+from numbers import Real
 from typing import Annotated
 
 import equinox as eqx
@@ -12,11 +14,15 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
+from mckibben.errors import RangeError
 from mckibben.numerics.elementary import floating
-from mckibben.units import BoundedInt, Quantity, SpringRate
+from mckibben.units import BoundedInt, Percent, Quantity
 
 CreepState = tuple[Array, ...]
-"""Force [N] in each Maxwell arm."""
+"""Force [N] in each Maxwell arm, then the delayed pressure [Pa] of each, if the creep follows the pressure."""
+
+TensionAt = Callable[[ArrayLike], Array]
+"""Tension [N] of the law at the present length, as a function of the gauge pressure [Pa]."""
 
 _DECADE = 10.0
 
@@ -26,17 +32,22 @@ class Creep(Component):
 
     default_class = "maxwell"
 
-    @abc.abstractmethod
-    def initial(self, length: ArrayLike) -> CreepState:
-        """Return the relaxed state at a length [m]."""
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """SI unit of each number of the state; by default N."""
+        return ("N",) * len(self.initial(0.0, 0.0))
 
     @abc.abstractmethod
-    def force(self, state: CreepState, tension: ArrayLike) -> Float[Array, "..."]:
-        """Return the force [N] at the law's tension [N]; zero for an empty state."""
+    def initial(self, length: ArrayLike, pressure: ArrayLike) -> CreepState:
+        """Return the relaxed state at a length [m] and a gauge pressure [Pa]."""
 
     @abc.abstractmethod
-    def rate(self, state: CreepState, rate: ArrayLike) -> CreepState:
-        """Return the derivative [N/s] of the state at a rate of the length [m/s]."""
+    def force(self, state: CreepState, tension: ArrayLike, tension_at: TensionAt) -> Float[Array, "..."]:
+        """Return the force [N] at the law's tension [N], known for any pressure; zero for an empty state."""
+
+    @abc.abstractmethod
+    def rate(self, state: CreepState, rate: ArrayLike, pressure: ArrayLike) -> CreepState:
+        """Return the time derivative of the state at a rate of the length [m/s] and a gauge pressure [Pa]."""
 
     @abc.abstractmethod
     def project(self, state: CreepState, tension: ArrayLike) -> CreepState:
@@ -54,8 +65,8 @@ class Creep(Component):
     ) -> NDArray[np.float64]:
         """Return the force [N] after each move of a displacement path, in NumPy, for tests on a rig.
 
-        The answer has shape (points, samples). The path starts relaxed; each move has a constant velocity, and the
-        law's tension [N] changes monotonically over it.
+        The answer has shape (points, samples). The pressure is constant. The path starts relaxed; each move has a
+        constant velocity, and the law's tension [N] changes monotonically over it.
 
         Parameters
         ----------
@@ -71,13 +82,13 @@ class NoCreep(Creep):
 
     short_name = "none"
 
-    def initial(self, length: ArrayLike) -> CreepState:
+    def initial(self, length: ArrayLike, pressure: ArrayLike) -> CreepState:
         return ()
 
-    def force(self, state: CreepState, tension: ArrayLike) -> Float[Array, "..."]:
+    def force(self, state: CreepState, tension: ArrayLike, tension_at: TensionAt) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(tension))
 
-    def rate(self, state: CreepState, rate: ArrayLike) -> CreepState:
+    def rate(self, state: CreepState, rate: ArrayLike, pressure: ArrayLike) -> CreepState:
         return state
 
     def project(self, state: CreepState, tension: ArrayLike) -> CreepState:
@@ -95,7 +106,9 @@ class NoCreep(Creep):
         return np.zeros((np.size(length), np.size(sample_times)))
 
 
+ArmStiffness = Annotated[float, Quantity("N/m", "N/mm", 0, 1e6)]
 CreepTime = Annotated[float, Quantity("s", "s", 0.01, 1e6)]
+PressureShare = Annotated[float, Percent("1", "%", -50, 50)]
 Arms = Annotated[int, BoundedInt(1, 8)]
 
 
@@ -104,30 +117,43 @@ class MaxwellCreep(Creep):
 
     .. math::
 
-        \dot x_i = k_i \dot l - \frac{x_i}{\tau_i}, \qquad |x_i| \le \frac{T}{2n}, \qquad F = T + \sum_i x_i
+        \dot x_i &= k_i \dot l - \frac{x_i}{\tau_i}, \qquad |x_i| \le \frac{T}{2n} \\
+        \dot y_i &= \frac{p - y_i}{\tau_i'} \\
+        F &= T(l, p) + \sum_i \left(x_i + \frac{\varphi}{n} \big(T(l, y_i) - T(l, p)\big)\right)
 
     The state :math:`x_i` is the force in an arm. After stretching, the muscle pulls harder than its law; after
     shortening, less; it returns to the law with the time constants :math:`\tau_i`. Arms of equal stiffness, each ten
     times slower than the previous one, give nearly logarithmic creep, one decade of time per arm.
 
-    Together the arms carry at most half of the law's tension :math:`T`; beyond that they slip and lose stored energy.
-    The muscle therefore never pushes, and the model is dissipative for any path of length and pressure. The bound is
-    ours. Creep after a step of the *pressure* at a constant length is not modelled.
+    With a `pressure_share` :math:`\varphi`, this share of the law follows the delayed pressures :math:`y_i`: after a
+    step of the pressure at constant length, a positive share of the change of force is missing, and follows with the
+    time constants :math:`\tau_i'`. The delay disappears where the law does not depend on the pressure. Real muscles
+    continue in the direction of the step; the physical cause is not modelled.
+
+    Together the arms carry at most half of the law's tension :math:`T` (so does each sum over :math:`i` above); beyond
+    that they slip and lose stored energy. The muscle therefore never pushes. At constant pressure the model is
+    dissipative for any path of length and tension; a change of the pressure may add energy, which the air supplies. The
+    bound and the delayed pressure are ours.
 
     Parameters
     ----------
     stiffness
-        k [N/m] of all arms together.
+        k [N/m] of all arms together; 0 only with a `pressure_share`.
     time_constant
         Time constant [s] of the first, quickest arm.
     arms
         Number of Maxwell arms, 1 to 8.
+    pressure_share
+        Share phi [-] of the law that follows the pressure with a delay; None: no creep after changes of the pressure.
+    pressure_time_constant
+        Time constant [s] of the quickest delayed pressure; None: `time_constant`.
 
     References
     ----------
     W. N. Findley, J. S. Lai and K. Onaran, "Creep and Relaxation of Nonlinear Viscoelastic Materials", North-Holland
     1976, section 5.2 (Maxwell models in parallel); T. V. Minh, B. Kamers, H. Ramon and H. Van Brussel, "Modeling and
-    control of a pneumatic artificial muscle manipulator joint - Part I", Mechatronics 22 (2012) 923-933.
+    control of a pneumatic artificial muscle manipulator joint - Part I", Mechatronics 22 (2012) 923-933 (creep after
+    steps of the pressure).
 
     Examples
     --------
@@ -137,32 +163,81 @@ class MaxwellCreep(Creep):
     >>> path = {"length": [0.18, 0.19], "move_time": 1.0, "hold_time": 60.0}
     >>> creep.path_response(**path, tension=200.0, sample_times=[0.0, 5.0, 10.0])[1].round(3)
     array([4.532, 1.667, 0.613])
+
+    The pressure was raised from 2 to 4 bar, at 100 N/bar; 10 % of the 200 N are missing at first:
+
+    >>> creep = MaxwellCreep(stiffness=500.0, time_constant=5.0, pressure_share=0.1)
+    >>> relaxed = creep.initial(0.18, 2e5)
+    >>> round(float(creep.force(relaxed, 400.0, lambda pressure: 1e-3 * pressure)), 6)
+    -20.0
     """
 
     short_name = "maxwell"
 
-    stiffness: SpringRate
+    stiffness: ArmStiffness
     time_constant: CreepTime
     arms: Arms = eqx.field(default=1, kw_only=True, static=True)
+    pressure_share: PressureShare | None = eqx.field(default=None, kw_only=True)
+    pressure_time_constant: CreepTime | None = eqx.field(default=None, kw_only=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.pressure_share is not None:
+            return
+        if isinstance(self.stiffness, Real) and not self.stiffness > 0:
+            raise RangeError(
+                "MaxwellCreep: the stiffness is 0",
+                field="stiffness",
+                value=float(self.stiffness),
+                lower=0.0,
+                unit="N/m",
+                remedy="give a stiffness, a pressure_share, or no creep",
+            )
+        if self.pressure_time_constant is not None:
+            raise RangeError(
+                "MaxwellCreep: a pressure_time_constant without a pressure_share",
+                field="pressure_time_constant",
+                remedy="give both",
+            )
 
     @property
     def time_constants(self) -> list[float]:
         """Time constant [s] of each arm."""
         return [self.time_constant * _DECADE**arm for arm in range(self.arms)]
 
-    def initial(self, length: ArrayLike) -> CreepState:
-        return (jnp.zeros_like(floating(length)),) * self.arms
+    @property
+    def pressure_time_constants(self) -> list[float]:
+        """Time constant [s] of each delayed pressure; empty without a `pressure_share`."""
+        if self.pressure_share is None:
+            return []
+        first = self.time_constant if self.pressure_time_constant is None else self.pressure_time_constant
+        return [first * _DECADE**arm for arm in range(self.arms)]
 
-    def force(self, state: CreepState, tension: ArrayLike) -> Float[Array, "..."]:
-        return sum(self.project(state, tension), jnp.zeros_like(floating(tension)))
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        return ("N",) * self.arms + ("Pa",) * len(self.pressure_time_constants)
 
-    def rate(self, state: CreepState, rate: ArrayLike) -> CreepState:
+    def initial(self, length: ArrayLike, pressure: ArrayLike) -> CreepState:
+        relaxed = (jnp.zeros_like(floating(length)),) * self.arms
+        return relaxed + (floating(pressure),) * len(self.pressure_time_constants)
+
+    def force(self, state: CreepState, tension: ArrayLike, tension_at: TensionAt) -> Float[Array, "..."]:
+        arms = self.project(state, tension)[: self.arms]
+        if self.pressure_share is not None:
+            bound, share = jnp.asarray(tension) / (2 * self.arms), self.pressure_share / self.arms
+            delayed = (share * (tension_at(pressure) - tension) for pressure in state[self.arms :])
+            arms = tuple(jnp.clip(x + more, -bound, bound) for x, more in zip(arms, delayed, strict=True))
+        return sum(arms, jnp.zeros_like(floating(tension)))
+
+    def rate(self, state: CreepState, rate: ArrayLike, pressure: ArrayLike) -> CreepState:
         stretching = self.stiffness / self.arms * jnp.asarray(rate)
-        return tuple(stretching - x / tau for x, tau in zip(state, self.time_constants, strict=True))
+        arms = tuple(stretching - x / tau for x, tau in zip(state[: self.arms], self.time_constants, strict=True))
+        delayed = zip(state[self.arms :], self.pressure_time_constants, strict=True)
+        return arms + tuple((jnp.asarray(pressure) - y) / tau for y, tau in delayed)
 
     def project(self, state: CreepState, tension: ArrayLike) -> CreepState:
         bound = jnp.asarray(tension) / (2 * self.arms)
-        return tuple(jnp.clip(x, -bound, bound) for x in state)
+        return tuple(jnp.clip(x, -bound, bound) for x in state[: self.arms]) + tuple(state[self.arms :])
 
     def path_response(
         self,

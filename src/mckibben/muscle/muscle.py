@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Component
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
-from mckibben.muscle.base import LEAST_PRESSURE, ForceLaw, scaled_law, user_level
+from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law, user_level
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
@@ -140,10 +140,10 @@ class Muscle(Component):
     def _is_dynamic(part: Friction | Creep) -> bool:
         return not isinstance(part, NoFriction | NoCreep)
 
-    def init_state(self, contraction: ArrayLike) -> MuscleState:
-        """Return the unstressed, relaxed state at a contraction [-]."""
+    def init_state(self, contraction: ArrayLike, pressure: ArrayLike) -> MuscleState:
+        """Return the unstressed, relaxed state at a contraction [-] and a gauge pressure [Pa]."""
         length = self.specimen.length_at(contraction)
-        return MuscleState(self.friction.initial(length), self.creep.initial(length))
+        return MuscleState(self.friction.initial(length), self.creep.initial(length, pressure))
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE) -> Float[Array, "..."]:
         """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0; the arguments broadcast.
@@ -159,13 +159,19 @@ class Muscle(Component):
         self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
     ) -> Float[Array, "..."]:
         """Return `force` without a check of the domain."""
-        force = self.force_law.force(contraction, pressure)
-        tension = jnp.where(force < 0, 0.0, force)  # in this form, NaN does not count as slack
-        total = tension
+        tension = total = self._static_tension(contraction, pressure)
         if state.friction:
             length = self.specimen.length_at(contraction)
             total = total + self.friction.force(state.friction, length, tension, pressure)
-        return total + self.creep.force(state.creep, tension) if state.creep else total
+        return total + self.creep_force(contraction, tension, state) if state.creep else total
+
+    def creep_force(self, contraction: ArrayLike, tension: ArrayLike, state: MuscleState) -> Float[Array, "..."]:
+        """Return the force [N] of creep at a contraction [-] and the law's tension [N] there."""
+        return self.creep.force(state.creep, tension, lambda pressure: self._static_tension(contraction, pressure))
+
+    def _static_tension(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        force = self.force_law.force(contraction, pressure)
+        return jnp.where(force < 0, 0.0, force)  # in this form, NaN does not count as slack
 
     def viscous_force(
         self, contraction: ArrayLike, pressure: ArrayLike, rate: ArrayLike, state: MuscleState = NO_STATE
@@ -173,12 +179,15 @@ class Muscle(Component):
         """Return the viscous force [N] at a rate of the length [m/s]; the sum with `force` is never below 0."""
         tension = self.tension(contraction, pressure)
         if state.creep:  # friction may use half of the tension; negative creep reduces the other half
-            tension = tension + 2 * jnp.minimum(self.creep.force(state.creep, tension), 0.0)
+            tension = tension + 2 * jnp.minimum(self.creep_force(contraction, tension, state), 0.0)
         return self.friction.viscous_force(tension, rate)
 
-    def state_rate(self, state: MuscleState, rate: ArrayLike) -> MuscleState:
-        """Return the time derivative of the state at a rate of the length [m/s]; it is 0 for friction."""
-        return MuscleState((), self.creep.rate(state.creep, rate) if state.creep else ())
+    def state_rate(self, state: MuscleState, rate: ArrayLike, pressure: ArrayLike) -> MuscleState:
+        """Return the time derivative of the state at a rate of the length [m/s] and a gauge pressure [Pa].
+
+        It is 0 for friction.
+        """
+        return MuscleState((), self.creep.rate(state.creep, rate, pressure) if state.creep else ())
 
     def update_state(self, state: MuscleState, contraction: ArrayLike, pressure: ArrayLike) -> MuscleState:
         """Return the state after a move to a contraction [-] and a gauge pressure [Pa], projected on its bounds."""
@@ -203,7 +212,7 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
     highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
-    if 0 < highest < LEAST_PRESSURE:
+    if ZERO_PRESSURE < highest < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]

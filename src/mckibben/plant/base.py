@@ -73,7 +73,7 @@ S = TypeVar("S", bound=State)
 
 
 class Motion(NamedTuple):
-    """Integrated part of a state, or its rate: positions, velocities, and creep of the muscles [N].
+    """Integrated part of a state, or its rate: positions, velocities, and creep of the muscles [N, Pa].
 
     With an actuator that `holds_air` pressures [Pa] and the state of the valves as well.
     """

@@ -121,7 +121,7 @@ class JointPlant(Plant):
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
         angle, velocity, pressures, muscles, io, _, friction, _ = state
-        creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity))
+        creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity, pressures))
         if muscles == NO_STATES:
             torque = self.joint.torque(angle, pressures)
         else:
@@ -197,7 +197,7 @@ def _fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) ->
                 damping += float(friction.viscous) * arm**2
             if isinstance(creep, MaxwellCreep):
                 total += float(creep.stiffness) * arm**2
-                modes.append(1 / float(creep.time_constants[0]))
+                modes += [1 / float(tau) for tau in (*creep.time_constants, *creep.pressure_time_constants)]
     if plant.friction is not None:
         total += float(plant.friction.steepest)
     half = damping / (2 * inertia)  # of s^2 + 2 half s + total/inertia

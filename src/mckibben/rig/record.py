@@ -17,7 +17,7 @@ from mckibben.rig.bench import Bench
 from mckibben.storage.journal import HEADER, JournalReader
 
 if TYPE_CHECKING:
-    from mckibben.dataset import IsobaricDataset
+    from mckibben.dataset import IsobaricDataset, Recording
 
 VERSION = 2
 
@@ -259,6 +259,24 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
         set_pressure=[point.set_pressure for point in kept],
         force_samples=force if same else None,
         pressure_samples=pressure if same else None,
+        specimen=bench.specimen.name,
+        initial_length=float(bench.specimen.initial_length),
+        source=source,
+        slack_force=bench.slack_force,
+    )
+
+
+def recording_of(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> Recording:
+    """All samples of a record over time, between points as decimated as they were recorded."""
+    from mckibben.dataset import Recording
+
+    columns = read_record(folder).columns
+    force, pressure = (bench.calibrations[name].si(columns[name].astype(float)) for name in ("force", "pressure"))
+    return Recording.of(
+        time=columns["time"],
+        pressure=pressure,
+        force=force,
+        contraction=[bench.contraction_at(pulses) for pulses in columns["pulses"].tolist()],
         specimen=bench.specimen.name,
         initial_length=float(bench.specimen.initial_length),
         source=source,

@@ -30,14 +30,17 @@ def read_specimen(path: str | os.PathLike[str]) -> Specimen:
 
 
 def muscle_text(
-    law: str,
+    law: str | dict[str, str],
     *,
     specimen: str,
     initial_length: float | None,
     friction: MaxwellSlip | None = None,
     volume_terms: tuple[float, ...] | None = None,
 ) -> str:
-    """Return the text of a muscle's file; empty if neither the catalog nor the data give the initial length [m]."""
+    """Return the text of a muscle's file, its law a reference or a section.
+
+    It is empty if neither the catalog nor the data give the initial length [m].
+    """
     name = specimen or "my muscle"
     known = catalog.specimen(name) if name in catalog.names("specimens") else None
     if known is None and initial_length is None:

@@ -87,6 +87,23 @@ def test_creep_after_moves_is_that_of_the_muscle():
     np.testing.assert_allclose(told, expected[1:], atol=1e-4)
 
 
+def test_creep_after_steps_of_the_pressure_is_that_of_the_muscle():
+    """The delayed pressure in closed form after steps up and down, at a fixed length."""
+    muscle = Muscle(SPECIMEN, LAW, creep=MaxwellCreep(0.0, 5.0, arms=2, pressure_share=0.1, pressure_time_constant=2.0))
+    plain, grip, delayed = Muscle(SPECIMEN, LAW), Grip(muscle, 0.03), np.zeros(2)
+    for pressure in (3 * bar, 5 * bar, 4 * bar):
+        grip.force(0.0, pressure, 0.0)
+        told = [grip.force(0.0, pressure, 0.25) for _ in range(20)]
+        decays = np.exp(-0.25 * np.arange(1, 21)[:, None] / np.array(muscle.creep.pressure_time_constants))
+        lagging = pressure - (pressure - delayed) * decays
+        law = forces(plain, 0.03, pressure)
+        expected = law + 0.05 * (forces(plain, 0.03, lagging) - law).sum(axis=1)
+        np.testing.assert_allclose(told, expected, atol=1e-4)
+        assert abs(told[0] - law) > 3
+        delayed = lagging[-1]
+    assert grip.force(0.0, 4 * bar, 1e9) == pytest.approx(float(forces(plain, 0.03, 4 * bar)), abs=1e-4)
+
+
 def test_muscle_out_of_its_clamp_pulls_at_nothing_and_is_at_its_shortest():
     grip = Grip(Muscle(SPECIMEN, LAW), 0.0)
     grip.held = False

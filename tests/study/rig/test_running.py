@@ -7,17 +7,19 @@ import shutil
 import signal
 import time
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mckibben.dataset import read_dataset
 from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
+from mckibben.identification import identify_pressure_creep
 from mckibben.rig.record import header_of, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.study.rig import running
-from mckibben.study.rig.document import RigTest
-from mckibben.study.rig.running import check, gather, run_test
+from mckibben.study.rig.document import RigTest, read_test
+from mckibben.study.rig.running import check, gather, gather_recording, run_test
 from mckibben.units import bar
 
 TEXT = """name: a short test
@@ -252,3 +254,18 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
     assert running._origin(card, tmp_path, killed, 0.05) == -0.05 * 180 * 400
     with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):
         running._origin(card, tmp_path, killed, None)
+
+
+@pytest.mark.slow
+def test_creep_after_steps_of_the_pressure_is_identified_from_the_record(tmp_path):
+    """The example's test, with friction, creep after moves and a stretcher that yields."""
+    example = Path(__file__).parents[3] / "examples" / "rig" / "isometric-creep.yaml"
+    run_test(check(*read_test(example)), tmp_path)
+    recording = gather_recording(tmp_path)
+    record = read_record(tmp_path)
+    np.testing.assert_array_equal(recording.time, record.columns["time"])
+    found = identify_pressure_creep(recording)
+    assert found.is_significant and not found.structure
+    assert found.share_interval[0] < 0.06 < found.share_interval[1]
+    assert found.time_constant_interval[0] < 3.0 < found.time_constant_interval[1]
+    assert found.contractions == pytest.approx((0.0, 0.03, 0.06), abs=1e-4)

@@ -1,6 +1,6 @@
 /* MuJoCo plugin "$plugin": force of the muscles of ${name}.c as an actuator force, never above 0 (muscles pull).
  * Attribute "muscle": 1 to $count.
- * Activations: creep arms [N], valve state, pressure [Pa]. Plugin state: status, command of the last step,
+ * Activations: state of the creep [N, Pa], valve state, pressure [Pa]. Plugin state: status, command of the last step,
  * anchors of the friction [m].
  */
 #include "$name.h"

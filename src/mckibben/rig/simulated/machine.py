@@ -146,16 +146,20 @@ class Grip:
             self._viscous = float(friction.viscous)
         self._deflections = [0.0] * len(self._stiffness)
         self._times: list[float] = []
+        self._delays: list[float] = []
         if isinstance(creep, MaxwellCreep):
             self._times = [float(time) for time in creep.time_constants]
+            self._delays = [float(time) for time in creep.pressure_time_constants]
             self._share = float(creep.stiffness) / creep.arms
+            self._delayed_share = float(creep.pressure_share or 0.0) / creep.arms
         self._relaxing = [0.0] * len(self._times)
-        self._stretch = 0.0
+        self._lags = [0.0] * len(self._delays)  # of the delayed pressures behind the pressure [Pa]
+        self._stretch = self._pressure = 0.0
 
     @property
     def shortest_time(self) -> float:
         """Shortest time constant of the creep [s]; infinite without creep."""
-        return self._times[0] if self._times else math.inf
+        return min([*self._times, *self._delays], default=math.inf)
 
     def contraction(self, stretch: float) -> float:
         """Contraction [-] at a stretch from where it was clamped [m]."""
@@ -173,6 +177,7 @@ class Grip:
         if not self.held:
             return 0.0
         travel, self._stretch = stretch - self._stretch, stretch
+        rise, self._pressure = pressure - self._pressure, pressure
         tension = self.table.force(self.start - stretch / self.length, pressure)
         total = tension
         if self._slipping:
@@ -191,14 +196,20 @@ class Grip:
                 half = tension / 2
                 total += half * math.tanh(self._viscous * travel / span / half)
         for k, time in enumerate(self._times):
-            arms = len(self._times)
-            most, ratio = tension / (2 * arms), span / time
-            part = -math.expm1(-ratio) / ratio if ratio > 0 else 1.0
-            now = self._relaxing[k] * math.exp(-ratio) + self._share * travel * part
-            now = most if now > most else -most if now < -most else now
-            self._relaxing[k] = now
+            most = tension / (2 * len(self._times))
+            now = _followed(self._relaxing[k], self._share * travel, span / time)
+            self._relaxing[k] = now = min(max(now, -most), most)
+            if self._delays:
+                self._lags[k] = lag = _followed(self._lags[k], rise, span / self._delays[k])
+                delayed = self.table.force(self.start - stretch / self.length, pressure - lag)
+                now = min(max(now + self._delayed_share * (delayed - tension), -most), most)
             total += now
         return total
+
+
+def _followed(before: float, change: float, ratio: float) -> float:
+    """Value that relaxes to zero after a linear change over a time, given as a ratio to the time constant."""
+    return before * math.exp(-ratio) + change * (-math.expm1(-ratio) / ratio if ratio > 0 else 1.0)
 
 
 _LONGEST = 100 * ms  # between two knots of the interpolation

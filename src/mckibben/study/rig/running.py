@@ -13,11 +13,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mckibben.config.document import Document, Place, dotted
-from mckibben.dataset import IsobaricDataset
+from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.dry_run import DryRun, dry_run
-from mckibben.rig.record import Event, Point, assemble, entries, header_of, points, read_header, segments
+from mckibben.rig.record import (
+    Event,
+    Point,
+    assemble,
+    entries,
+    header_of,
+    points,
+    read_header,
+    recording_of,
+    segments,
+)
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
@@ -213,6 +223,14 @@ def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
     with file_lock(folder / "lock", "running a test here"):
         _warn_of_calibration(checked, folder)
         return _save_dataset(checked, folder)
+
+
+def gather_recording(folder: str | os.PathLike[str]) -> Recording:
+    """Return all samples of the record in a folder over time; `FileError` if there is none."""
+    folder = Path(folder)
+    checked = check(_kept_test(folder))
+    _warn_of_calibration(checked, folder)
+    return recording_of(folder, checked.setup.bench, source=_source(checked, folder))
 
 
 def _kept_test(folder: Path) -> RigTest:

@@ -1,0 +1,244 @@
+"""Identification of the pressure threshold of a muscle: the dead band of its bladder."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification.fit import Fit
+from mckibben.identification.fitting import identify, residual_correlation
+from mckibben.identification.intervals import profile_interval, t_quantile
+from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
+from mckibben.identification.outliers import find_outliers, without_outliers
+from mckibben.identification.smooth import SMOOTH_LAWS
+from mckibben.identification.uncertainty import ClusterRobustErrors, Floats, finest_grouping, group_labels
+from mckibben.muscle import ForceLaw
+from mckibben.muscle.threshold import ThresholdLaw, effective_pressure
+from mckibben.units import bar, kPa, show
+
+_LOWEST = 1 * kPa
+_HIGHEST = 0.5  # of the highest pressure
+_GRID = 40
+_SIGNIFICANT = 0.01
+_MOST_FREEDOM = 1e6
+_ONE_GROUP = 1e3  # ratio of variances above which one group determines the threshold
+_STEP = 1e-3  # of the threshold, of a derivative
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ThresholdFit:
+    """Pressure threshold of a law, or its absence; returned by `identify_threshold`.
+
+    Attributes
+    ----------
+    fit
+        Fit of the law to the points: at the pressures above the threshold if it is significant, else without one.
+    law
+        `ThresholdLaw` with the fitted law, or the law alone if the data do not ask for a threshold.
+    threshold, interval
+        Estimate [Pa] and its 95 % profile interval, with 0 where the data do not exclude a law without a threshold, and
+        infinity where they impose no upper bound.
+    p_value
+        Probability of at least this reduction of the squares without a threshold (F test of the nested models, with
+        errors common to a stroke or a pressure). The threshold is significant below 0.01.
+    residual, residual_without
+        Root mean square error [N] with the threshold and without one.
+    warnings
+        Structure of the residuals, and other reasons not to rely on the result.
+    """
+
+    fit: Fit
+    law: ForceLaw
+    threshold: float
+    interval: tuple[float, float]
+    p_value: float
+    residual: float
+    residual_without: float
+    warnings: tuple[str, ...]
+
+    def effective(self, dataset: IsobaricDataset) -> IsobaricDataset:
+        """Plateau means of a dataset at the pressures that the law sees."""
+        return _shifted(dataset, self.threshold) if self.is_significant else dataset
+
+    @property
+    def is_significant(self) -> bool:
+        """True if the data ask for a threshold."""
+        return isinstance(self.law, ThresholdLaw)
+
+    def records(self) -> dict[str, object]:
+        """Results as plain data in SI units."""
+        return {
+            "significant": self.is_significant,
+            "threshold": {"value": self.threshold, "interval": list(self.interval), "unit": "Pa"},
+            "p_value": self.p_value,
+            "residual": self.residual,
+            "residual_without": self.residual_without,
+            "warnings": list(self.warnings),
+        }
+
+    def report(self) -> str:
+        """Result as text."""
+        low, high = self.interval
+        upper = "unbounded" if high == math.inf else show(high, "bar", 3)
+        lines = [
+            f"pressure threshold  {show(self.threshold, 'bar', 3)}, 95 % interval {low / bar:.3g} .. {upper}",
+            f"RMSE {show(self.residual, 'N', 3)}, without a threshold {show(self.residual_without, 'N', 3)} "
+            f"(p = {self.p_value:.2g})",
+        ]
+        if not self.is_significant:
+            lines.append("the data do not ask for a threshold: the law is fitted without one")
+        return "\n".join([*lines, *(f"warning: {one}" for one in self.warnings)])
+
+    def __repr__(self) -> str:
+        found = show(self.threshold, "bar", 3) if self.is_significant else "not significant"
+        return f"<ThresholdFit: {found}, {type(self.fit.law).__name__}>"
+
+
+def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> ThresholdFit:
+    """Fit a law with a pressure threshold, and test whether the data ask for the threshold.
+
+    The threshold is searched; at each value, the law is fitted to the taut points at their effective pressures
+    (`ThresholdLaw`). A law with a free offset absorbs a threshold far below all pressures: only points near it, such as
+    stretched plateaus at low pressures, determine it.
+
+    Raises
+    ------
+    IdentificationError
+        If the law has deviations with a prior, which absorb a threshold, or as by `identify`.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.muscle import ExponentialLaw
+    >>> late = ThresholdLaw(catalog.law("lei-mas-10-180n"), threshold=0.4 * bar)
+    >>> pressure, contraction = map(np.ravel, np.meshgrid(np.arange(13) * 0.25 * bar, np.linspace(-0.03, 0.1, 9)))
+    >>> force = np.asarray(late.force(contraction, pressure)) + np.random.default_rng(1).normal(0, 0.5, 117)
+    >>> data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=2.0)
+    >>> identify_threshold(ExponentialLaw, data)
+    <ThresholdFit: 0.399 bar, ExponentialLaw>
+    """
+    if law_type in SMOOTH_LAWS:
+        raise IdentificationError(
+            f"the deviations of {law_type.__name__} absorb a threshold", remedy="choose a law without them"
+        )
+    plain = identify(law_type, dataset)
+    means = dataset.plateau_means()
+    points = without_outliers(means, find_outliers(means)).taut
+    profile = _Profile(law_type, points)
+    grid = np.geomspace(_LOWEST, _HIGHEST * float(points.pressure.max()), _GRID)
+    without, solutions = profile.solution(0.0), [profile.solution(one) for one in grid]
+    threshold = _refined(profile, grid, np.array([one.cost for one in solutions]))
+    best = profile.solution(threshold)
+    freedom, inflation = profile.inflation(threshold, best)
+    scale = best.cost / max(len(points) - len(best.values) - 1, 1) * inflation
+    costs = np.array([without.cost, *(one.cost for one in solutions)])
+    from scipy.special import fdtrc
+
+    ratio = max(without.cost - best.cost, 0.0) / scale
+    p_value = float(fdtrc(1, freedom, ratio))
+    limit = best.cost + scale * float(t_quantile(0.95, freedom)) ** 2
+    interval = _interval(np.append(0.0, grid), costs, threshold, best.cost, limit)
+    significant = p_value < _SIGNIFICANT
+    fit, law, warnings = plain, plain.law, list[str]()
+    if significant:
+        fit = identify(law_type, _shifted(dataset, threshold))
+        within = dataclasses.replace(fit.law, domain=plain.law.domain)
+        law = ThresholdLaw(law=within, threshold=threshold)  # type: ignore[call-issue]
+    if inflation > _ONE_GROUP:
+        warnings.append("the points of one pressure determine the threshold: measure at several low pressures")
+    pattern = residual_correlation(points, (best if significant else without).residuals).pattern
+    if pattern:
+        warnings.append(f"the residuals are structured along {pattern}: the form of the law is not that of the muscle")
+    return ThresholdFit(
+        fit=fit,
+        law=law,
+        threshold=threshold,
+        interval=interval,
+        p_value=p_value,
+        residual=_root_mean_square(best.residuals),
+        residual_without=_root_mean_square(without.residuals),
+        warnings=tuple(warnings),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Profile:
+    """Least-squares fits of a law to points, for given thresholds."""
+
+    law_type: type[ForceLaw]
+    points: IsobaricDataset
+
+    @functools.cached_property
+    def start(self) -> Floats:
+        """Shape of the law without a threshold, from which all fits start."""
+        return grid_search(FitProblem.of(self.law_type, self.points))
+
+    def solution(self, threshold: float) -> Solution:
+        """Solution at the effective pressures of a threshold [Pa]; 0 is none."""
+        return solve(FitProblem.of(self.law_type, self._points(threshold)), self.start)
+
+    def inflation(self, threshold: float, best: Solution) -> tuple[float, float]:
+        """Degrees of freedom of the variance of the threshold, and its ratio to that of independent points.
+
+        Errors are common to a stroke, or to a pressure where strokes are not known; the ratio is at least 1.
+        """
+        step = _STEP * threshold
+        later, earlier = (
+            FitProblem.of(self.law_type, self._points(threshold + sign * step)).response(best.values)[0]
+            for sign in (1, -1)
+        )
+        slope = (earlier - later)[: len(self.points)] / (2 * step)
+        free = ~best.at_bound
+        columns = np.column_stack([best.jacobian[:, free], slope])
+        sizes = np.linalg.norm(columns, axis=0)
+        scaled = columns / np.where(sizes > 0, sizes, 1.0)
+        labels = group_labels(self.points, finest_grouping(self.points))
+        direction = np.zeros((1, columns.shape[1]))
+        direction[0, -1] = 1.0
+        found, freedom = ClusterRobustErrors.of(scaled, best.residuals, labels).variance(direction)
+        squares = best.cost / max(len(self.points) - columns.shape[1], 1)
+        independent = squares * float(np.linalg.pinv(scaled.T @ scaled)[-1, -1])
+        return float(np.clip(freedom[0], 1.0, _MOST_FREEDOM)), max(float(found[0]) / independent, 1.0)
+
+    def _points(self, threshold: float) -> IsobaricDataset:
+        return _shifted(self.points, threshold) if threshold > 0 else self.points
+
+
+def _shifted(dataset: IsobaricDataset, threshold: float) -> IsobaricDataset:
+    """Plateau means of a dataset at their effective pressures."""
+    table = dataset.plateau_means().table
+    names = [name for name in ("pressure", "set_pressure") if name in table]
+    return IsobaricDataset(
+        table.assign({name: ("point", effective_pressure(table[name].to_numpy(), threshold)) for name in names})
+    )
+
+
+def _refined(profile: _Profile, grid: Floats, costs: Floats) -> float:
+    """Threshold [Pa] of least squares, refined from a grid."""
+    from scipy.optimize import minimize_scalar
+
+    at = int(np.argmin(costs))
+    found = minimize_scalar(
+        lambda log: profile.solution(math.exp(log)).cost,
+        bounds=(math.log(grid[max(at - 1, 0)]), math.log(grid[min(at + 1, len(grid) - 1)])),
+        method="bounded",
+        options={"xatol": 1e-4},
+    )
+    return math.exp(float(found.x))  # type: ignore[attr-defined]
+
+
+def _interval(grid: Floats, costs: Floats, best: float, least: float, limit: float) -> tuple[float, float]:
+    """Thresholds [Pa] on both sides of the best one at which the cost reaches a limit."""
+    place = int(np.searchsorted(grid, best))
+    grid, costs = np.insert(grid, place, best), np.insert(costs, place, least)
+    return profile_interval(grid, np.sqrt(np.maximum(costs - least, 0)), math.sqrt(limit - least), place, 0.0)
+
+
+def _root_mean_square(residuals: Floats) -> float:
+    return math.sqrt(float(np.mean(residuals**2)))

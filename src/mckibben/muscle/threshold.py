@@ -1,0 +1,94 @@
+"""A law with a pressure threshold: the dead band of the bladder."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import ForceLaw, check_point
+from mckibben.muscle.specimen import Domain
+from mckibben.numerics.compiled import compiled_alone
+from mckibben.units import Percent, Quantity
+
+Threshold = Annotated[float, Quantity("Pa", "bar", 0.01, 5)]
+SMOOTHNESS = 0.2
+"""Width of the rounded corner, relative to the threshold."""
+Smoothness = Annotated[float, Percent("1", "%", 1, 100)]
+
+
+class ThresholdLaw(ForceLaw):
+    r"""A law that sees only the part of the pressure above a threshold.
+
+    .. math:: F = F_\mathrm{law}(\varepsilon, p_e), \qquad
+        p_e = \frac{1}{2}\left(p - p_t + \sqrt{(p - p_t)^2 + (s\,p_t)^2}\right)
+
+    A bladder of rubber takes the threshold :math:`p_t` to expand to its braid. Below it, the air adds hardly any force,
+    and that of the law at 0 bar remains; above it, the law sees :math:`p - p_t`. The corner is rounded over the width
+    :math:`s\,p_t`: all derivatives are continuous. At :math:`p_t` the effective pressure is :math:`s\,p_t/2`, at 0 bar
+    about :math:`s^2 p_t/4`. The rounded form is ours.
+
+    Parameters
+    ----------
+    law
+        Any law.
+    threshold
+        p_t [Pa, gauge].
+    smoothness
+        s [-].
+
+    References
+    ----------
+    C.-P. Chou and B. Hannaford, "Measurement and modeling of McKibben pneumatic artificial muscles", IEEE Trans.
+    Robotics and Automation 12 (1996) 90-102 (threshold of the pressure in the linear model).
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> law = catalog.law("lei-mas-10-180n")
+    >>> late = ThresholdLaw(law, threshold=3e4)
+    >>> round(float(late.effective_pressure(3e5))), round(float(late.effective_pressure(0.0)))
+    (270033, 297)
+    >>> bool(late.force(0.0, 3e5) == law.force(0.0, late.effective_pressure(3e5)))
+    True
+    """
+
+    short_name = "threshold"
+
+    law: ForceLaw
+    threshold: Threshold
+    smoothness: Smoothness = eqx.field(default=SMOOTHNESS, kw_only=True)
+
+    equation = "F = F_law(eps, (p - pt + sqrt((p - pt)^2 + (s pt)^2)) / 2)"
+    source = "threshold: Chou and Hannaford 1996; its rounded form: ours"
+
+    @property
+    def domain(self) -> Domain:  # type: ignore[override]
+        """Domain of the law."""
+        return self.law.domain.intersection(self.law.formula_domain)
+
+    def effective_pressure(self, pressure: ArrayLike) -> Float[Array, "..."]:
+        """Return the pressure [Pa] that the law sees."""
+        return effective_pressure(jnp.asarray(pressure), self.threshold, self.smoothness)
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        check_point(contraction, pressure)
+        return self._force(contraction, pressure)
+
+    @compiled_alone  # traced: the law would warn of effective pressures near 0, as of numbers in bar
+    def _force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        return self.law.force(contraction, self.effective_pressure(pressure))
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        effective = jnp.asarray(self.law.pressure_for(force, contraction))
+        width, possible = self.smoothness * self.threshold, effective > 0
+        back = self.threshold + effective - width * width / (4 * jnp.where(possible, effective, 1.0))
+        return jnp.where(possible, back, jnp.nan)
+
+
+def effective_pressure(pressure: Any, threshold: Any, smoothness: Any = SMOOTHNESS) -> Any:
+    """Return the pressure [Pa] above a threshold [Pa], in NumPy or JAX as the pressure."""
+    above = pressure - threshold
+    return (above + (above * above + (smoothness * threshold) ** 2) ** 0.5) / 2

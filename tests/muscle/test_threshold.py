@@ -1,0 +1,88 @@
+"""A law with a pressure threshold: the pressure that it sees, its inverse, its smoothness, in C and in a joint."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.codegen.native import NativeFunction, compiler
+from mckibben.errors import McKibbenWarning, RangeError
+from mckibben.muscle import LAWS, ChouLaw, Muscle, ThresholdLaw, scaled_law
+from mckibben.units import bar
+
+PRESSURE = np.linspace(0, 6, 61) * bar
+
+
+@pytest.fixture(scope="module")
+def late(law):
+    return ThresholdLaw(law=law, threshold=0.4 * bar)
+
+
+def test_the_law_sees_nothing_below_the_threshold_and_the_rest_above(late, law):
+    """The hyperbola with the asymptotes 0 and p - pt: (p_e - (p - pt)) p_e = (s pt)^2 / 4."""
+    seen = np.asarray(late.effective_pressure(PRESSURE))
+    np.testing.assert_allclose((seen - (PRESSURE - 0.4 * bar)) * seen, (0.2 * 0.4 * bar) ** 2 / 4, rtol=1e-9)
+    assert 0 < seen[0] < 0.012 * 0.4 * bar and seen[-1] - 5.6 * bar < 0.001 * bar
+    np.testing.assert_allclose(late.force(0.05, PRESSURE), law.force(0.05, seen), rtol=1e-12)
+    assert late.domain == law.domain
+
+
+def test_pressure_for_inverts_the_force_and_is_nan_below_the_force_at_vacuum(late, law):
+    for contraction in (-0.02, 0.05, 0.2):
+        back = late.pressure_for(late.force(contraction, PRESSURE), contraction)
+        np.testing.assert_allclose(back, PRESSURE, atol=1e-6 * bar)
+        assert np.isnan(late.pressure_for(float(law.force(contraction, 0.0)) - 1.0, contraction))
+
+
+def test_its_derivative_is_continuous_and_rises_from_zero_to_that_of_the_law(late, law):
+    slope = jax.vmap(jax.grad(lambda p: late.force(0.02, p)))(jnp.asarray(PRESSURE))
+    whole = float(jax.grad(lambda p: law.force(0.02, p))(3e5))
+    assert np.all(np.diff(slope) > 0) and slope[0] < 0.02 * whole and slope[-1] == pytest.approx(whole, rel=1e-3)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+@pytest.mark.slow
+def test_compiled_c_gives_the_force_and_the_slope(late):
+    contraction, pressure = np.linspace(-0.03, 0.25, 61), PRESSURE
+
+    def both(given, _):
+        law, contraction, pressure = given
+        return law.force(contraction, pressure), law.slope(contraction, pressure)
+
+    for found, wanted in zip(
+        NativeFunction(both)((late, contraction, pressure)), both((late, contraction, pressure), None), strict=True
+    ):
+        np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-10)
+
+
+def test_it_wraps_any_law_and_is_wrapped_by_strength(law, specimen):
+    around = ThresholdLaw(law=ChouLaw.of(specimen), threshold=0.3 * bar)
+    strong = scaled_law(around, 1.1)
+    assert float(strong.force(0.1, 3e5)) == pytest.approx(1.1 * float(around.force(0.1, 3e5)))
+    muscle = Muscle(specimen, around, strength=1.1)
+    assert float(muscle.force(0.1, 3e5)) == pytest.approx(1.1 * float(around.force(0.1, 3e5)))
+    assert "ThresholdLaw" not in LAWS
+
+
+def test_a_joint_with_it_has_a_stiffness_and_pressures_for_a_state(knee, late):
+    muscle = dataclasses.replace(knee.muscle1, law=late)
+    joint = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
+    shifted = tuple(float(late.effective_pressure(p)) for p in (3e5, 4e5))
+    np.testing.assert_allclose(
+        joint.torque_and_stiffness(0.1, (3e5, 4e5)), knee.torque_and_stiffness(0.1, shifted), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("fields", [{"threshold": 0.0}, {"threshold": 4e4, "smoothness": 0.0}])
+def test_numbers_without_meaning_are_refused(law, fields):
+    with pytest.raises(RangeError):
+        ThresholdLaw(law=law, **fields)
+
+
+def test_only_the_given_pressure_counts_for_the_warning_of_numbers_in_bar(late, specimen):
+    for pressure in (0.0, 0.05 * bar):  # effective pressures below 1 kPa
+        assert np.isfinite(late.force(0.0, pressure)) and np.isfinite(Muscle(specimen, late).force(0.0, pressure))
+    with pytest.warns(McKibbenWarning, match="numbers are in SI"):
+        late.force(0.0, 6.0)
