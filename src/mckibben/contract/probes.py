@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from mckibben import catalog
-from mckibben.actuator.base import AirVolume
+from mckibben.actuator.base import AirState, AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
@@ -290,7 +290,7 @@ def _load(_: Load) -> Probes:
 def _rates(actuator: Actuator, pressure1: Any, pressure2: Any, command1: Any, command2: Any) -> Any:
     pressures, commands = (pressure1, pressure2), (command1, command2)
     states, air = actuator.init_states(pressures), AirVolume(jnp.asarray(1e-4), jnp.asarray(1e-5))
-    if actuator.holds_air:
+    if actuator.holds_air and isinstance(states, AirState):
         states = actuator.before_steps(states, commands, pressures, 0.1 * ms)
     rates = actuator.rates(pressures, states, commands, lambda: (air, air))
     return rates, actuator.after_command(pressure1, command1), actuator.telemetry(states, commands, pressures)
