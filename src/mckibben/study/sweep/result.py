@@ -155,10 +155,11 @@ class SweepResult(RunTable):
         ]
         if table.attrs.get("kind") != _KIND or missing:
             raise FileError(source, [Problem("it is not a sweep", remedy="give the sweep.nc of `mckibben sweep`")])
-        codes = table["outcome"].to_numpy()
-        if codes.dtype.kind not in "iu" or np.any((codes < 0) | (codes >= len(OUTCOMES))):
-            raise FileError(source, [Problem("it has unknown outcomes", field="outcome")])
-        return cls(table)
+        found = cls(table)
+        for codes in _pieces(found, "outcome"):
+            if codes.dtype.kind not in "iu" or np.any((codes < 0) | (codes >= len(OUTCOMES))):
+                raise FileError(source, [Problem("it has unknown outcomes", field="outcome")])
+        return found
 
 
 def write_columns(target: BinaryIO, like: xr.Dataset, runs: int, columns: Mapping[str, Iterable[NDArray]]) -> None:
