@@ -55,6 +55,14 @@ def test_the_pieces_do_not_determine_the_ranks(bucket, name):
     np.testing.assert_array_equal(one, other)
 
 
+def test_a_design_fills_the_buckets_evenly(monkeypatch):
+    """Every eighth point of a Sobol sequence is in one eighth of the range."""
+    monkeypatch.setattr(ranks, "_BUCKET", 1 << 11)
+    monkeypatch.setattr(ranks, "_SAMPLE", 1 << 11)
+    values = stats.qmc.Sobol(1, scramble=False).random(1 << 15)[:, 0]
+    assert RankedColumn(pieces(values, 1 << 12), len(values))._sizes.max() < 2 << 11
+
+
 def test_rank_correlations_are_those_of_scipy(bucket):
     x, y = columns("few values"), columns("normal")
     found = rank_correlation(*(RankedColumn(pieces(values, 640), len(x)) for values in (x, x + y)))

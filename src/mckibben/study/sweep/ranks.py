@@ -31,10 +31,11 @@ class RankedColumn:
     def __init__(self, pieces: Pieces, most: int) -> None:
         """Read a column of at most so many values."""
         self._pieces, self.count = pieces, 0
-        sampled = [np.empty(0)]
+        sampled, chance = [np.empty(0)], np.random.default_rng(0)  # every k-th point of a design is no sample of it
         for piece in pieces():
             self.count += len(piece)
-            sampled.append(piece[:: max(1, most // _SAMPLE)])
+            size = min(len(piece), -(-len(piece) * _SAMPLE // max(most, 1)))
+            sampled.append(piece[chance.integers(0, max(len(piece), 1), size)])
         sample = np.sort(np.concatenate(sampled))
         buckets = min(_MOST_BUCKETS, -(-self.count // _BUCKET))
         self._bounds = np.unique(sample[np.arange(1, buckets) * len(sample) // max(buckets, 1)])
