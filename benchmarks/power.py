@@ -56,14 +56,23 @@ class Case:
     arguments: tuple[str, ...]
     resumes_by: str  # a pattern of files; empty for a command that is repeated instead
     results: tuple[str, ...]
-    before: tuple[str, ...] = ()  # a command that makes what this one reads
+    before: tuple[tuple[str, ...], ...] = ()  # commands that make what this one reads
+    repeated_with: str = "--force"  # if there are results; empty: not repeated once all are there
 
 
+SWEEP = ("sweep", "scenario.yaml", "--over", "load.mass2=0.4..0.6 kg", "--samples", "96")
 CASES = {
     "sweep": Case(
-        ("sweep", "scenario.yaml", "--over", "load.mass2=0.4..0.6 kg", "--samples", "96"),
+        SWEEP,
         "sweep.journal",
         ("sweep.nc", "results.json"),
+    ),
+    "merge": Case(
+        ("merge", "part1", "part2"),
+        "",
+        ("sweep.nc", "results.json"),
+        tuple((*SWEEP, "--part", f"{number}/2", "--out", f"part{number}") for number in (1, 2)),
+        repeated_with="",
     ),
     "tune": Case(
         tuple("tune scenario.yaml --method evolution --population 8 --iterations 6".split())
@@ -79,7 +88,7 @@ CASES = {
         ("calibrate", "knee.yaml", "--recording", "measured/result.nc"),
         "",
         ("results.json", "model.yaml", "scenario.yaml"),
-        ("simulate", "knee.yaml", "--out", "measured"),
+        (("simulate", "knee.yaml", "--out", "measured"),),
     ),
     "rig": Case(("rig", "run", "protocol.yaml"), "protocol.yaml", ()),
 }
@@ -231,9 +240,9 @@ class Worker:
         return self.end(within)
 
     def prepare(self, case: Case) -> None:
-        """Run the command that makes what a case reads."""
-        if case.before:
-            assert self.run(case.before)["end"] == 0, self.log.read_text()
+        """Run the commands that make what a case reads."""
+        for arguments in case.before:
+            assert self.run(arguments)["end"] == 0, self.log.read_text()
 
     def stop(self) -> None:
         """Stop the process as a power cut would, but for its going on later."""
@@ -314,10 +323,11 @@ def verify(case: Case, told: list[dict], was: Path, left: Path, worker: Worker, 
         arguments += ("--resume",)
     elif case.resumes_by:
         assert not journals, "nothing is left to resume from, and records were kept"
-    elif left.is_dir() and any(name in listing(left) for name in case.results):
-        arguments += ("--force",)
-    done = worker.run(arguments, left)
-    assert done["end"] == 0, f"it ended with {done['end']}: {worker.log.read_text()[-1500:]}"
+    elif left.is_dir() and case.repeated_with and any(name in listing(left) for name in case.results):
+        arguments += (case.repeated_with,)
+    if case.repeated_with or not left.is_dir() or not set(case.results) <= set(listing(left)):
+        done = worker.run(arguments, left)
+        assert done["end"] == 0, f"it ended with {done['end']}: {worker.log.read_text()[-1500:]}"
     for name in case.results:
         assert digest(left / name) == digest(reference / name), f"{name} differs from that of a run that was not cut"
     if not case.results:

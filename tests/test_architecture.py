@@ -103,6 +103,23 @@ def test_no_two_public_classes_have_one_name():
     assert {cls: where for cls, where in homes.items() if len(where) > 1} == {}
 
 
+@pytest.mark.slow
+def test_kinds_of_actuators_are_told_apart_in_their_modules_only():
+    """Elsewhere an attribute or a method of the actuator decides."""
+    packages = "mckibben.actuator", "mckibben.plant"
+    public = [one for package in packages for one in vars(importlib.import_module(package)).values()]
+    kinds = {one.__name__ for one in public if isinstance(one, type) and issubclass(one, mckibben.actuator.Actuator)}
+    kinds.remove("Actuator")
+    assert {"Valve", "AirValve", "Tube", "UnequalValves"} <= kinds
+    found = []
+    for name, path in SOURCES.items():
+        for node in ast.walk(ast.parse(Path(path).read_text())):
+            called = getattr(node, "func", None)
+            if getattr(called, "id", "") in ("isinstance", "issubclass") and not name.startswith("mckibben.actuator"):
+                found += [(name, one.id) for one in ast.walk(node.args[1]) if getattr(one, "id", "") in kinds]
+    assert found == []
+
+
 OLD_WORDS = re.compile(
     r"\b(wish(es|ed)?|outlook|surroundings|undisturbed|beliefs?|believed|contest|standings|heeded|the watch|sheltered|"
     r"glued|virtual rig)\b",

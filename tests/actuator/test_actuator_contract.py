@@ -139,3 +139,9 @@ def test_the_rate_of_a_first_order_valve_is_that_of_its_lag_up_to_the_limit(erro
     valve = FirstOrderValve(0.02, rate=2e6)
     (found,), _ = valve.rates((jnp.asarray(3e5),), (), (3e5 + error,), tuple)
     assert float(found) == pytest.approx(rate, rel=1e-12, abs=1e-9)
+
+
+@pytest.mark.parametrize("valve", [*CLOSED, *AIR], ids=repr)
+def test_only_a_first_order_valve_has_one_time_constant(valve):
+    assert valve.is_first_order == isinstance(valve, FirstOrderValve)
+    assert valve.has_closed_form == (valve in CLOSED)

@@ -254,3 +254,31 @@ def test_its_time_constant_is_that_of_a_compiled_step():
     tube = Tube(PressureRegulator(1e-9, 7e5, time_constant=0.02), volume=6e-6, conductance=0.8e-9)
     compiled = jax.jit(lambda valve: valve.time_constant_at(3e5, 2e-5))(tube)
     assert float(compiled) == pytest.approx(float(tube.time_constant_at(3e5, 2e-5)), rel=1e-12)
+
+
+def test_a_predicted_step_errs_with_the_third_power_of_its_length():
+    """Against 64 steps of the same time, while the valve is at rest: terms of first and second order are exact."""
+    start, still = jnp.asarray(2.5 * bar), AirVolume(jnp.asarray(VOLUME), jnp.zeros(()))
+    tube = dataclasses.replace(TUBE, valve=dataclasses.replace(VALVE, hysteresis=None, leak=None))
+    predict = jax.jit(lambda pressure, state, step: tube.predict(pressure, state, start, still, step))
+
+    def moved(time, steps):
+        pressure, state = start, tube.init_model(start)._replace(pressure=start + 0.1 * bar)
+        for _ in range(steps):
+            pressure, state = predict(pressure, state, time / steps)
+        return np.array([pressure, state.pressure])
+
+    longer, shorter = (moved(time, 1) - moved(time, 64) for time in (0.5 * ms, 0.25 * ms))
+    assert ((longer / shorter > 6) & (longer / shorter < 12)).all()
+
+
+def test_valve_and_tube_in_series_have_one_conductance():
+    """1 / C^2 is the sum of both: what a tube attains is what a valve of C / sqrt(2) does, with one dead volume."""
+    equal = PressureRegulator(C, SUPPLY, band=BAND, time_constant=LAG, critical_ratio=0.3)
+    tube = Tube(equal, volume=ROOM, conductance=C, critical_ratio=0.3)
+    alone = dataclasses.replace(equal, conductance=C / math.sqrt(2))
+    pressure, still = jnp.asarray(2.5 * bar), AirVolume(jnp.asarray(VOLUME), jnp.zeros(()))
+    whole = AirVolume(jnp.asarray(VOLUME + ROOM), jnp.zeros(()))
+    found = tube.attainable(pressure, tube.init_model(pressure), (0.0, 6 * bar), still, PERIOD)(pressure)
+    expected = alone.attainable(pressure, alone.init_model(pressure), (0.0, 6 * bar), whole, PERIOD)(pressure)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)

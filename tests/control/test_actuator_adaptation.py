@@ -1,6 +1,7 @@
 """Delay of the commands and speed of the valves, estimated on line, on the pressures of simulated plants."""
 
 import dataclasses
+import math
 from pathlib import Path
 
 import equinox as eqx
@@ -176,3 +177,23 @@ def test_a_pair_is_estimated_as_its_valves_are(knee, load):
         == pytest.approx(2 * pair.muscle1.conductance)
         == pytest.approx(3 * REGULATOR.conductance)
     )
+
+
+def test_a_ramp_of_the_commands_soon_adds_no_information():
+    """Errors and their slopes pass a high-pass filter: along a ramp the slopes by speed and delay are constant."""
+    model, adaptation, periods = VALVES["first order"], ActuatorAdaptation(), 1500
+    rows = [2 * bar + 1 * bar * np.arange(periods)[:, None] * PERIOD * np.ones(2)]
+    pressures = [rows[0][0]]
+    for k in range(periods):
+        command = rows[0][max(k - round(DELAY / PERIOD), 0)]
+        pressures.append(np.asarray(model.pressure_after(pressures[-1], command, PERIOD)))
+
+    def step(carry, row):
+        state, sent = carry
+        following = adaptation.step(state, model, DELAY, sent, tuple(row[1]), (None, None), PERIOD)
+        added = following.information - math.exp(-PERIOD / adaptation.memory) * state.information
+        return (following, ((row[0][0], row[0][1]), *sent[:-1])), jnp.trace(added / jnp.array([1.0, ms]) ** 2)
+
+    begun = adaptation.init(model, DELAY, (2 * bar, 2 * bar)), ((2 * bar, 2 * bar),) * SENT
+    added = lax.scan(step, begun, (jnp.asarray(rows[0]), jnp.asarray(pressures[1:])))[1]
+    assert added[-1] < 1e-3 * added.max()

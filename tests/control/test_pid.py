@@ -159,3 +159,10 @@ def test_a_step_does_not_change_the_state_that_it_was_given():
     before = jax.tree.map(float, state)
     pid.step(state, 1.0, 0.2, 1.0, PERIOD)
     assert jax.tree.map(float, state) == before
+
+
+def test_the_default_times_are_5_and_50_ms():
+    setpoint, measured = signals()
+    default, given = PID(1.0, 4.0, 0.5), PID(1.0, 4.0, 0.5, filter_time=5e-3, tracking_time=50e-3)
+    found, expected = (run(pid, setpoint, measured, 0.7, -1.0, 1.5) for pid in (default, given))
+    np.testing.assert_array_equal(found, expected)

@@ -1,5 +1,6 @@
 """MJCF and plugin against JAX: torques of every law and geometry, loads, and runs with all states of the muscles."""
 
+import ctypes
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,7 +16,7 @@ from mckibben.codegen.c import write_c
 from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.mjcf import joint_model
-from mckibben.export.mujoco import load_mujoco
+from mckibben.export.mujoco import build_plugin, load_mujoco
 from mckibben.export.muscle_plugin import plugin_source
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.scenario import run_scenario
@@ -217,3 +218,15 @@ def test_what_mujoco_cannot_hold_is_refused(knee):
             joint_model(plant)
         assert caught.value.remedy
         assert caught.value.field == field or (field is None and caught.value.field)
+
+
+def test_the_compiler_of_a_plugin_may_have_options(tmp_path, monkeypatch):
+    (tmp_path / "plugin.c").write_text("int from_options(void) { return GIVEN; }\n")
+    package, library = Path(mujoco.__file__).parent, tmp_path / "plugin.so"
+    monkeypatch.setenv("CC", "cc -g0 -DGIVEN=7")
+    build_plugin(library, [tmp_path / "plugin.c"], package)
+    assert ctypes.CDLL(str(library)).from_options() == 7
+    monkeypatch.setenv("CC", "no-such-compiler -O3")
+    with pytest.raises(ExportError) as caught:
+        build_plugin(library, [tmp_path / "plugin.c"], package)
+    assert caught.value.field == "CC"

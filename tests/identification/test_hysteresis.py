@@ -171,6 +171,32 @@ def test_a_path_begins_at_the_edge_of_the_band_of_its_direction(drifting, model)
         np.testing.assert_allclose(along.band_side(unit)[first], side, atol=1e-6)
 
 
+def test_the_longest_presliding_length_is_a_quarter_of_the_range(model):
+    lower, upper = model.bounds(["log_presliding", "half_width"])
+    assert np.exp(upper[0]) == pytest.approx(0.25 * np.ptp(model.paths.length), rel=1e-12)
+    assert lower[0] < upper[0] and lower[1] < upper[1]
+
+
+def test_a_path_of_two_points_has_the_rate_between_them(drifting):
+    """Paths of one point have none."""
+    data, _ = drifting
+    paths, means = LoadingPaths.of(data), data.table.copy()
+    first = paths.rows[0]
+    rows = [first[:2], *paths.rows[1:]]
+    place = np.zeros_like(paths.place)
+    for number, each in enumerate(rows):
+        place[: len(each), number] = each
+    short = dataclasses.replace(paths, place=place, counts=np.array([len(each) for each in rows]))
+    time = np.zeros(len(data))
+    for each in rows:
+        time[each] = np.cumsum(np.where(np.arange(len(each)) < len(each) / 2, 1.0, 3.0))  # two speeds
+    means["time"] = ("point", time)
+    rate = short.rate(IsobaricDataset(means))
+    assert rate is not None
+    np.testing.assert_allclose(rate[first[:2]], np.diff(paths.length[first[:2]])[0] / 3.0)
+    np.testing.assert_array_equal(rate[first[2:]], 0.0)
+
+
 def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)

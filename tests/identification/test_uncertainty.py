@@ -506,6 +506,16 @@ def test_a_growth_of_the_scatter_is_found_in_any_unit_and_none_where_there_is_no
     assert scatter_growth(force, noise * np.sqrt(9 - 8 * (force / 600) ** 2)) == 0.0
 
 
+def test_a_report_states_the_scatter_at_the_highest_force_of_the_law():
+    law, random = catalog.law("lei-mas-10-180n"), np.random.default_rng(1)
+    contraction, pressure = (each.ravel() for each in np.meshgrid(np.linspace(0, 0.2, 17), np.arange(2, 7) * bar))
+    force = forces(law, contraction, pressure)
+    measured = force + 0.05 * force * random.standard_normal(len(force))
+    fit = identify(ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=measured))
+    line = next(line for line in fit.report().splitlines() if line.startswith("scatter"))
+    assert f" {np.max(forces(fit.law, contraction, pressure)):.3g} N" in line
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("relative", "grows"), [(0.0, False), (0.01, True)])
 def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, grows):

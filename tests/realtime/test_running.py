@@ -342,3 +342,23 @@ def test_in_real_time_it_takes_the_time_that_it_says(stiff):
 def _patient():
     """RigLimits for a machine that others use."""
     return JointLimits(lowest_angle=-1.0, highest_angle=1.0, pressure=9 * bar, late=1.0, pressure_error=9 * bar)
+
+
+def test_a_rate_in_the_first_of_several_samples_is_not_accepted(stiff):
+    """Many samples at once: their first window begins among those before them."""
+    limits = JointLimits(lowest_angle=-6, highest_angle=6, pressure=9 * bar, angle_rate=2.0, window=PERIOD)
+    sensors, angles = Wiring().sensors, np.zeros(60)
+    monitor = JointMonitor(stiff.joint(), limits, sensors, PERIOD)
+
+    def volts(values):
+        rows = [
+            [float(one.volts(value)) for one, value in zip(sensors, (each, 0.0, 0.0), strict=True)] for each in values
+        ]
+        return np.array(rows)
+
+    for i, row in enumerate(volts(angles[:50])):
+        monitor.check_sample(i * PERIOD, row, None, None)
+    time = np.arange(50, 60) * PERIOD
+    assert not monitor.accept(time, volts(angles[50:] + 3 * PERIOD), np.zeros((10, 2)))
+    assert monitor.accept(time, volts(angles[50:] + 1.9 * PERIOD), np.zeros((10, 2)))
+    assert not monitor.accept(time + 10 * PERIOD, volts(angles[50:] - 0.2 * PERIOD), np.zeros((10, 2)))

@@ -385,6 +385,25 @@ def test_a_page_is_freed_when_it_is_left(where):
     assert asyncio.run(visit()) is None
 
 
+def test_the_server_collects_the_pages_that_were_left(monkeypatch):
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            cycle = session.Jobs()
+            cycle.itself = cycle
+            left = weakref.ref(cycle)
+            gc.disable()
+            del cycle
+            user.client.delete()
+            await until(lambda: left() is None)
+
+    monkeypatch.setattr(app, "_COLLECTED_AFTER", 0.05)
+    try:
+        asyncio.run(visit())
+    finally:
+        gc.enable()
+
+
 def test_a_fit_is_ended_within():
     """By the next evaluation after `cancel`, not at its end."""
     data, evaluations, ended = catalog.dataset("dmsp-10-250-martens2017"), [], []

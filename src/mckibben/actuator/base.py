@@ -162,6 +162,8 @@ class Actuator(Labelled, Component):
     default_class = "first_order"
     holds_air = False
     """Whether the pressures are integrated with the volumes of the muscles."""
+    has_closed_form = False
+    """Whether `after` and `command_for` give the response to a constant command, as those of `Valve`."""
     holds_pressure = True
     """Whether the pressure is a state; else it is the command."""
     is_first_order = False

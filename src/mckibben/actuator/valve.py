@@ -21,6 +21,8 @@ class Valve(Actuator):
     their sum. A response that depends on more than the pressure has an internal state, given by `init` and `after`.
     """
 
+    has_closed_form = True
+
     def init(self, pressure: Scalar) -> Any:
         return ()
 

@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from mckibben import catalog
-from mckibben.actuator.base import AirVolume
+from mckibben.actuator.base import AirState, AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.joint import AntagonisticJoint, Geometry, Load, Measurement, MusclePath, Tendon
@@ -22,7 +22,7 @@ from mckibben.leg.plant import LegMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.muscle.creep import CreepState, TensionAt
 from mckibben.numerics.calculus import derivative
-from mckibben.plant import Actuator, AirValve, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
+from mckibben.plant import Actuator, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
 from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]
@@ -308,6 +308,8 @@ def _load(_: Load) -> Probes:
 def _rates(actuator: Actuator, pressure1: Any, pressure2: Any, command1: Any, command2: Any) -> Any:
     pressures, commands = (pressure1, pressure2), (command1, command2)
     states, air = actuator.init_states(pressures), AirVolume(jnp.asarray(1e-4), jnp.asarray(1e-5))
+    if actuator.holds_air and isinstance(states, AirState):
+        states = actuator.before_steps(states, commands, pressures, 0.1 * ms)
     rates = actuator.rates(pressures, states, commands, lambda: (air, air))
     return rates, actuator.after_command(pressure1, command1), actuator.telemetry(states, commands, pressures)
 
@@ -327,17 +329,10 @@ def _rest(valve: Valve, pressure: Any, _: Any, __: Any, elapsed: Any, ___: Any) 
     return valve.after(pressure, valve.init(pressure), valve.command_for(pressure, 0.0), elapsed)[0], pressure
 
 
-def _opened(valve: AirValve, pressure1: Any, _: Any, command1: Any, __: Any) -> Any:
-    state = valve.before_step(valve.init(pressure1), command1, pressure1, 0.1 * ms)
-    return valve.opening(state, command1, pressure1), valve.rate(state, command1, pressure1)
-
-
 def _actuator(actuator: Actuator) -> Probes:
     command = (-1.0, 1.0) if actuator.direct else _PRESSURE
     ranges = {"pressure1": _PRESSURE, "pressure2": _PRESSURE, "command1": command, "command2": command}
-    if isinstance(actuator, AirValve):
-        return Probes((Probe(_rates, ranges), Probe(_opened, ranges)))
-    if not isinstance(actuator, Valve):
+    if not actuator.has_closed_form:
         return Probes((Probe(_rates, ranges),))
     times = {
         "pressure": _PRESSURE,

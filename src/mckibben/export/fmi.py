@@ -5,9 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import io
-import os
 import platform
-import shlex
 import shutil
 import subprocess
 import tempfile
@@ -21,6 +19,7 @@ import mckibben
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.graph import Kind
 from mckibben.codegen.languages import c_language
+from mckibben.codegen.native import compiler_words
 from mckibben.codegen.source_module import Function, SourceModule, is_scalar
 from mckibben.errors import ExportError
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, variables_of
@@ -138,7 +137,7 @@ def _call(module: SourceModule, function: Function) -> str:
 
 def _binary(given: Mapping[str, str], sources: Sequence[str], version: int) -> tuple[bytes, str]:
     """Shared library for Linux, or the reason why there is none."""
-    compiler = shlex.split(os.environ.get("CC", "")) or [shutil.which("cc") or ""]
+    compiler = compiler_words()
     if (platform.system(), platform.machine()) != ("Linux", "x86_64") or not shutil.which(compiler[0]):
         where = _PLATFORM[version]
         return b"", f"binary: no C compiler for {where} found; most programs compile the sources themselves"

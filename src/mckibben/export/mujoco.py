@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from mckibben.codegen.native import compiler_words
 from mckibben.errors import ExportError
 
 _LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo keeps one plugin per name for the lifetime of the process
@@ -52,11 +53,11 @@ def import_mujoco() -> Any:
 
 def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:
     """Compile a plugin against the MuJoCo in a folder."""
-    compiler = shutil.which(os.environ.get("CC", "cc"))
-    if compiler is None:
+    compiler = compiler_words()
+    if shutil.which(compiler[0]) is None:
         raise ExportError("there is no C compiler", field="CC", remedy="install one, or set CC to its name")
     found = sorted(mujoco.glob("libmujoco.*"))
-    command = [compiler, "-std=c99", "-O2", "-fPIC", "-shared", f"-I{mujoco / 'include'}", "-o", library, *sources]
+    command = [*compiler, "-std=c99", "-O2", "-fPIC", "-shared", f"-I{mujoco / 'include'}", "-o", library, *sources]
     made = subprocess.run([*map(str, [*command, *found]), "-lm"], capture_output=True, text=True)
     if made.returncode:
         raise ExportError(f"the plugin does not compile: {made.stderr[:2000]}", field="CC", remedy="report it")

@@ -34,7 +34,8 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.sweep.result import main_metrics, spearman
+from mckibben.study.sweep.ranks import spearman
+from mckibben.study.sweep.result import main_metrics
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import bar, factor, percent
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import ctypes
 import gc
 import secrets
@@ -25,12 +26,16 @@ from mckibben.web.session import collect_warnings, end_sessions
 HOST = LOCAL[0]
 _SHUTDOWN = 2  # s for open requests
 _M_ARENA_MAX = -8  # of malloc.h
+_COLLECTED_AFTER = 5.0  # s after a page was left; those left in the meantime are freed with it
+_TAB_STORAGE = 60.0  # s that NiceGUI keeps its storage of a tab, which is empty; its default is 30 days
 
 
 def pages() -> None:
     """Register the pages."""
     collect_warnings()
     app.on_delete(forget_routes)
+    app.on_delete(_Collector())
+    app.storage.max_tab_storage_age = _TAB_STORAGE
     ui.page("/")(joint.page)
     ui.page("/identify")(identify.page)
     ui.page("/run")(run.page)
@@ -44,10 +49,36 @@ def forget_routes() -> None:
             clear()
 
 
+class _Collector:
+    """Frees pages that were left, and returns their memory to the system.
+
+    They are cycles, and Python collects old ones only when a quarter of all objects are new.
+    """
+
+    def __init__(self) -> None:
+        self._waiting = False
+
+    def __call__(self) -> None:
+        if not self._waiting:
+            self._waiting = True
+            asyncio.get_running_loop().call_later(_COLLECTED_AFTER, self._collect, context=contextvars.Context())
+
+    def _collect(self) -> None:
+        self._waiting = False
+        gc.collect()
+        if trim := _libc("malloc_trim"):
+            trim(0)
+
+
 def _use_one_arena() -> None:
     """Have glibc allocate in one arena: with one for each thread, the memory of pages that are gone is used less."""
-    if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
+    if mallopt := _libc("mallopt"):
         mallopt(_M_ARENA_MAX, 1)
+
+
+def _libc(name: str) -> Callable[..., int] | None:
+    """A function of glibc; None with another C library."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
 
 
 def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:

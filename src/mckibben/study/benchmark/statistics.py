@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mckibben.simulation import Batch, Metrics
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.sweep.result import spearman
+from mckibben.study.sweep.ranks import spearman
 from mckibben.study.tune.tune import Trial
 
 if TYPE_CHECKING:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mckibben.component.columns import attributes
 from mckibben.dataset.schema import load_netcdf
@@ -26,6 +27,7 @@ from mckibben.simulation.table import RunTable, outcome_variable
 from mckibben.storage.files import append_seal, atomic_write
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan, digest_of_model
+from mckibben.study.sweep.ranks import Pieces, RankedColumn, rank_correlation
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -153,10 +155,11 @@ class SweepResult(RunTable):
         ]
         if table.attrs.get("kind") != _KIND or missing:
             raise FileError(source, [Problem("it is not a sweep", remedy="give the sweep.nc of `mckibben sweep`")])
-        codes = table["outcome"].to_numpy()
-        if codes.dtype.kind not in "iu" or np.any((codes < 0) | (codes >= len(OUTCOMES))):
-            raise FileError(source, [Problem("it has unknown outcomes", field="outcome")])
-        return cls(table)
+        found = cls(table)
+        for codes in _pieces(found, "outcome"):
+            if codes.dtype.kind not in "iu" or np.any((codes < 0) | (codes >= len(OUTCOMES))):
+                raise FileError(source, [Problem("it has unknown outcomes", field="outcome")])
+        return found
 
 
 def write_columns(target: BinaryIO, like: xr.Dataset, runs: int, columns: Mapping[str, Iterable[NDArray]]) -> None:
@@ -205,97 +208,111 @@ def summary(sweep: SweepResult) -> dict[str, Any]:
         ``feasibility``: numbers of runs with references that the joint cannot hold. ``integration``: largest number of
         integration steps and largest estimated error, and the number of runs found to be chaotic.
     """
-    failed = sweep.failed
-    codes = sweep.table["outcome"].to_numpy()
-    counts = {outcome.name.lower(): int(np.sum(codes == code)) for code, outcome in enumerate(OUTCOMES)}
+    pieces = (np.bincount(codes, minlength=len(OUTCOMES)) for codes in _pieces(sweep, "outcome"))
+    counts = sum(pieces, start=np.zeros(len(OUTCOMES), np.int64))
     return {
         "scenario": sweep.table.attrs.get("title", ""),
         "runs": sweep.count,
-        "failed": int(failed.sum()),
-        "outcomes": {name: count for name, count in counts.items() if count},
-        "metrics": {_SHOWN[name]: _percentiles(sweep, name, ~failed) for name in sweep.metrics},
-        "correlations": _correlations(sweep, failed),
+        "failed": int(np.sum(counts * _FAILED)),
+        "outcomes": {one.name.lower(): int(count) for one, count in zip(OUTCOMES, counts, strict=True) if count},
+        "metrics": {_SHOWN[name]: _percentiles(sweep, name) for name in sweep.metrics},
+        "correlations": _correlations(sweep),
         "feasibility": _infeasible_runs(sweep),
-        "integration": StepCounts(*(sweep.table[name].to_numpy() for name in STEP_COLUMNS)).summary(),
+        "integration": _integration(sweep),
     }
+
+
+_FAILED = np.array([outcome.failed for outcome in OUTCOMES])
 
 
 def main_metrics(sweep: SweepResult) -> tuple[str, ...]:
     """Up to three metrics that have values: the main ones, or else others."""
-    finite = [name for name in sweep.metrics if np.isfinite(sweep.table[name].to_numpy()[~sweep.failed]).any()]
+    finite = [name for name in sweep.metrics if any(len(piece) for piece in _usable(sweep, name, name)())]
     main = [name for name in MAIN if name in finite]
     return tuple(main or finite[:3])
 
 
-def spearman(x: ArrayLike, y: ArrayLike) -> float:
-    """Spearman's rank correlation of two columns, with mean ranks for ties; NaN if one is constant or has NaN."""
-    return _correlation(*(_centred_ranks(np.asarray(values, float)) for values in (x, y)))
+def _pieces(sweep: SweepResult, *names: str) -> Iterator[Any]:
+    """Columns in pieces of rows: arrays for one name, tuples for several."""
+    for start in range(0, sweep.count, PIECE):
+        found = tuple(sweep.table[name][start : start + PIECE].to_numpy() for name in names)
+        yield found if len(names) > 1 else found[0]
 
 
-def _correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Correlation of columns less their means."""
-    size = np.sqrt(np.sum(first**2) * np.sum(second**2))
-    return float(np.sum(first * second) / size) if size > 0 else float("nan")
+def _usable(sweep: SweepResult, name: str, metric: str, scale: float = 1.0) -> Pieces:
+    """A column over a scale, in pieces, of the runs that did not fail and have a value of a metric."""
+
+    def pieces() -> Iterator[NDArray[np.float64]]:
+        for codes, values, shown in _pieces(sweep, "outcome", name, metric):
+            yield values[~_FAILED[codes] & np.isfinite(shown)].astype(float) / scale
+
+    return pieces
 
 
-def _centred_ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ranks less their mean; in pieces, because SciPy takes 80 bytes per value."""
-    order = np.argsort(values)
-    ordered = values[order]
-    ranks = np.full(len(values), np.nan)
-    if len(values) and not np.isnan(ordered[-1]):
-        for start in range(0, len(values), PIECE):
-            piece = ordered[start : start + PIECE]
-            ends = np.searchsorted(ordered, piece, "left") + np.searchsorted(ordered, piece, "right")
-            ranks[order[start : start + PIECE]] = (ends - len(values)) / 2
-    return ranks
-
-
-def _percentiles(sweep: SweepResult, name: str, valid: NDArray[np.bool_]) -> dict[str, Any]:
-    values = sweep.table[name].to_numpy().astype(float) / METRICS[_SHOWN[name]][2]
-    valid = valid & np.isfinite(values)
-    if not valid.any():
+def _percentiles(sweep: SweepResult, name: str) -> dict[str, Any]:
+    column = RankedColumn(_usable(sweep, name, name, scale := METRICS[_SHOWN[name]][2]), sweep.count)
+    if not column.count:
         return {**dict.fromkeys(("median", "percentile_5", "percentile_95", "worst", "worst_run")), "runs": 0}
-    low, median, high = np.percentile(values[valid], [5, 50, 95])
-    worst = int(np.argmax(np.where(valid, values, -np.inf)))
+    worst, largest, start = 0, -np.inf, sweep.first
+    for codes, values in _pieces(sweep, "outcome", name):
+        valid = np.where(~_FAILED[codes] & np.isfinite(values), values.astype(float) / scale, -np.inf)
+        if valid.max() > largest:
+            worst, largest = start + int(np.argmax(valid)), float(valid.max())
+        start += len(codes)
     return {
-        "median": float(median),
-        "percentile_5": float(low),
-        "percentile_95": float(high),
-        "worst": float(values[worst]),
-        "worst_run": sweep.first + worst,
-        "runs": int(valid.sum()),
+        "median": column.quantile(0.5),
+        "percentile_5": column.quantile(0.05),
+        "percentile_95": column.quantile(0.95),
+        "worst": largest,
+        "worst_run": worst,
+        "runs": column.count,
     }
 
 
-def _correlations(sweep: SweepResult, failed: NDArray[np.bool_]) -> list[dict[str, Any]]:
-    def with_inputs(name: str, values: NDArray, rows: NDArray[np.bool_]) -> list[dict[str, Any]]:
-        """Rank correlations of a column with the inputs, which are read one at a time."""
-        ranks = _centred_ranks(values[rows])
-        if len(ranks) < _MIN_RUNS or not ranks.any():
-            return []
-        others = ((other, _centred_ranks(sweep.table[other].to_numpy()[rows])) for other in sweep.inputs)
-        return [{"input": other, "with": name, "spearman": _correlation(column, ranks)} for other, column in others]
+def _correlations(sweep: SweepResult) -> list[dict[str, Any]]:
+    def all_of(name: str) -> Pieces:
+        return lambda: (values.astype(float) for values in _pieces(sweep, name))
 
-    found = with_inputs("failed", failed.astype(float), np.ones_like(failed))
+    def with_inputs(name: str, column: Pieces, of: Callable[[str], Pieces]) -> list[dict[str, Any]]:
+        """Rank correlations of a column with the inputs, which are read one at a time."""
+        ranked = RankedColumn(column, sweep.count)
+        if ranked.count < _MIN_RUNS or ranked.quantile(0.0) == ranked.quantile(1.0):
+            return []
+        others = ((other, RankedColumn(of(other), sweep.count)) for other in sweep.inputs)
+        return [{"input": one, "with": name, "spearman": rank_correlation(other, ranked)} for one, other in others]
+
+    found = with_inputs("failed", lambda: (_FAILED[codes].astype(float) for codes in _pieces(sweep, "outcome")), all_of)
     for name in main_metrics(sweep):
-        values = sweep.table[name].to_numpy()
-        found += with_inputs(_SHOWN[name], values, ~failed & np.isfinite(values))
+        usable = functools.partial(_usable, sweep, metric=name)
+        found += with_inputs(_SHOWN[name], usable(name), usable)
     found = [each for each in found if np.isfinite(each["spearman"])]
     return sorted(found, key=lambda each: -abs(each["spearman"]))
 
 
 def _infeasible_runs(sweep: SweepResult) -> dict[str, Any]:
-    short = np.nan_to_num(sweep.table["shortfall_max"].to_numpy())
-    angle = sweep.table["infeasible_time"].to_numpy() > 0
-    stiffness = short > 0
-    worst = int(np.argmax(short))
+    infeasible, worst, largest, start = np.zeros(3, np.int64), None, 0.0, sweep.first
+    for shortfall, time in _pieces(sweep, "shortfall_max", "infeasible_time"):
+        short, angle = np.nan_to_num(shortfall), time > 0
+        infeasible += np.sum(short > 0), np.sum(angle), np.sum((short > 0) | angle)
+        if short.max() > largest:
+            worst, largest = start + int(np.argmax(short)), float(short.max())
+        start += len(short)
     return {
-        "runs_stiffness_infeasible": int(stiffness.sum()),
-        "shortfall_max": float(short[worst]),
-        "shortfall_max_run": sweep.first + worst if stiffness.any() else None,
-        "runs_angle_infeasible": int(angle.sum()),
-        "runs_infeasible": int(np.sum(stiffness | angle)),
+        "runs_stiffness_infeasible": int(infeasible[0]),
+        "shortfall_max": largest,
+        "shortfall_max_run": worst,
+        "runs_angle_infeasible": int(infeasible[1]),
+        "runs_infeasible": int(infeasible[2]),
+    }
+
+
+def _integration(sweep: SweepResult) -> dict[str, Any]:
+    found = [StepCounts(*columns).summary() for columns in _pieces(sweep, *STEP_COLUMNS)]
+    errors = [one["error_estimate_rad"] for one in found if one["error_estimate_rad"] is not None]
+    return {
+        "substeps": max(one["substeps"] for one in found),
+        "error_estimate_rad": max(errors, default=None),
+        "runs_chaotic": sum(one["runs_chaotic"] for one in found),
     }
 
 
