@@ -113,8 +113,7 @@ def joint_model(
 ) -> JointModel:
     """MJCF of a plant, and the functions of its muscles; `start` is its keyframe. Raises `ExportError`.
 
-    The actuators are those of the plugin, or have forces and activations for callbacks to set; then no valve is MuJoCo's
-    filter.
+    The actuators are those of the plugin, or have forces and rates that callbacks set, also those of all valves.
     """
     check_valve(plant.valve)
     check_tendon(plant.joint)
@@ -244,7 +243,7 @@ def _limited(limits: tuple[float, float]) -> str:
 def callback_actuators(
     muscles: Sequence[PluginMuscle], targets: Sequence[str], limits: Sequence[tuple[float, float]]
 ) -> list[str]:
-    """Actuators of muscles whose forces and rates callbacks set: one for each muscle, then those of further activations.
+    """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation.
 
     They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
     """

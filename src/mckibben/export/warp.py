@@ -45,7 +45,7 @@ def warp_muscles(
         anchor += muscle.anchors
     numbers = range(1, len(muscles) + 1)
     return filled(
-        "muscles_warp.py",
+        "warp-muscles.txt",
         {
             "title": title.replace("\\", "/").replace('"""', "'"),
             "version": mckibben.__version__,
@@ -106,7 +106,7 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
         "rates": assigned(f"rates{number}", {"act": [f"act_dot[world, {column}]" for column in columns]}),
         "force": f"    force[world, actuator] = {call(f'force{number}')}",
     }
-    return filled("muscle_warp.py", values)
+    return filled("warp-muscle.txt", values)
 
 
 def _tuple(items: Iterable[str]) -> str:
