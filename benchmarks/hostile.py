@@ -3,9 +3,12 @@
 ``python benchmarks/hostile.py`` writes files of all kinds (the modules `hostile_...`), one after the other, and has a
 worker process read each with `mckibben.dataset.read_dataset` (even seeds) or `read_recording` (odd seeds). Outcomes:
 read; refused (a `McKibbenError` with a message); traceback (any other exception, a crash, a message that is empty or
-longer than 100,000 characters); too long (more than 15 s; the worker is killed after 60 s); too large (more than 1 GB,
-or a `MemoryError` anywhere below the error). The last three are failures, and so is a refused control: a sound file
-whose kind is named ``control_...``. ``--repeat KIND SEED`` keeps its file in the current folder.
+longer than 100,000 characters); too long (more than 15 s of processor time); too large (more than 1 GB, or a
+`MemoryError` anywhere below the error). The last three are failures, and so is a refused control: a sound file whose
+kind is named ``control_...``. ``--repeat KIND SEED`` keeps its file in the current folder.
+
+Seconds are processor time of the worker and its children, which other programs do not change, and are the wall-clock
+time where nothing else runs; the worker is killed after 120 s of wall-clock time, which is too long, too.
 
 Memory is that of the worker and all its child processes while the file is read, with some 200 MB of imports: the
 largest sum of resident sets (VmRSS in /proc), taken every 20 ms, or the largest VmHWM of one process, which is reset
@@ -43,7 +46,7 @@ from hostile_kinds import KINDS, File
 
 OUTCOMES = ("read", "refused", "traceback", "too long", "too large")
 FAILURES = OUTCOMES[2:]
-SECONDS, KILLED, START = 15.0, 60.0, 60.0
+SECONDS, KILLED, START = 15.0, 120.0, 600.0
 MEMORY, ADDRESSES, KEPT = 1e9, 3 * 10**9, 500e6  # bytes
 INTERVAL = 0.02  # s
 LONGEST = 100_000  # characters of a message
@@ -51,11 +54,12 @@ SEEDS = 10
 
 
 class Read(NamedTuple):
-    """How a file was read: one of `OUTCOMES`, the message, time [s] and peak memory [bytes]."""
+    """How a file was read: one of `OUTCOMES`, the message, processor and wall-clock time [s], peak memory [bytes]."""
 
     outcome: str
     text: str
     seconds: float
+    wall: float
     memory: float
 
 
@@ -77,6 +81,16 @@ def status(pid: int, field: str) -> float:
     return 0.0
 
 
+def processor_time(pid: int) -> float:
+    """Processor time [s] of a process, its children that still run, and those that have ended."""
+    ticks = 0
+    for each in tree(pid):
+        with contextlib.suppress(OSError):
+            fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+            ticks += sum(map(int, fields[11:15]))  # user and system, of the process and of ended children
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
 class Worker:
     """Process that reads files, one after the other."""
 
@@ -89,29 +103,31 @@ class Worker:
         for pid in tree(process.pid):
             with contextlib.suppress(OSError):
                 Path(f"/proc/{pid}/clear_refs").write_text("5")  # VmHWM starts again from VmRSS
-        start, peak = time.perf_counter(), 0.0
+        start, before, peak, used = time.perf_counter(), processor_time(process.pid), 0.0, 0.0
         assert process.stdin is not None
         process.stdin.write(json.dumps([path, reader, options]).encode() + b"\n")
         process.stdin.flush()
         while not (line := self._line(INTERVAL)):
             pids = list(tree(process.pid))
             peak = max(peak, sum(status(pid, "VmRSS") for pid in pids), *(status(pid, "VmHWM") for pid in pids))
-            seconds = time.perf_counter() - start
-            if seconds > KILLED:
+            used = max(used, processor_time(process.pid) - before)
+            wall = time.perf_counter() - start
+            if wall > KILLED:
                 self.end()
-                return Read("too long", f"killed after {KILLED:g} s", seconds, peak)
+                return Read("too long", f"killed after {KILLED:g} s", used, wall, peak)
             if process.poll() is not None:
                 self.end()
-                return Read("traceback", f"the process ended with {process.returncode}", seconds, peak)
+                return Read("traceback", f"the process ended with {process.returncode}", used, wall, peak)
         peak = max(peak, *(status(pid, "VmHWM") for pid in tree(process.pid)))
-        outcome, text, seconds = json.loads(line)
+        used = max(used, processor_time(process.pid) - before)
+        outcome, text, wall = json.loads(line)
         if peak > MEMORY:
             outcome = "too large"
-        elif seconds > SECONDS and outcome not in FAILURES:
+        elif used > SECONDS and outcome not in FAILURES:
             outcome = "too long"
         if sum(status(pid, "VmRSS") for pid in tree(process.pid)) > KEPT:
             self.end()
-        return Read(outcome, text, seconds, peak)
+        return Read(outcome, text, used, wall, peak)
 
     def end(self) -> None:
         """End the process and its children."""
@@ -209,19 +225,20 @@ def failed(kind: str, found: Read) -> bool:
 
 def described(kind: str, seed: int, found: Read) -> str:
     text = " / ".join(found.text.split("\n"))[:200]
-    return f"{kind} {seed}: {found.outcome}, {found.seconds:.1f} s, {found.memory / 1e6:.0f} MB: {text}"
+    size = f"{found.seconds:.1f} s ({found.wall:.1f} s), {found.memory / 1e6:.0f} MB"
+    return f"{kind} {seed}: {found.outcome}, {size}: {text}"
 
 
 def table(each: dict[str, list[Read]]) -> Iterator[str]:
-    """Lines: outcomes of each kind, and its largest time and memory."""
+    """Lines: outcomes of each kind, and its largest processor time, wall-clock time and memory."""
     width = max(map(len, each))
-    yield f"{'kind':{width}}  {'  '.join(OUTCOMES)}  most s  most MB"
+    yield f"{'kind':{width}}  {'  '.join(OUTCOMES)}  most s  most wall s  most MB"
     rows = [*each.items(), ("all", [one for found in each.values() for one in found])]
     for kind, found in rows:
         counts = Counter(one.outcome for one in found)
         cells = "  ".join(f"{counts[one] or '-':>{len(one)}}" for one in OUTCOMES)
-        most = max((one.seconds for one in found), default=0), max((one.memory for one in found), default=0) / 1e6
-        yield f"{kind:{width}}  {cells}  {most[0]:6.1f}  {most[1]:7.0f}"
+        used, wall, memory = (max(each, default=0) for each in list(zip(*found, strict=True))[2:] or [()] * 3)
+        yield f"{kind:{width}}  {cells}  {used:6.1f}  {wall:11.1f}  {memory / 1e6:7.0f}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

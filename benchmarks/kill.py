@@ -27,7 +27,7 @@ from mckibben import catalog
 from mckibben.muscle import Muscle
 from mckibben.rig import recorder
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import Event, assemble, passages, points, read_record, segments
+from mckibben.rig.record import Event, assemble, entries, points, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import RigSession
@@ -81,7 +81,7 @@ def go_on(folder: Path, told: int = -1) -> None:
     session = len(segments(folder))
     twin, bench = rig(session)
     events, since = [], 0.0
-    for one in passages(folder):
+    for one in entries(folder):
         if isinstance(one, Event):
             events.append(one)
         else:
@@ -158,7 +158,7 @@ def trial(folder: Path, reference: Path, generator: np.random.Generator, longest
 def check(folder: Path, reference: Path) -> None:
     """Hold a finished test against the one that nobody killed."""
     _, bench = rig(0)
-    events = [one for one in passages(folder) if isinstance(one, Event)]
+    events = [one for one in entries(folder) if isinstance(one, Event)]
     assert events[-1].kind == DONE
     assert [point.number for point in points(events)] == list(range(POINTS))
     data, wanted = assemble(folder, bench), assemble(reference, bench)

@@ -1,8 +1,8 @@
 """Mutants of the source: small random faults that some test has to notice.
 
 ``python benchmarks/mutants.py --count 100 --seed 1`` changes one comparison, operator, number, truth value or statement
-at a time in a copy of the working tree and runs tests there: those of its package and of the other packages that
-execute its line, then all of its package, and with ``--tests everything`` those of ``make test``. It prints each that
+at a time in a copy of the working tree and runs tests there: a few that execute its line, all tests in the files of
+the nearest ones, then all of its package, and with ``--tests everything`` those of ``make test``. It prints each that
 survives with its file and line. Equal seeds make equal mutants. The folder ``build/mutants`` has the copy, which tests
 execute which lines (recorded once with ``coverage``) and the results; the same command continues an interrupted run
 and tries survivors again with the tests of now. After a change of the source, remove the folder.
@@ -37,7 +37,8 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "build" / "mutants"
 PACKAGES = "numerics muscle joint actuator plant control simulation identification storage rig"
 SECONDS = 600  # of the processor, and three times as long by the clock, for a run of tests
-MOST = 150  # tests that execute a mutant, those of its package first
+FIRST = 8  # tests that execute a mutant's line, which are run by themselves
+FILES = 8  # of tests that execute it, which are run completely if the first tests do not notice it
 SWAPPED = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
@@ -141,7 +142,7 @@ def record(copy: Path, packages: list[str]) -> CoverageData:
 
     file = FOLDER / "coverage"
     if not file.exists():
-        settings = FOLDER / "coverage.ini"
+        settings = FOLDER / "settings.ini"  # coverage removes all files of the name coverage.*
         sources = "".join(f"    {copy}/src/mckibben/{package}/*\n" for package in packages)
         settings.write_text(f"[run]\ncore = ctrace\ndata_file = {file}\ninclude =\n{sources}")
         options = ["-n", "2", "--dist", "loadfile", "--cov", f"--cov-config={settings}", "--cov-context=test"]
@@ -150,6 +151,9 @@ def record(copy: Path, packages: list[str]) -> CoverageData:
             sys.exit("the tests fail without a mutant")
     data = CoverageData(str(file))
     data.read()
+    if data.measured_contexts() <= {""}:
+        file.unlink()
+        sys.exit("no test was recorded")
     return data
 
 
@@ -159,25 +163,33 @@ def tests_of(package: str) -> list[str]:
 
 
 def executing(data: CoverageData, copy: Path, mutant: Mutant) -> list[str]:
-    """Tests that execute a mutant's line, or its file where it runs at import: those that stand nearest first."""
+    """Tests that execute a mutant's line, then those that execute its file: those that stand nearest first."""
     lines = data.contexts_by_lineno(str(copy / mutant.path))
     recorded = max((line for line in lines if line <= mutant.line), default=0)  # the line where an expression begins
-    for contexts in (lines.get(recorded, []), [one for each in lines.values() for one in each]):
-        if names := sorted({context.partition("|")[0] for context in contexts} - {""}):
-            break
-    random.Random(0).shuffle(names)
     near = f"/{mutant.path.parts[2]}/", f"/test_{mutant.path.stem}.py"
-    return sorted(names, key=lambda name: [part in name for part in near], reverse=True)[:MOST]
+    found: dict[str, None] = {}
+    for contexts in (lines.get(recorded, []), [one for each in lines.values() for one in each]):
+        names = sorted({context.partition("|")[0] for context in contexts} - {""})
+        random.Random(0).shuffle(names)
+        found |= dict.fromkeys(sorted(names, key=lambda name: [part in name for part in near], reverse=True))
+    return list(found)
+
+
+def _files(names: list[str]) -> list[str]:
+    return list(dict.fromkeys(name.partition("::")[0] for name in names))
 
 
 def survives(copy: Path, mutant: Mutant, names: list[str], further: list[list[str]]) -> bool:
-    """Whether neither the tests that execute it nor further ones notice a mutant; the copy is as before afterwards."""
+    """Whether neither the tests that execute it nor further ones notice a mutant; the copy is as before afterwards.
+
+    Complete files, too: a compiled function is traced by the first test that calls it, and others reuse it.
+    """
     target = copy / mutant.path
     source = target.read_bytes()
-    files = list(dict.fromkeys(name.partition("::")[0] for name in names))
+    runs = [(_files(names[:FIRST]), names[:FIRST]), (_files(names)[:FILES], None)] if names else []
     try:
         target.write_bytes(source[: mutant.span[0]] + mutant.after.encode() + source[mutant.span[1] :])
-        return (not names or passes(copy, files, names)) and all(passes(copy, tests) for tests in further)
+        return all(passes(copy, *run) for run in [*runs, *((tests, None) for tests in further)])
     finally:
         target.write_bytes(source)
 

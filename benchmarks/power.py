@@ -213,7 +213,7 @@ class Worker:
         *lines, self._rest = self._rest.split(b"\n")
         return [json.loads(line) for line in lines]
 
-    def end(self, within: float = 300.0) -> dict:
+    def end(self, within: float = 900.0) -> dict:
         """Wait so long [s] for the end of the command."""
         deadline = time.monotonic() + within
         while time.monotonic() < deadline:
@@ -225,7 +225,7 @@ class Worker:
             time.sleep(5e-3)
         raise AssertionError(f"the command did not end within {within:g} s: {self.log.read_text()[-2000:]}")
 
-    def run(self, arguments: tuple[str, ...], out: Path = Path(), *, within: float = 300.0) -> dict:
+    def run(self, arguments: tuple[str, ...], out: Path = Path(), *, within: float = 900.0) -> dict:
         """Run a command to its end; without a folder it has all its options."""
         self.begin(arguments, out)
         return self.end(within)

@@ -1,9 +1,9 @@
 """Memory, disk and time of a sweep in parts and of their merging, per million runs.
 
-    python benchmarks/sweep_parts.py [--runs 40000] [--parts 4] [--made-up]
+    python benchmarks/sweep_parts.py [--runs 40000] [--parts 4] [--short]
 
 Each part and the merging is a process of its own, as on a cluster; runs of 0.2 s with one metric, two inputs. With
---made-up nothing is simulated: the memory and the disk of many runs, in little time.
+--short, runs take 0.1 s, with one integration step per control period, in 32 bits: many runs in little time.
 """
 
 import argparse
@@ -17,23 +17,19 @@ PART = """
 import sys
 from mckibben.scenario import Scenario
 from mckibben.study.sweep import merge, summary, sweep
-runs, part, made_up, out, *folders = sys.argv[1:]
-if made_up == "True":
-    import numpy as np
-    from mckibben.study.sweep.compute import FEASIBILITY, BatchTask
-    def invented(task, table):
-        mass, gain = table.values()
-        nothing = np.zeros(len(mass))
-        return {"angle_rmse": mass / gain, "outcome": nothing.astype(np.int8), **dict.fromkeys(FEASIBILITY, nothing)}
-    BatchTask.__call__ = invented
+runs, part, short, out, *folders = sys.argv[1:]
 if folders:
     summary(merge(folders, out))
 else:
-    scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
+    short = short == "True"
+    changed = {"duration": 0.1, "substeps": 1} if short else {"duration": 0.2}
+    scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update=changed)
     over = ["load.mass2=0.2 kg..1.0 kg", "controller.position.kp=0.5..10 bar/rad log"]
-    sweep(scenario, over, samples=int(runs), metrics=["angle_rmse"], out=out, part=part or None)
+    precision = 32 if short else 64
+    sweep(scenario, over, samples=int(runs), metrics=["angle_rmse"], precision=precision, out=out, part=part or None)
 import resource
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
+used = resource.getrusage(resource.RUSAGE_SELF)
+print(used.ru_maxrss / 1e6, used.ru_utime + used.ru_stime)
 """
 
 
@@ -42,31 +38,36 @@ def main():
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--runs", type=int, default=40_000)
     options.add_argument("--parts", type=int, default=4)
-    options.add_argument("--made-up", action="store_true")
+    options.add_argument("--short", action="store_true")
     asked = options.parse_args()
     million = asked.runs / 1e6
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         numbers = range(1, asked.parts + 1)
         begin = time.perf_counter()
-        memory = [memory_of(asked.runs, f"{k}/{asked.parts}", asked.made_up, folder / f"{k}") for k in numbers]
-        seconds = time.perf_counter() - begin
-        print(f"{asked.runs} runs in {asked.parts} parts: {seconds:.0f} s, at most {max(memory):.2f} GB of memory")
+        each = [taken(asked.runs, f"{k}/{asked.parts}", asked.short, folder / f"{k}") for k in numbers]
+        memory, used = zip(*each, strict=True)
+        seconds = f"{time.perf_counter() - begin:.0f} s ({sum(used):.0f} s of processor time)"
+        print(
+            f"{asked.runs} runs in {asked.parts} parts: {seconds}, at most {max(memory):.2f} GB of memory", flush=True
+        )
         for file in ("sweep.journal", "sweep.nc"):
             size = sum((folder / f"{k}" / file).stat().st_size for k in numbers)
             print(f"{file}: {size / 1e6 / million:.1f} MB per million runs")
         begin = time.perf_counter()
-        merged = memory_of(asked.runs, "", asked.made_up, folder / "merged", *(folder / f"{k}" for k in numbers))
+        merged, _ = taken(asked.runs, "", asked.short, folder / "merged", *(folder / f"{k}" for k in numbers))
         seconds = time.perf_counter() - begin
         print(f"merging and statistics: {seconds:.1f} s, {merged:.2f} GB of memory")
 
 
-def memory_of(*arguments):
-    """Largest memory [GB] of a process."""
+def taken(*arguments):
+    """Largest memory [GB] and processor time [s] of a process."""
     command = [sys.executable, "-c", PART, *map(str, arguments)]
     root = Path(__file__).parents[1]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=root)
-    return float(done.stdout.split()[-1])
+    memory, seconds = map(float, done.stdout.split()[-2:])
+    print(f"{' '.join(map(str, arguments[:2]))}: {memory:.2f} GB, {seconds:.0f} s of processor time", flush=True)
+    return memory, seconds
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import mckibben as mk
+from mckibben.leg.foot_pressures import solve_foot_stiffness
 from mckibben.report.style import save
 from mckibben.scenario import run_scenario
 from mckibben.units import bar, deg, mm
@@ -55,7 +56,11 @@ def _leg() -> None:
     """Pictures of the page on the leg."""
     leg = mk.leg.LegScenario.read(ROOT / "examples" / "leg" / "lei-leg.yaml")
     jumps = mk.leg.study_jump(leg)
+    stiffness = leg.stiffness
+    assert stiffness is not None
+    posture = leg.leg.posture_angles(stiffness.posture)
     figures = {
+        "leg-foot-stiffness": mk.report.foot_ellipses(leg.leg, posture, found=solve_foot_stiffness(leg)),
         "leg-landing": mk.report.landing_forces(mk.leg.study_landing(leg)),
         "leg-jump": mk.report.jump_traces(jumps),
     }

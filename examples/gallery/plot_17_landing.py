@@ -11,7 +11,7 @@ from mckibben.leg import LegScenario, attainable_foot_stiffness, study_landing
 leg = LegScenario.parse(
     """
     name: drop landing
-    leg: lei-leg
+    leg: lei-leg-planar
     valve: {class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms}
     ground: {stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0}
     landing: {joint: knee, drop: [20 mm, 50 mm], time_constants: [20 ms]}

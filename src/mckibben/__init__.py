@@ -13,4 +13,16 @@ __version__ = "0.1.0"
 
 _runtime.configure()
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    try:
+        return _load(name)
+    except AttributeError:
+        from mckibben.errors import closest
+
+        methods = ("simulate", "envelope", "tune", "compare", "export")
+        meant = f"scenario.{name}()" if name in methods else closest(name, __all__)
+        remedy = f"did you mean {meant}?" if meant else "dir(mckibben) lists the names"
+        raise AttributeError(f"mckibben has no {name!r}; {remedy}", name=name) from None

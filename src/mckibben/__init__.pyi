@@ -26,6 +26,7 @@ from .control import (
 )
 from .dataset import (
     IsobaricDataset as IsobaricDataset,
+    Recipe as Recipe,
     Recording as Recording,
     read_dataset as read_dataset,
     read_recording as read_recording,

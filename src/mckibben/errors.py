@@ -29,10 +29,20 @@ def quoted(value: object) -> str:
 
 
 def closest(name: str, known: Sequence[str]) -> str:
-    """Closest known name to an unknown one; empty if none is close."""
+    """Closest known name to an unknown one, or one of which it is the beginning; empty if none is close.
+
+    >>> closest("MAS10", ["DMSP-10-250", "MAS-10-180N-AA-MC-O"])
+    'MAS-10-180N-AA-MC-O'
+    """
     close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
-    begun = [one for one in known if len(name) > 2 and one.lower().startswith(name.lower())]
+    plain = _plain(name)
+    begun = [one for one in known if len(plain) > 2 and _plain(one).startswith(plain)]
     return next(iter([*close, *begun]), "")
+
+
+def _plain(name: str) -> str:
+    """Name in small letters, without separators."""
+    return name.lower().replace("-", "").replace("_", "").replace(" ", "")
 
 
 def suggest(name: str, known: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -29,6 +30,11 @@ def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object
 
     table = row(header, "th") + "".join(row(cells, "td") for cells in rows)
     return f"<p>{escape(title)}</p><table>{table}</table>" + "".join(f"<p>{escape(note)}</p>" for note in notes)
+
+
+def draw(figure: str, *shown: Any) -> Any:
+    """Return a figure of `mckibben.report`, which is above all objects that it draws and is imported here only."""
+    return getattr(importlib.import_module("mckibben.report"), figure)(*shown)
 
 
 def silent(step: str, part: float) -> None:

@@ -47,22 +47,23 @@ deg = math.pi / 180
 percent = 1e-2
 
 # All known units: text with any other unit is refused. Each has its size in SI and its dimensions as powers of
-# metre, kilogram, second and radian. An angle is a dimension of its own here, so that N*m/rad (a stiffness) and N*m (a
-# torque) are not interchangeable.
-_LENGTH, _MASS, _TIME, _ANGLE, _NOTHING = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (0, 0, 0, 0)
-_FORCE, _PRESSURE = (1, 1, -2, 0), (-1, 1, -2, 0)
+# metre, kilogram, second, radian and kelvin. An angle is a dimension of its own here, so that N*m/rad (a stiffness) and
+# N*m (a torque) are not interchangeable.
+_LENGTH, _MASS, _TIME, _ANGLE = (1, 0, 0, 0, 0), (0, 1, 0, 0, 0), (0, 0, 1, 0, 0), (0, 0, 0, 1, 0)
+_TEMPERATURE, _NOTHING = (0, 0, 0, 0, 1), (0, 0, 0, 0, 0)
+_FORCE, _PRESSURE = (1, 1, -2, 0, 0), (-1, 1, -2, 0, 0)
 _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "m": (1.0, _LENGTH),
     "cm": (cm, _LENGTH),
     "mm": (mm, _LENGTH),
     "in": (0.0254, _LENGTH),
-    "L": (litre, (3, 0, 0, 0)),
+    "L": (litre, (3, 0, 0, 0, 0)),
     "kg": (1.0, _MASS),
     "g": (g, _MASS),
     "s": (1.0, _TIME),
     "ms": (ms, _TIME),
     "min": (60.0, _TIME),
-    "Hz": (1.0, (0, 0, -1, 0)),
+    "Hz": (1.0, (0, 0, -1, 0, 0)),
     "N": (1.0, _FORCE),
     "kN": (1e3, _FORCE),
     "daN": (10.0, _FORCE),
@@ -77,6 +78,8 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "rad": (1.0, _ANGLE),
     "mrad": (mrad, _ANGLE),
     "deg": (deg, _ANGLE),
+    "W": (1.0, (2, 1, -3, 0, 0)),
+    "K": (1.0, _TEMPERATURE),
     "percent": (percent, _NOTHING),
     "ratio": (1.0, _NOTHING),
 }
@@ -139,20 +142,20 @@ def _size(powers: dict[str, float]) -> float:
 
 
 def _dimensions(powers: dict[str, float]) -> list[float]:
-    """The powers of metre, kilogram, second and radian."""
-    return [sum(_VOCABULARY[name][1][base] * power for name, power in powers.items()) for base in range(4)]
+    """The powers of metre, kilogram, second, radian and kelvin."""
+    return [sum(_VOCABULARY[name][1][base] * power for name, power in powers.items()) for base in range(5)]
 
 
-def dimensions(unit: str) -> tuple[float, float, float, float]:
-    """Exponents of metre, kilogram, second and radian in a unit.
+def dimensions(unit: str) -> tuple[float, float, float, float, float]:
+    """Exponents of metre, kilogram, second, radian and kelvin in a unit.
 
     >>> dimensions("N*m/rad")
-    (2, 1, -2, -1)
+    (2, 1, -2, -1, 0)
     >>> dimensions("s^0.5")
-    (0.0, 0.0, 0.5, 0.0)
+    (0.0, 0.0, 0.5, 0.0, 0.0)
     """
-    metre, kilogram, second, radian = _dimensions(_parse(unit))
-    return metre, kilogram, second, radian
+    metre, kilogram, second, radian, kelvin = _dimensions(_parse(unit))
+    return metre, kilogram, second, radian, kelvin
 
 
 def factor(unit: str, to: str = "") -> float:
@@ -354,7 +357,8 @@ class Quantity:
         if len(stripped) > LONGEST_VALUE:
             self._fail(f"{quoted(text)} is not a quantity", text)
         if self.unit != "1" and NUMBER.fullmatch(stripped):
-            self._fail(f"{quoted(text)} has no unit", text, f"write it like '{stripped} {self.shown}'")
+            in_m = f"{show(si, 'mm')}' (in m) or '" if self.unit == "m" and self.holds(si := float(stripped)) else ""
+            self._fail(f"{quoted(text)} has no unit", text, f"write it like '{in_m}{stripped} {self.shown}'")
         try:
             return quantity(stripped, self.unit)
         except UnitError:
@@ -457,6 +461,7 @@ Pressure = Annotated[float, Quantity("Pa", "bar", -1e3, 1e3)]
 PositivePressure = Annotated[float, Quantity("Pa", "bar", 0.01, 1e3)]
 Conductance = Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4, open_lower=True)]
 Volume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6, open_lower=True)]
+HeatConductance = Annotated[float, Quantity("W/K", "W/K", 0, 1e3)]
 PressureNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e5)]
 AngleStep = Annotated[float, Quantity("rad", "deg", 0, 90)]
 Torque = Annotated[float, Quantity("N*m", "N*m", -1e6, 1e6)]

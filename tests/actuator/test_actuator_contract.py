@@ -35,10 +35,14 @@ EXAMPLES = (
     FlowValve(C, SUPPLY),
     PressureRegulator(C, SUPPLY, time_constant=0.02, reservoir_volume=1e-3, line_conductance=C),
     SwitchingValves(C, SUPPLY, period=0.02),
-    Tube(PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4), volume=5e-6, conductance=2e-9),
+    Tube(
+        PressureRegulator(C, SUPPLY, time_constant=0.02, hysteresis=1e4, wall_conductance=0.5),
+        volume=5e-6,
+        conductance=2e-9,
+    ),
     UnequalValves(
         Tube(FlowValve(C, SUPPLY), volume=5e-6, conductance=2e-9),
-        FlowValve(C, SUPPLY),
+        FlowValve(C, SUPPLY, wall_conductance=0.5, leak=1e-12),
         reservoir_volume=1e-3,
         line_conductance=C,
     ),
@@ -94,6 +98,18 @@ def test_a_pressure_that_keeps_its_rate_needs_the_command(valve):
     command = float(valve.command_for(2e5, rate))
     assert w * w * (command - 2e5) - 2 * valve.damping * w * rate == pytest.approx(0.0, abs=1e-4)
     assert valve.model_lag(plant_of(SETTINGS[0]).joint) == pytest.approx(2 * valve.damping / w)
+
+
+@pytest.mark.parametrize("damping", [0.2, 0.7, 0.95, 0.9999, 1.0, 1.05, 3.0])
+@pytest.mark.parametrize("elapsed", [1e-4, 5e-3, 0.1])
+def test_a_second_order_valve_follows_the_matrix_exponential(damping, elapsed):
+    """Of its pressure above the command, and of the rate; near critical damping by a series."""
+    bandwidth, error, rate = 60.0, -2e5, 3e6
+    moved = expm(np.array([[0.0, 1.0], [-(bandwidth**2), -2 * damping * bandwidth]]) * elapsed) @ [error, rate]
+    valve = SecondOrderValve(bandwidth, damping=damping)
+    pressure, after = valve.after(4e5 + error, rate, 4e5, elapsed)
+    assert float(pressure) == pytest.approx(4e5 + moved[0], rel=1e-12)
+    assert float(after) == pytest.approx(moved[1], rel=1e-12, abs=1e-12 * 3e6)
 
 
 @pytest.mark.slow

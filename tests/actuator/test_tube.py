@@ -99,7 +99,6 @@ def integrated(tube, start, command, steps, step):
 
 
 @pytest.mark.parametrize("command", [1.0 * bar, 2.56 * bar, 4.0 * bar])
-@pytest.mark.slow
 def test_muscle_and_tube_fill_and_vent_as_an_independent_solver_says(command):
     time = np.array([0.05])
     pressure, state = integrated(TUBE, 2.5 * bar, command, 5000, 1e-5)
@@ -148,7 +147,6 @@ def test_the_pressure_behind_a_restriction_is_that_of_its_flow(critical):
 
 
 @pytest.mark.parametrize("command", [1.0 * bar, 2.7 * bar, 5.0 * bar])
-@pytest.mark.slow
 def test_a_tube_is_predicted_in_steps_of_a_control_period(command):
     start, model = 2.5 * bar, dataclasses.replace(TUBE, volume=ROOM)
     pressure, state = jnp.asarray(start), model.init_model(jnp.asarray(start))
@@ -172,7 +170,6 @@ def test_at_its_target_a_pressure_stays_and_can_be_left_both_ways():
 
 
 @pytest.mark.parametrize("target", [2.3 * bar, 2.5 * bar, 2.8 * bar])
-@pytest.mark.slow
 def test_the_command_leads_the_pressure_of_the_muscle_to_a_target(target):
     pressure = jnp.asarray(2.5 * bar)
     state, air = TUBE.init_model(pressure), AirVolume(jnp.asarray(VOLUME), jnp.asarray(GROWTH))

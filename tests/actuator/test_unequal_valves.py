@@ -1,6 +1,7 @@
 """Unequal valves with tubes and a shared reservoir, against SciPy with the equations written anew."""
 
 import dataclasses
+import itertools
 import math
 
 import jax
@@ -17,6 +18,7 @@ from mckibben.actuator import (
     IdealValve,
     PressureRegulator,
     SecondOrderValve,
+    SwitchingValves,
     Tube,
     UnequalValves,
 )
@@ -131,6 +133,12 @@ def test_the_stiffness_with_closed_valves_needs_equal_dead_volumes(knee, load):
     assert caught.value.field == "valve"
 
 
+def test_one_switching_valve_makes_a_switching_pair():
+    switching, steady = SwitchingValves(1e-9, SUPPLY, period=0.01), PressureRegulator(1e-9, SUPPLY, time_constant=0.02)
+    pairs = itertools.product((switching, steady), repeat=2)
+    assert [UnequalValves(*pair).switches for pair in pairs] == [True, True, True, False]
+
+
 def test_what_no_pair_can_be_is_refused():
     flow_valve = FlowValve(1e-9, SUPPLY)
     stored = dataclasses.replace(flow_valve, reservoir_volume=1e-3, line_conductance=1e-9)
@@ -149,5 +157,5 @@ def test_what_no_pair_can_be_is_refused():
         UnequalValves(FirstOrderValve(0.1), FirstOrderValve(0.1), reservoir_volume=1e-3, line_conductance=1e-9)
     assert caught.value.field == "reservoir_volume"
     with pytest.raises(RangeError) as caught:
-        leg.LegPlant(leg.read_leg("lei-leg"), LAGGING)
+        leg.LegPlant(leg.read_leg("lei-leg-planar"), LAGGING)
     assert caught.value.field == "valve"

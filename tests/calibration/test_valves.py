@@ -97,6 +97,27 @@ def tubed(sent, volume):
     return sampled(rate, [sent[0]] * 3, sent)[:, 0]
 
 
+def warmed(sent, volume, wall=0.1):
+    """Pressures [Pa] of a regulator at a constant volume [m^3], whose air exchanges heat with a wall [W/K]."""
+
+    def flow(inlet, outlet, temperature):
+        share = math.sqrt(1 - (max(min(outlet / inlet, 1.0) - 0.3, 0.0) / 0.7) ** 2)
+        return TRUE.conductance * DENSITY * inlet * share * math.sqrt(293.15 / temperature)
+
+    def rate(_, y, command):
+        pressure, temperature, lagged = y[0] + ATMOSPHERE, y[1], y[2]
+        opening = min(max((lagged - y[0]) / TRUE.band, -1.0), 1.0)
+        inflow = opening * flow(TRUE.supply + ATMOSPHERE, pressure, 293.15) if opening > 0 else 0.0
+        outflow = -opening * flow(pressure, ATMOSPHERE, temperature) if opening < 0 else 0.0
+        energy = 288.0 * (inflow * 293.15 - outflow * temperature)
+        slope = (1.4 * energy + 0.4 * wall * (293.15 - temperature)) / volume
+        mass = pressure * volume / (288.0 * temperature)
+        warming = temperature * (slope / pressure - (inflow - outflow) / mass)
+        return [slope, warming, (command - lagged) / TRUE.time_constant]
+
+    return sampled(rate, [sent[0], 293.15, sent[0]], sent)[:, 0]
+
+
 def recording(sent, pressures, seed=1):
     noise = NOISE * np.random.default_rng(seed).standard_normal(sent.shape)
     return JointRecording(np.arange(len(sent)) * PERIOD, np.zeros(len(sent)), pressures + noise + OFFSET, commands=sent)
@@ -184,6 +205,22 @@ def test_a_tube_is_identified_with_its_valve():
     assert abs(thin.value - 0.03 * L_PER_S_BAR) < 3 * thin.deviation and thin.determined
     assert abs(own.value - 0.05 * L_PER_S_BAR) < 3 * own.deviation and own.determined
     assert isinstance(found.valve, Tube) and found.residual == pytest.approx(NOISE, rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_wall_of_a_muscle_is_identified_with_its_valve():
+    """From a first model with twice the conductance for heat."""
+    joint, sent = catalog.joint("knee-table-2"), commands(20.0)
+    contractions = [float(one) for one in joint.contractions(0.0, (0.0, 0.0))]
+    volume = float(joint.muscle1.specimen.volume(contractions[0])) + DATA_SHEET.dead_volume
+    pressures = warmed(sent[:, 0], volume)
+    both = np.stack([pressures, pressures], axis=1)
+    model = dataclasses.replace(DATA_SHEET, wall_conductance=0.2)
+    found = calibrate_valves(joint, model, [recording(np.stack([sent[:, 0]] * 2, axis=1), both)])
+    wall = found.quantities["valve1.wall_conductance"]
+    assert wall.determined
+    assert abs(wall.value - 0.1) < 3 * wall.deviation
+    assert found.residual < 1.2 * NOISE
 
 
 def test_pressures_that_do_not_follow_their_commands_are_warned_of():

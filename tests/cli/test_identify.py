@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
+from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
 from mckibben.muscle import Muscle
@@ -270,3 +271,15 @@ def test_hysteresis_is_found_with_the_law(cli, tmp_path):
     assert refused.code == 2
     assert "the dataset has no directions" in refused.err
     assert "apply to a single law" in cli("identify", FESTO, "--law", "all", "--hysteresis").err
+
+
+def test_a_home_made_muscle_gets_a_volume_from_its_diameter_or_a_measured_fill(cli, german, tmp_path):
+    for option, volume in ((("--diameter", "20 mm"), np.pi / 4 * 0.02**2 * 0.18), (("--fill", "50 cm^3"), 50e-6)):
+        cli("identify", german, *COLUMNS, "--initial-length", "180 mm", *option, "--out", option[0].strip("-"))
+        muscle = read_component(Muscle, tmp_path / option[0].strip("-") / "muscle.yaml")
+        assert muscle.specimen.has_volume
+        assert float(muscle.specimen.volume(0.0)) == pytest.approx(volume)
+        contraction, pressure = np.linspace(0, 0.2, 5), 3.75 * bar
+        grown = np.gradient(np.asarray(muscle.specimen.volume(np.linspace(0, 0.2, 401))), 0.2 / 400)[::100]
+        gain = (muscle.law.force(contraction, pressure + 1) - muscle.law.force(contraction, pressure - 1)) / 2
+        np.testing.assert_allclose(grown, 0.18 * np.asarray(gain), rtol=0.02, atol=2e-7)  # virtual work

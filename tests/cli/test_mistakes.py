@@ -25,7 +25,8 @@ def test_a_part_that_makes_no_sense_is_named(cli, tmp_path, shortened):
 
 
 @pytest.mark.parametrize(
-    ("connector", "remedy"), [("190 mm", "a longer connector"), ("255 mm", "a shorter connector or a longer muscle")]
+    ("connector", "remedy"),
+    [("190 mm", "a longer connector_length"), ("255 mm", "a shorter connector_length or a shorter muscle")],
 )
 def test_the_remedy_points_the_right_way(cli, tmp_path, shortened, connector, remedy):
     text = shortened("pre-contracted-step-pid").replace("208 mm", connector)

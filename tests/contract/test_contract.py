@@ -68,7 +68,7 @@ REFERENCE = Reference(Sine(0.1, 1.0), 15.0)
 TIMED = leg.TimedReference((REFERENCE, REFERENCE))
 PHASES = [(Setpoint(0.1 * k, 15.0), Setpoint(0.2 * k, 20.0)) for k in range(4)]
 LEG = dataclasses.replace(
-    leg.read_leg("lei-leg"),
+    leg.read_leg("lei-leg-planar"),
     biarticular=(
         leg.BiarticularMuscle(ROUGH, *(joint.Pulley(5 * mm, 81 * mm),) * 2, *"hip knee lengthens shortens".split()),
     ),

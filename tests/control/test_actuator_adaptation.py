@@ -82,9 +82,17 @@ def _followed(adaptation, model, joint, rows):
     return lax.scan(step, (first, begun), rows)[1]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("valve", VALVES)
-@pytest.mark.parametrize(("speed", "delay"), [(0.7, 6.5 * ms), (1.3, 2 * ms), (1.0, 4 * ms)])
+@pytest.mark.parametrize(
+    ("valve", "speed", "delay"),
+    [
+        ("first order", 0.7, 6.5 * ms),
+        pytest.param("first order", 1.3, 2 * ms, marks=pytest.mark.slow),
+        pytest.param("first order", 1.0, 4 * ms, marks=pytest.mark.slow),
+        pytest.param("air", 0.7, 6.5 * ms, marks=pytest.mark.slow),
+        pytest.param("air", 1.3, 2 * ms, marks=pytest.mark.slow),
+        pytest.param("air", 1.0, 4 * ms, marks=pytest.mark.slow),
+    ],
+)
 def test_the_estimates_converge_to_the_plant(estimated, valve, speed, delay):
     found = estimated(valve, speed, delay, offset=10 * kPa)[-1]
     assert found[0] == pytest.approx(speed, rel=0.05)

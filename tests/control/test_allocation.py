@@ -1,6 +1,7 @@
 """Pressures for torque and stiffness, against brute force."""
 
 import dataclasses
+import itertools
 from types import SimpleNamespace
 
 import jax
@@ -9,8 +10,8 @@ import numpy as np
 import pytest
 
 from mckibben.control import allocation
-from mckibben.control.allocation import linearise, pressure_range, prioritise_torque
-from mckibben.joint import SeriesSpring
+from mckibben.control.allocation import linearise, pressure_range, prioritise_differential, prioritise_torque
+from mckibben.joint import AffineMap, SeriesSpring, TorqueStiffnessMap
 
 torque_and_stiffness = jax.jit(lambda joint, angle, pressures: joint.torque_and_stiffness(angle, pressures))
 
@@ -59,8 +60,37 @@ def test_it_stays_within_the_window_and_says_when_it_had_to(knee, setpoints, ans
 def test_where_no_pressure_moves_the_stiffness_the_torque_is_had_all_the_same(knee):
     flat = knee.affine_map(0.1)
     flat = flat._replace(stiffness=flat.stiffness._replace(slope1=jnp.asarray(0.0), slope2=jnp.asarray(0.0)))
-    pressures, torque, _ = prioritise_torque(flat, 1.0, 15.0, (1e5, 1e5), (3e5, 3e5))
+    pressures, torque, _ = prioritise_torque(flat, 1.0, 15.0, (1e5, 0.2e5), (3e5, 5e5))
     assert float(flat.torque(pressures)) == pytest.approx(1.0, abs=1e-9) == float(torque)
+    assert float(pressures[0]) == pytest.approx(2e5)  # the middle of its limits, if the other pressure allows it
+
+
+def test_with_a_return_spring_the_muscle_alone_gives_the_torque_within_its_limits():
+    planes = TorqueStiffnessMap(AffineMap(0.5, -2e-5, 3e-5), AffineMap(10.0, 1e-5, 3e-5))
+    for springs, pressure in (((True, False), (2.0 - 0.5) / 3e-5), ((False, True), (-2.0 - 0.5) / -2e-5)):
+        muscle, torque = springs.index(False), 2.0 if springs[0] else -2.0
+        found = prioritise_torque(planes, torque, 15.0, (0.0, 0.0), (3e5, 3e5), springs)
+        assert float(found.pressures[muscle]) == pytest.approx(pressure)
+        assert (float(found.torque), bool(found.saturated)) == (pytest.approx(torque), False)
+        beyond = prioritise_torque(planes, 20 * torque, 15.0, (0.0, 0.0), (3e5, 3e5), springs)
+        assert float(beyond.pressures[muscle]) == 3e5 and bool(beyond.saturated)
+        assert float(beyond.torque) == pytest.approx(0.5 + (-6.0, 9.0)[muscle])
+
+
+def test_a_differential_pressure_comes_before_the_cocontraction():
+    """Against all pairs of pressures on a grid, in windows that differ."""
+    lower, upper, grid = (1e5, 0.5e5), (4e5, 6e5), np.linspace(0.5e5, 6e5, 111)
+    first, second = np.meshgrid(grid, grid)
+    inside = (first >= lower[0]) & (first <= upper[0]) & (second >= lower[1])
+    for differential, cocontraction in itertools.product((-2.5e5, -1e5, 0.0, 1e5, 2.5e5, 4e5), (0.5e5, 3e5, 6e5)):
+        found, saturated = prioritise_differential(differential, cocontraction, lower, upper)
+        miss = np.where(inside, np.abs((second - first) / 2 - differential), np.inf)
+        nearest = miss <= miss.min() + 1.0
+        off = np.where(nearest, np.abs((first + second) / 2 - cocontraction), np.inf)
+        one, other = (float(x) for x in found)
+        assert abs((other - one) / 2 - differential) == pytest.approx(miss.min(), abs=1.0)
+        assert abs((one + other) / 2 - cocontraction) == pytest.approx(off.min(), abs=2.6e3)  # half a step of the grid
+        assert bool(saturated) == (miss.min() > 1.0 or off.min() > 2.6e3)
 
 
 @pytest.mark.slow

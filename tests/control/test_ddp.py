@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import minimize
 
 from mckibben.actuator.base import Attainable
-from mckibben.control.ddp import HorizonProblem, Quadratic, constant, solve
+from mckibben.control.ddp import HorizonProblem, Quadratic, _pressures_x, constant, solve
+from mckibben.numerics.calculus import value_and_derivative
 
 STAGES = 6
 HIGHEST = 6.0  # command
@@ -124,6 +125,23 @@ def floats(tree):
     return jax.tree.map(lambda number: jnp.asarray(number, float), tree)
 
 
+def test_the_pressures_follow_from_the_state_by_the_implicit_function_theorem():
+    """Against differences of the state by angle error, its rate and both pressures."""
+    problem = joint_problem()
+    at = np.array([2.5, 1.2, 3.0, 3.3])
+
+    def state(x):
+        return np.array(start_of(problem, x[0], x[1], x[2:]), float)
+
+    steps = 1e-5 * np.eye(4)
+    differences = np.stack([(state(at + step) - state(at - step)) / 2e-5 for step in steps], axis=1)
+    expected = np.linalg.inv(differences)[2:]  # rows of the pressures
+    end, speed, pressures = problem.reference[0] + at[0], problem.reference[1] + at[1], tuple(at[2:])
+    _, by_angle = value_and_derivative(lambda angle: problem.outputs(angle, speed, pressures), jnp.asarray(end))
+    by_pressure = tuple(tuple(one(end) for one in each[1:]) for each in (problem.acceleration, problem.stiffness))
+    np.testing.assert_allclose(_pressures_x(problem, by_angle, by_pressure), expected, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("problem", "error", "rate", "pressures", "saturated", "near"),
     [
@@ -144,7 +162,6 @@ def floats(tree):
         ),
     ],
 )
-@pytest.mark.slow
 def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, saturated, near):
     start = start_of(problem, error, rate, pressures)
     command = first_command(8, problem, start, pressures)
@@ -160,7 +177,6 @@ def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, satura
     assert (cost_and_margins(problem, start, pressures, found.x)[1][:4].min() < 1e-9) == saturated
 
 
-@pytest.mark.slow
 def test_one_step_is_next_to_it():
     """From a plan to stand still, at that; in a loop it begins with the plan of the last period."""
     problem = joint_problem(highest=2.5)

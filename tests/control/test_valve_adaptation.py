@@ -22,6 +22,7 @@ from mckibben.control import (
     Step,
     ValveAdaptation,
 )
+from mckibben.control.valve_adaptation import _lowest
 from mckibben.errors import RangeError
 from mckibben.plant import FirstOrderValve, JointPlant, SampledSensors
 from mckibben.units import bar, deg, ms
@@ -137,6 +138,20 @@ def controllers(load):
 
 
 REFERENCE = Reference(Sine(5 * deg, 1.0, phase=np.pi / 2), Step(14.0, 16.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("values", "lowest"),
+    [
+        (lambda x: (x - 0.3) ** 2, 0.3),
+        (lambda x: (x + 1.2) ** 2, -1.2),
+        (lambda x: 5.0 - x, 3.0),  # not convex: the end towards which they fall
+        (lambda x: 5.0 + x - 0.1 * x**2, -3.0),
+    ],
+)
+def test_the_lowest_of_values_is_that_of_their_parabola(values, lowest):
+    deviations = jnp.linspace(-3.0, 3.0, 7)
+    assert float(_lowest(values(deviations), deviations)) == pytest.approx(lowest)
 
 
 @pytest.mark.slow

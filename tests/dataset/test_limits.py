@@ -8,6 +8,7 @@ import openpyxl
 import pytest
 
 from mckibben.dataset import read_dataset, read_recording
+from mckibben.dataset.formats import read_table
 from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.storage.columns import read_samples
 
@@ -90,3 +91,30 @@ def test_pipes_and_devices_are_refused_whatever_their_name(tmp_path, name, read)
     (tmp_path / name).symlink_to("/dev/zero")
     with pytest.raises(DatasetError):
         read(tmp_path / name)
+
+
+def test_a_long_text_that_many_cells_refer_to_is_shortened(put):
+    book, stream = openpyxl.Workbook(), io.BytesIO()
+    book.active.append([*HEADER.split(","), "note"])
+    for row in ROWS:
+        book.active.append([*map(float, row.split(",")), "y" * 10_000])
+    book.active.append([1, 2, "x" * 10_000, "y"])
+    book.save(stream)
+    notes = read_table(put(stream.getvalue(), "rig.xlsx"), {}).channels[3].cells
+    assert max(map(len, notes)) < 1000
+    assert len(set(map(id, notes[:40]))) == 1
+    assert refused(put(stream.getvalue(), "rig.xlsx")).line == 42
+
+
+@pytest.mark.parametrize("wrong", ["", "n/a"])
+@pytest.mark.parametrize("how", ["raise", "report"])
+def test_the_problems_of_a_column_without_numbers_are_few(put, wrong, how):
+    count = 40_000
+    rows = [f"{1 + i % 5},{i % 20},{wrong if i % 3 else i}" for i in range(count)]
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(put("\n".join([HEADER, *rows, ""])), on_corrupt=how)
+    problems = caught.value.problems
+    assert len(problems) < count / 2
+    assert {one.field for one in problems} <= {"force_N", ""}
+    assert any(one.line is None and one.field == "force_N" for one in problems)
+    assert [one.line for one in problems if one.line][:3] == [3, 4, 6]

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -82,12 +83,14 @@ def test_friction_and_creep_are_in_the_step_and_said_to_be_missing_in_the_rate(k
     close(found, np.array(jax.tree.leaves(following)))
 
 
-def test_air_of_flow_valves(knee, load):
-    valve = mk.FlowValve(conductance=1e-9, supply=7e5)
+@pytest.mark.parametrize("wall", [None, 0.3])
+def test_air_of_flow_valves(knee, load, wall):
+    valve = mk.FlowValve(conductance=1e-9, supply=7e5, wall_conductance=wall)
     plant = mk.JointPlant(knee, load, valve)
     made = casadi_plant(plant)
     state = plant.init_state(0.1, (2e5, 3e5))
-    state = plant.complete_state(state)
+    if wall:
+        state = state._replace(air=state.air._replace(temperatures=(jnp.asarray(310.0), jnp.asarray(280.0))))
     found = made.functions["rate"](np.array(jax.tree.leaves(state)), [1e5, 4e5])
     close(found, np.array(jax.tree.leaves(eqx.filter_jit(state_rate)(plant, state, (1e5, 4e5)))))
 

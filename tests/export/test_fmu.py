@@ -15,7 +15,7 @@ from mckibben.export.fmi import fmu
 from mckibben.export.fmu import plant_unit
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import NoCreep, NoFriction
-from mckibben.numerics.compiled import numeric
+from mckibben.numerics.compiled import compiled, numeric
 from mckibben.scenario import Scenario
 from mckibben.simulation.loop import compiled_episode
 from mckibben.simulation.problem import sampled
@@ -356,3 +356,26 @@ def test_the_headers_of_the_standard_are_those_of_fmpy(scenario, tmp_path, monke
         export(scenario, "fmu", tmp_path / "without")
     assert caught.value.field == "fmpy" and "mckibben[fmu]" in caught.value.remedy
     assert not (tmp_path / "without").exists()
+
+
+@pytest.mark.slow
+def test_the_temperature_of_the_air_is_a_state(tmp_path, opened):
+    """Against the plant's own integration, with air that filling has warmed."""
+    valve = "{class: FlowValve, conductance: 0.1 L/(s*bar), supply: 7 bar, wall_conductance: 0.3 W/K}"
+    scenario = Scenario.parse(TEXT.replace("{time_constant: 20 ms}", valve))
+    export(scenario, "fmu", tmp_path, name="warm")
+    units = {one.name: one.unit for one in fmpy.read_model_description(tmp_path / "warm.fmu").modelVariables}
+    assert units["temperature1"] == "K" and units["valve.wall_conductance"] == "W/K"
+    plant = numeric(scenario.plant().with_ideal_io())
+    state, one = scenario.initial(plant), opened(tmp_path / "warm.fmu")
+    commands = (float(state.pressures[0]) + 2e5, float(state.pressures[1]))
+    one.set(command1=commands[0], command2=commands[1])
+    substeps = scenario.needed_substeps()
+    advance = compiled(lambda plant, state: plant.advance(state, commands, PERIOD, substeps))
+    for number in range(50):
+        state = advance(plant, state)
+        one.fmu.doStep(number * PERIOD, PERIOD)
+    temperatures = [float(temperature) for temperature in state.air.temperatures]
+    assert temperatures[0] > 300
+    assert one.get("temperature1", "temperature2") == pytest.approx(temperatures, rel=1e-9)
+    assert one.get("angle").item() == pytest.approx(float(state.angle), rel=1e-9)

@@ -1,11 +1,14 @@
 """Forms of friction: chosen by held-out loops, rejected where they lack something; only significant drifts."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, identify_hysteresis
 from mckibben.errors import IdentificationError
 from mckibben.identification import FrictionForm
+from mckibben.identification.friction_forms import systematic_residual
 from mckibben.muscle import forces
 from mckibben.units import bar, mm
 
@@ -134,3 +137,13 @@ def test_a_form_that_the_data_do_not_determine_is_refused():
         identify_hysteresis(ExponentialLaw, data.at([2 * bar, 4 * bar]), form=FrictionForm.PRESSURE)
     with pytest.raises(IdentificationError, match="speed"):
         identify_hysteresis(ExponentialLaw, data, form=FrictionForm.VISCOUS)
+
+
+def test_a_systematic_residual_is_shared_by_neighbours_along_a_path():
+    """In two paths; the third and the fifth row are not used."""
+    paths = SimpleNamespace(rows=[np.arange(4), np.array([6, 5, 4])])
+    model = SimpleNamespace(paths=paths, used=np.array([1, 1, 0, 1, 0, 1, 1], bool))
+    shared = np.array([0.5, 0.5, 9.0, 0.5, 9.0, 0.5, 0.5])
+    assert systematic_residual(model, shared) == pytest.approx(0.5)
+    assert systematic_residual(model, shared * [1, -1, 1, 1, 1, -1, 1]) == 0.0
+    assert systematic_residual(SimpleNamespace(paths=paths, used=np.zeros(7, bool)), shared) == 0.0

@@ -10,7 +10,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
 from mckibben.identification.hysteresis import identify_hysteresis
-from mckibben.identification.loading_path import FRICTION, DriftBasis, LoadingPaths, PathDependentModel
+from mckibben.identification.loading_path import FRICTION, DriftBasis, LoadingPaths, PathDependentModel, loop_half_width
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, ReynoldsLaw, forces
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
@@ -256,3 +256,23 @@ def test_a_turning_point_measured_in_both_directions_may_have_been_passed(oversh
     assert found.friction.half_width == pytest.approx(half_width, abs=0.1)
     assert found.rmse == pytest.approx(0.2, rel=0.3)
     assert identify(ExponentialLaw, found.corrected(data)).rmse == pytest.approx(0.2, rel=0.3)
+
+
+def test_noise_of_the_length_hides_no_turning_point():
+    """Its two rows differ by the noise of 20 um, which is no travel of the friction."""
+    rng, step, count = np.random.default_rng(1), 1e-3, 15
+    stroke = np.arange(count) * step / 0.25
+    rows = [(eps, "unloading") for eps in stroke] + [(eps, "loading") for eps in stroke[::-1]]
+    contraction, direction = (np.array(column) for column in zip(*rows, strict=True))
+    data = IsobaricDataset.of(
+        pressure=np.repeat([4 * bar, 5 * bar], 2 * count),
+        contraction=np.tile(contraction, 2) + rng.normal(0, 20e-6 / 0.25, 4 * count),
+        force=np.tile(np.where(direction == "loading", 108.0, 92.0), 2) + rng.normal(0, 0.2, 4 * count),
+        direction=np.tile(direction, 2),
+        initial_length=0.25,
+    )
+    paths = LoadingPaths.of(data)
+    assert np.flatnonzero(paths.turns).tolist() == [count, 3 * count]
+    assert loop_half_width(data, ~data.slack) == pytest.approx(8.0, abs=0.2)
+    travel = dataclasses.replace(paths, overshot=True).travel
+    assert np.count_nonzero(np.abs(travel) > 0.5) == 2

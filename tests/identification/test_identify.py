@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import identify, least_squares, read_law
+from mckibben.identification import find_outliers, identify, least_squares, read_law
+from mckibben.identification.fit import unphysical
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, SarosiLaw
@@ -35,20 +36,58 @@ def grid(law, pressures=None, contractions=None, noise=0.0, **more) -> IsobaricD
 # --- warnings ---
 
 
-def test_friction_at_a_reversal_is_not_a_wrong_number():
-    assert not [text for text in identify(ExponentialLaw, RIG).warnings if "neighbouring" in text]
+# --- outliers ---
+
+
+def test_friction_at_a_reversal_is_not_an_outlier():
+    assert identify(ExponentialLaw, RIG).outliers == ()
 
 
 @pytest.mark.parametrize(
-    ("row", "shift"), [(40, 10.0), (100, -10.0), (10 + int(np.argmin(RIG.taut.contraction[10:])), 60.0)]
+    ("row", "shift"), [(40, 40.0), (100, -40.0), (10 + int(np.argmin(RIG.taut.contraction[10:])), 60.0)]
 )
-def test_a_single_wrong_force_is_named(row, shift):
+def test_a_single_wrong_force_is_named_and_left_out(row, shift):
     table = RIG.taut.table.copy(deep=True)
     force = table["force"].to_numpy().copy()
     force[row] += shift
     table["force"] = ("point", force)
-    (warning,) = (text for text in identify(ExponentialLaw, IsobaricDataset(table)).warnings if "neighbouring" in text)
-    assert f"{force[row]:.4g} N" in warning
+    fit = identify(ExponentialLaw, IsobaricDataset(table))
+    (outlier,) = fit.outliers
+    assert (outlier.row, outlier.force) == (row + 1, force[row])
+    assert outlier.expected == pytest.approx(force[row] - shift, abs=0.5 * abs(shift))
+    assert fit.points_used == len(force) - 1
+    assert any(f"row {row + 1}" in warning for warning in fit.warnings)
+
+
+@pytest.mark.parametrize("wrong", [1.12, 0.88, 10.0, 0.1])
+def test_a_wrong_number_changes_no_coefficient_by_more_than_its_standard_error(wrong):
+    """12 % too much or too little, and a decimal slip."""
+    good = grid(EQ_3, noise=1.0)
+    row = int(np.argmin(np.abs(good.force - 250)))
+    force = good.force.copy()
+    force[row] *= wrong
+    bad = IsobaricDataset(good.table.assign(force=("point", force)))
+    clean, robust, plain = (
+        identify(ExponentialLaw, data, robust=r) for data, r in ((good, True), (bad, True), (bad, False))
+    )
+    assert [one.row for one in robust.outliers] == [row + 1]
+    for name, error in clean.standard_errors.items():
+        assert abs(robust.estimates[name] - clean.estimates[name]) < error
+    assert plain.rmse > 2 * clean.rmse
+
+
+@pytest.mark.slow
+def test_leaving_outliers_out_costs_no_efficiency_with_good_data():
+    errors = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        data = grid(EQ_3)
+        data = IsobaricDataset(data.table.assign(force=("point", data.force + rng.normal(size=len(data)))))
+        errors.append(
+            [identify(ExponentialLaw, data, robust=r).law.force(0.1, 3e5) - EQ_3.force(0.1, 3e5) for r in (True, False)]
+        )
+    robust, plain = np.mean(np.square(errors), axis=0)
+    assert plain / robust > 0.95
 
 
 # --- recovery -----------------------------------------------------------------------------------------------
@@ -385,14 +424,13 @@ def test_terms_that_cancel_in_a_narrow_window_are_no_error(kind, window, tmp_pat
     assert read_law(tmp_path / "fit.yaml") == found.law
 
 
-def test_a_single_wrong_number_is_named():
+def test_a_wrong_number_is_found_among_few_contractions():
     data = narrow((0.0, 0.2), 6e5)
-    assert not [text for text in identify(ExponentialLaw, data).warnings if "far from" in text]
+    assert find_outliers(data) == ()
     force = data.force.copy()
     force[30] *= 5
-    wrong = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=force)
-    (text,) = [text for text in identify(ExponentialLaw, wrong).warnings if "far from" in text]
-    assert f"{force[30]:.4g} N" in text and f"{data.contraction[30] / percent:.4g} %" in text
+    (outlier,) = find_outliers(IsobaricDataset(data.table.assign(force=("point", force))))
+    assert (outlier.row, outlier.force, outlier.contraction) == (31, force[30], data.contraction[30])
 
 
 def test_a_step_that_raises_the_cost_is_halved_until_it_does_not(monkeypatch):
@@ -405,3 +443,12 @@ def test_a_step_that_raises_the_cost_is_halved_until_it_does_not(monkeypatch):
     assert search(at(np.array([0.2])), np.array([0.7])).position == pytest.approx([0.375])  # after 0.9 and 0.55
     assert search(at(np.array([0.2])), np.array([0.05])).position == pytest.approx([0.25])
     assert search(at(np.array([0.3])), np.array([0.5])) is None
+
+
+def test_a_law_is_physical_if_its_force_falls_with_contraction_and_rises_with_pressure():
+    law = catalog.law("lei-mas-10-180n")
+    assert unphysical(law) == ""
+    falling = dataclasses.replace(law, **{name: -float(getattr(law, name)) for name in ("a2", "b2", "c2")})
+    assert "falls with pressure" in unphysical(falling)
+    rising = dataclasses.replace(law, b1=float(law.b1) + 1e4)
+    assert "rises with contraction" in unphysical(rising)

@@ -9,7 +9,15 @@ from mckibben import Fit, catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify
 from mckibben.identification.fit import unphysical
-from mckibben.muscle import ExponentialLaw, Muscle, PressureAffineLaw, SmoothAffineLaw, SmoothLaw, forces
+from mckibben.muscle import (
+    ExponentialLaw,
+    GaussianProcessLaw,
+    Muscle,
+    PressureAffineLaw,
+    SmoothAffineLaw,
+    SmoothLaw,
+    forces,
+)
 from mckibben.units import bar
 
 EQ_2 = catalog.law("lei-mas-10-180n")
@@ -36,6 +44,21 @@ def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
     assert issubclass(kind, PressureAffineLaw) == (kind is not SmoothLaw)
     assert any("Eq. 2 alone" in warning for warning in fit.warnings) == (kind is ExponentialLaw)
     assert fit.rmse == pytest.approx(0.3, rel=0.35)
+
+
+def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
+    eps, p = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.02, 0.14, 9), np.linspace(2, 6, 13) * bar))
+    force = forces(EQ_2, eps, p) + 8 * np.sin(2 * p / bar) * (1 + 2 * eps)
+    data = IsobaricDataset.of(
+        pressure=p, contraction=eps, force=force + np.random.default_rng(0).normal(0, 0.3, p.size)
+    )
+    eq_2, found = (identify(law, data) for law in (ExponentialLaw, GaussianProcessLaw))
+    assert type(found.law) is GaussianProcessLaw
+    assert found.leave_one_pressure_out.rmse < 0.2 * eq_2.leave_one_pressure_out.rmse
+
+
+def test_asked_for_a_gaussian_process_the_result_is_as_simple_as_the_points_allow():
+    assert type(identify(GaussianProcessLaw, measured(0.0, 0.3)).law) is ExponentialLaw
 
 
 def test_few_points_with_much_noise_are_no_deviation():

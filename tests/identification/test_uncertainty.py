@@ -156,8 +156,12 @@ def test_errors_that_do_not_see_that_the_law_is_wrong_are_doubted(strokes):
     )
     wrong, right = identify(ReynoldsLaw, bent), identify(ReynoldsLaw, straight)
     assert max(wrong.robust.standard_errors[n] / wrong.standard_errors[n] for n in wrong.estimates) < 0.05
-    band = wrong.force_intervals(0.1, 3 * bar).confidence
-    assert not band.lower < 20 + 360 * (2 / 3) ** 2 < band.upper
+    truth = 20 + 360 * (2 / 3) ** 2
+    grouped = wrong.force_intervals(0.1, 3 * bar, by=wrong.robust.by).confidence
+    assert not grouped.lower < truth < grouped.upper
+    with_misfit = wrong.force_intervals(0.1, 3 * bar).confidence
+    assert with_misfit.lower < truth < with_misfit.upper
+    assert right.calibration.misfit[0] == 0.0
     by = "stroke" if strokes == 2 else "pressure"
     (doubt,) = wrong.regression.warnings
     assert doubt.startswith(f"by {by}, ")
@@ -239,8 +243,8 @@ def test_a_parameter_at_its_bound_has_no_interval():
     assert any("do not bound decay below" in reason for reason in found.reasons)
 
 
-def test_a_fit_from_a_file_keeps_its_intervals_and_says_what_it_lacks(fit, tmp_path):
-    fit.to_yaml(tmp_path / "fit.yaml")
+def test_a_fit_from_a_file_without_points_keeps_its_intervals_and_says_what_it_lacks(fit, tmp_path):
+    dataclasses.replace(fit, regression=None).to_yaml(tmp_path / "fit.yaml")
     again = Fit.from_yaml(tmp_path / "fit.yaml")
     assert again.intervals(0.9) == fit.intervals(0.9)
     assert again.intervals(by=Grouping.POINT) == fit.intervals(by=Grouping.POINT)
@@ -267,8 +271,9 @@ def test_a_force_band_is_what_draws_of_the_parameters_give(fit):
 def test_bands_broadcast_and_a_further_measurement_is_less_sure(fit):
     band = fit.force_intervals(np.linspace(0, 0.2, 5)[:, None], np.array([3, 6]) * bar, level=0.9)
     assert band.confidence.value.shape == band.prediction.upper.shape == (5, 2)
-    assert np.all(band.prediction.upper > band.confidence.upper)
-    assert np.all(band.confidence.degrees_of_freedom < 10)
+    assert np.all(band.prediction.upper >= band.confidence.upper)
+    grouped = fit.force_intervals(0.05, 3 * bar, by=fit.robust.by).confidence
+    assert grouped.degrees_of_freedom < 10
     single = fit.force_intervals(0.05, 3 * bar, level=0.9)
     assert single.confidence.value.shape == ()
     assert float(single.confidence.upper) == pytest.approx(

@@ -144,3 +144,9 @@ def test_a_fit_can_be_validated_as_it_is():
     assert mk.validate(fit, data).of("ExponentialLaw").rmse == pytest.approx(fit.rmse, rel=1e-9)
     with pytest.raises(mk.McKibbenError, match="identify takes a law class and a dataset"):
         mk.identify(data, mk.ExponentialLaw)
+
+
+@pytest.mark.parametrize("wrong", [3e5, (3e5,), (3e5, 3e5, 3e5), np.zeros((3, 2)), [[3e5, 3e5]]])
+def test_pressures_are_a_pair(knee, wrong):
+    with pytest.raises(RangeError, match="pair"):
+        knee.torque(0.0, wrong)

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import linprog
 
 from mckibben.errors import RangeError, UnreachableError
-from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, SeriesSpring
+from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, SeriesSpring, TwoBonePath
 from mckibben.units import bar, deg
 
 
@@ -193,8 +193,16 @@ def test_a_torque_out_of_reach_is_refused_with_angle_and_torque(knee):
 
 
 def test_an_angle_that_stretches_a_muscle_too_far_is_refused_with_the_contraction(as_printed):
-    with pytest.raises(RangeError, match=r"contraction -3\.2 % is outside -3\.\.25 % of MAS-10-180N-AA-MC-O"):
+    with pytest.raises(RangeError, match=r"contraction -3\.2 % is outside -3\.\.25 % of MAS-10-180N-AA-MC-O") as caught:
         as_printed.pressures_for(math.radians(11), -0.5, 112.0)
+    assert "a longer connector_length" in caught.value.remedy
+
+
+def test_the_remedy_names_a_field_of_the_geometry(as_printed):
+    cams = PairedPaths(Cam(arm=0.03, rest_length=0.19), TwoBonePath(0.02, 0.19, 0.03, 0.0))
+    with pytest.raises(RangeError) as caught:
+        dataclasses.replace(as_printed, geometry=cams).pressures_for(0.0, 0.0, 20.0)
+    assert "a shorter rest_length of path1" in caught.value.remedy and "series spring" in caught.value.remedy
 
 
 @pytest.mark.parametrize("end", [0, 1])

@@ -31,7 +31,7 @@ def locked(pressure, before, now, index, dead):
     return (pressure + ATMOSPHERE) * ((volume(before) + dead) / (volume(now) + dead)) ** index - ATMOSPHERE
 
 
-def slope_of_locked_torque(paper, angle, held, index, spring=None, dead=0.0):
+def slope_of_locked_torque(paper, angle, held, index, spring=None, dead=0.0, step=2e-5):
     def contraction(path, pressure_at):
         """In a path, where the pressure depends on the contraction."""
         if spring is None:
@@ -59,7 +59,6 @@ def slope_of_locked_torque(paper, angle, held, index, spring=None, dead=0.0):
         d1, d2 = paper.eq5(at)
         return forces[1] * d2 - forces[0] * d1
 
-    step = 2e-5
     return (torque(angle + step) - torque(angle - step)) / (2 * step)
 
 
@@ -70,6 +69,13 @@ def test_rigid_tendon(knee, paper_precontracted, index, degrees, held):
     got = float(closed(knee, angle, held, index))
     assert got == pytest.approx(-slope_of_locked_torque(paper_precontracted, angle, held, index), rel=1e-6)
     assert got > float(isobaric(knee, angle, held))
+
+
+def test_a_secant_over_three_degrees(knee, paper_precontracted):
+    held, amplitude = (4e5, 2.5e5), math.radians(3)
+    secant = jax.jit(lambda joint: joint.secant_stiffness(0.1, held, amplitude, polytropic_index=1.4, dead_volume=5e-6))
+    expected = -slope_of_locked_torque(paper_precontracted, 0.1, held, 1.4, dead=5e-6, step=amplitude)
+    assert float(secant(knee)) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("index", [1.0, 1.4])

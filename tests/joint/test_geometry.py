@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mckibben.errors import RangeError
 from mckibben.joint import KneeGeometry
 
 arms_of = jax.jit(lambda h, r, c, angle: KneeGeometry(h, r, c).moment_arms(angle))
@@ -60,3 +61,10 @@ def test_longer_connectors_shorten_the_muscles_and_leave_the_arms(as_printed, kn
     for before, after in zip(as_printed.geometry.path_lengths(0.2), knee.geometry.path_lengths(0.2), strict=True):
         assert float(before - after) == pytest.approx(0.018, rel=1e-12)
     assert as_printed.geometry.moment_arms(0.2) == knee.geometry.moment_arms(0.2)
+
+
+def test_connectors_that_leave_no_muscle_are_refused_in_arrays_too():
+    lengths = np.array([0.4, 0.5])
+    assert KneeGeometry(lengths, 0.03, 0.36).joint_length.tolist() == [0.4, 0.5]
+    with pytest.raises(RangeError):
+        KneeGeometry(lengths, 0.03, 0.38)

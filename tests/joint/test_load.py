@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError
+from mckibben.joint import GeneralLoad
 
 
 def test_table_2_in_numbers(load):
@@ -66,3 +67,9 @@ def test_a_load_without_any_inertia_is_refused(load):
     with pytest.raises(RangeError) as refused:
         dataclasses.replace(weightless, inertia=0.0)
     assert refused.value.field == "total_inertia"
+
+
+def test_a_load_has_an_inertia():
+    with pytest.raises(RangeError) as caught:
+        GeneralLoad(inertia=0.0, greatest_gravity_torque=1.0)
+    assert caught.value.field == "inertia"

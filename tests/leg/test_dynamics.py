@@ -16,6 +16,7 @@ from mckibben.leg import Ground, Leg, LegJoint, LegPlant, Link, Trunk, attainabl
 from mckibben.leg.dynamics import Posture, Velocity, acceleration, motion
 from mckibben.leg.jumping import standing_torques
 from mckibben.leg.plant import compliant_force
+from mckibben.numerics.spatial import ZERO
 from mckibben.units import deg
 from tests.leg.conftest import leg_of
 
@@ -39,7 +40,7 @@ def test_energy_and_momentum_in_flight(pair: mk.AntagonisticJoint, freedom: str)
 
     def rate(state: tuple[Posture, Velocity]) -> tuple[Posture, Velocity]:
         posture, velocity = state
-        return Posture(*velocity), acceleration(leg, posture, velocity, (0.0, 0.0, 0.0), (zero, zero), 9.81)
+        return Posture(*velocity), acceleration(leg, posture, velocity, (0.0, 0.0, 0.0), ZERO, 9.81)
 
     def stage(carry, row):  # of the classical Runge-Kutta method, in a loop: compiled once
         state, slope, total = carry
@@ -108,12 +109,12 @@ def test_locked_joint_does_not_move_and_carries_its_link(pair: mk.AntagonisticJo
     posture, velocity = moving("free")
     posture = posture._replace(angles=(posture.angles[0], zero, posture.angles[2]))
     velocity = velocity._replace(angles=(velocity.angles[0], zero, velocity.angles[2]))
-    found = acceleration(locked, posture, velocity, (1.0, 5.0, 0.3), (zero, zero), 9.81)
+    found = acceleration(locked, posture, velocity, (1.0, 5.0, 0.3), ZERO, 9.81)
     assert float(found.angles[1]) == 0.0
     # The torque that the lock gives makes the free leg move alike.
-    gain = jax.grad(lambda t: acceleration(leg, posture, velocity, (1.0, t, 0.3), (zero, zero), 9.81).angles[1])(0.0)
-    offset = acceleration(leg, posture, velocity, (1.0, 0.0, 0.3), (zero, zero), 9.81).angles[1]
-    held = acceleration(leg, posture, velocity, (1.0, float(-offset / gain), 0.3), (zero, zero), 9.81)
+    gain = jax.grad(lambda t: acceleration(leg, posture, velocity, (1.0, t, 0.3), ZERO, 9.81).angles[1])(0.0)
+    offset = acceleration(leg, posture, velocity, (1.0, 0.0, 0.3), ZERO, 9.81).angles[1]
+    held = acceleration(leg, posture, velocity, (1.0, float(-offset / gain), 0.3), ZERO, 9.81)
     assert np.allclose(jax.tree.leaves(held), jax.tree.leaves(found), atol=1e-9)
 
 

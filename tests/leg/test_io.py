@@ -136,7 +136,7 @@ def test_a_batch_is_single_runs(fixed):
 def test_a_file_has_them_all():
     text = """name: leg with sensors
 leg:
-  from: lei-leg
+  from: lei-leg-planar
   joints: {knee: {friction: {torque: 0.3 N*m}, disturbance: {height: 1 N*m, width: 50 ms}}}
 sensors: {encoder: 0.022 deg}
 command_delay: 3 ms

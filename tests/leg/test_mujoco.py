@@ -15,6 +15,7 @@ from mckibben.export.mujoco import load_mujoco
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
 from mckibben.leg import (
     BiarticularMuscle,
+    Ground,
     Leg,
     LegJoint,
     LegPlant,
@@ -32,6 +33,7 @@ PERIOD, SUBSTEPS = 1e-3, 4
 MUSCLE = mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), mk.catalog.law("lei-mas-10-180n"))
 KNEE = mk.KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.208)
 PULLEYS = PairedPaths(Pulley(0.025, 0.165), Pulley(0.03, 0.165))
+LEVEL, SLOPE = Ground(), Ground(slope=8 * deg, side_slope=-5 * deg)
 HAMSTRING = BiarticularMuscle(
     MUSCLE,
     TwoBonePath(-0.025, 0.03, -0.02, -0.20, 0.0),
@@ -48,8 +50,11 @@ def pair(geometry):
     return mk.AntagonisticJoint(geometry, MUSCLE, MUSCLE)
 
 
-def plant_of(freedom, *, side=False, valve=None):
-    """Leg with hip, knee and pulleys at the ankle, whose angles grow backwards at the knee; and a hamstring."""
+def plant_of(freedom, *, side=False, valve=None, ground=LEVEL):
+    """Leg with hip, knee and pulleys at the ankle, whose angles grow backwards at the knee; and a hamstring.
+
+    In space a side swing above the hip, and a turn about an oblique axis in place of the ankle's.
+    """
     joints = (
         LegJoint(pair(KNEE), -15 * deg, 15 * deg, name="hip", damping=0.05, link_angle=20 * deg),
         LegJoint(pair(KNEE), -25 * deg, 30 * deg, name="knee", damping=0.05, link_angle=-40 * deg, forward=False),
@@ -57,44 +62,62 @@ def plant_of(freedom, *, side=False, valve=None):
     )
     links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005), Link(0.12, 0.2, 0.05, 0.002)
     trunk = Trunk(1.3, inertia=0.02, centre=0.1, freedom=freedom)
-    swing = LegJoint(pair(KNEE), -15 * deg, 15 * deg, name="side", damping=0.05) if side else None
-    leg = Leg(trunk, links, joints, (HAMSTRING,), foot_radius=0.02, side_swing=swing)
-    return LegPlant(leg, valve or mk.FirstOrderValve(0.02))
+    if side:
+        swing = LegJoint(pair(KNEE), -15 * deg, 15 * deg, name="side", damping=0.05, axis=(1.0, 0.0, 0.0))
+        joints = swing, *joints[:2], dataclasses.replace(joints[2], axis=(0.3, -0.8, 0.2))
+        links = Link(0.0, 0.0, 0.0, 0.0), *(dataclasses.replace(one, axial_inertia=0.001) for one in links)
+    leg = Leg(trunk, links, joints, (HAMSTRING,), foot_radius=0.02)
+    return LegPlant(leg, valve or mk.FirstOrderValve(0.02), ground)
 
 
 ANGLES = (3 * deg, -4 * deg, 2 * deg)
 PRESSURES = tuple(one * bar for one in (3.0, 2.5, 3.0, 3.2, 2.0, 2.0, 1.0))
 COMMANDS = tuple(one * bar for one in (2.6, 3.0, 3.4, 2.9, 2.1, 2.0, 1.5))
+SIDE = 2 * deg, (2.5 * bar, 3.0 * bar), (3.5 * bar, 2.0 * bar)
+"""Angle, pressures and commands of the side swing."""
+IN_SPACE = [("vertical", False), ("free", False), ("vertical", True), ("spatial", True), ("floating", True)]
+
+
+def start_of(plant, clearance, speed):
+    """A start in the posture, and the commands."""
+    if plant.leg.is_planar:
+        return LegStart(ANGLES, PRESSURES, clearance, speed), COMMANDS
+    angle, pressures, commands = SIDE
+    return LegStart((angle, *ANGLES), (*pressures, *PRESSURES), clearance, speed), (*commands, *COMMANDS)
+
+
+def name_of(plant):
+    return "plane" if plant.leg.is_planar else "space"
 
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    """Folder with the plugin of the leg in space, whose first muscles are those of the leg in the plane."""
+    """Folder with the plugins of the legs in the plane and in space."""
     folder = tmp_path_factory.mktemp("leg")
-    for name, content in leg_files(plant_of("vertical", side=True)).files.items():
-        (folder / name).write_text(content)
-    load_mujoco(folder, "leg")
+    for side in (False, True):
+        plant = plant_of("vertical", side=side)
+        for name, content in leg_files(plant, name_of(plant)).files.items():
+            (folder / name).write_text(content)
+        load_mujoco(folder, name_of(plant))
     return folder
 
 
-def model_of(plant, start, library):
+def model_of(plant, start, commands, library):
     """Model and data at a start, under the commands."""
     assert library.exists()
-    given = {"clearance": start.clearance, "upward_speed": start.upward_speed}
-    state = plant.init_state(start.angles, start.pressures, **given)
-    model = mujoco.MjModel.from_xml_string(leg_model(plant, timestep=PERIOD / SUBSTEPS, start=state).xml)
+    state = plant.begin(start)
+    model = mujoco.MjModel.from_xml_string(leg_model(plant, name_of(plant), PERIOD / SUBSTEPS, state).xml)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    data.ctrl[: len(COMMANDS)] = COMMANDS
+    data.ctrl[:] = commands
     return model, data
 
 
-def coordinates(plant, start):
+def moved(plant, start, commands):
     """Positions in MuJoCo's order, and the run, by our own dynamics."""
-    schedule = PressureSchedule(tuple((one,) for one in COMMANDS))
+    schedule = PressureSchedule(tuple((one,) for one in commands))
     run = simulate_leg(plant, schedule, start, duration=0.1, control_period=PERIOD, substeps=SUBSTEPS)
-    trunk = {"vertical": ("z",), "free": ("x", "z", "pitch")}[plant.leg.trunk.freedom]
-    return np.stack([*(run[name] for name in trunk), *run["angle"]], -1), run
+    return np.stack([*(run[name] for name in plant.leg.trunk.motions), *run["angle"]], -1), run
 
 
 def stepped(model, data, seen=lambda: None):
@@ -110,19 +133,23 @@ def stepped(model, data, seen=lambda: None):
 def own_contact(plant):
     """Contact and stops of the plant in plain NumPy, as passive forces of MuJoCo at each stage of its integration."""
     ground, joints = plant.ground, plant.leg.joints
+    slopes = [one or 0.0 for one in (ground.slope, ground.side_slope)]
+    normal = np.cross([1, 0, np.tan(slopes[0])], [0, 1, np.tan(slopes[1])])
+    normal /= np.linalg.norm(normal)
 
     def pressed(depth, rate, stiffness, damping):
         return stiffness * max(depth, 0.0) * max(1 + damping * rate, 0.0)
 
     def passive(model, data):
         foot = model.geom("foot").id
-        point = data.geom_xpos[foot] - [0, 0, plant.leg.foot_radius]
+        point = data.geom_xpos[foot] - plant.leg.foot_radius * normal
         jacobian = np.empty((3, model.nv))
         mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[foot])
         speed = jacobian @ data.qvel
-        normal = pressed(-point[2], -speed[2], ground.stiffness, ground.damping)
-        slip = np.hypot(speed[0], ground.slip_speed)
-        data.qfrc_passive += jacobian.T @ [-ground.friction * normal * speed[0] / slip, 0, normal]
+        push = pressed(-point @ normal, -speed @ normal, ground.stiffness, ground.damping)
+        along = speed - (speed @ normal) * normal
+        slip = np.hypot(np.linalg.norm(along), ground.slip_speed)
+        data.qfrc_passive += jacobian.T @ (push * normal - ground.friction * push * along / slip)
         for joint in joints:
             at, given = model.joint(joint.name).dofadr[0], (joint.stop_stiffness, joint.stop_damping)
             angle, rate = data.qpos[at], data.qvel[at]
@@ -139,33 +166,37 @@ def passive():
     mujoco.set_mjcb_passive(None)
 
 
-@pytest.mark.parametrize("freedom", ["vertical", "free"])
-def test_bodies_muscles_and_valves_move_alike_in_flight(freedom, library):
-    plant, start = plant_of(freedom), LegStart(ANGLES, PRESSURES, 0.5, 1.0)
-    model, data = model_of(plant, start, library)
-    ours, run = coordinates(plant, start)
+@pytest.mark.parametrize(("freedom", "side"), IN_SPACE)
+def test_bodies_muscles_and_valves_move_alike_in_flight(freedom, side, library):
+    plant = plant_of(freedom, side=side)
+    start, commands = start_of(plant, 0.5, 1.0)
+    model, data = model_of(plant, start, commands, library)
+    ours, run = moved(plant, start, commands)
     assert not run["stop_torque"].any()
-    assert np.ptp(ours, axis=0).min() > 1e-3
+    assert np.ptp(ours, axis=0).min() > 1e-4
     np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("freedom", ["vertical", "free"])
-def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, library, passive):
-    plant, start = plant_of(freedom), LegStart(ANGLES, PRESSURES, 0.0, -1.5)
-    model, data = model_of(plant, start, library)
+@pytest.mark.parametrize(("freedom", "side"), IN_SPACE)
+def test_a_landing_with_the_same_contact_and_stops_is_the_same(freedom, side, library, passive):
+    plant = plant_of(freedom, side=side, ground=SLOPE if side else LEVEL)
+    start, commands = start_of(plant, 0.0, -1.5)
+    model, data = model_of(plant, start, commands, library)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
     passive(own_contact(plant))
-    ours, run = coordinates(plant, start)
+    ours, run = moved(plant, start, commands)
     assert run["stop_torque"].any()
     assert run["ground_up"].max() > 100
+    assert np.abs(run["ground_left"]).max() > 10 or not side
     np.testing.assert_allclose(stepped(model, data), ours, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("freedom", ["vertical", "free"])
 def test_a_landing_by_the_contact_of_mujoco_is_much_the_same(freedom, library):
-    plant, start = plant_of(freedom), LegStart(ANGLES, PRESSURES, 0.0, -1.0)
-    model, data = model_of(plant, start, library)
-    ours, run = coordinates(plant, start)
+    plant = plant_of(freedom)
+    start, commands = start_of(plant, 0.0, -1.0)
+    model, data = model_of(plant, start, commands, library)
+    ours, run = moved(plant, start, commands)
     foot, forces = np.zeros(6), []
 
     def upward():
@@ -182,44 +213,18 @@ def test_a_landing_by_the_contact_of_mujoco_is_much_the_same(freedom, library):
     assert np.abs(theirs - ours).max() < 3 * deg
 
 
-@pytest.mark.parametrize("freedom", ["vertical", "free"])
-def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom):
+@pytest.mark.parametrize("freedom", ["vertical", "free", "floating"])
+def test_ground_and_stops_are_by_the_mobilities_of_mujoco(freedom, library):
     plant = plant_of(freedom, side=True)
-    start = plant.init_state(ANGLES, PRESSURES)
-    model = mujoco.MjModel.from_xml_string(leg_model(plant, start=start).xml)
-    found = compliance(plant, start)
+    start, commands = start_of(plant, 0.0, 0.0)
+    model, _ = model_of(plant, start, commands, library)
+    found = compliance(plant, plant.begin(start))
     assert found["ground"].stiffness / plant.ground.stiffness == pytest.approx(
         model.body_invweight0[model.geom("foot").bodyid[0], 0], rel=2e-3
     )
-    for joint in (*plant.leg.joints, plant.leg.side_swing):
+    for joint in plant.leg.joints:
         mobility = model.dof_invweight0[model.joint(joint.name).dofadr[0]]
         assert found[joint.name].stiffness / joint.stop_stiffness == pytest.approx(mobility, rel=2e-3)
-
-
-def test_in_space_without_side_swing_it_moves_as_in_the_plane(library):
-    start = LegStart(ANGLES, PRESSURES, 0.5, 1.0)
-    model, data = model_of(plant_of("vertical", side=True), start, library)
-    assert (model.nu, model.nq) == (9, 5)
-    ours, _ = coordinates(plant_of("vertical"), start)
-    theirs = stepped(model, data)
-    assert np.all(theirs[:, 1] == 0)
-    np.testing.assert_allclose(np.delete(theirs, 1, axis=1), ours, rtol=0, atol=1e-9)
-
-
-def test_the_side_swing_has_the_torque_of_its_muscles_and_moves_the_foot_sideways(library):
-    plant = plant_of("vertical", side=True)
-    model, data = model_of(plant, LegStart(ANGLES, PRESSURES, 0.5), library)
-    swing = plant.leg.side_swing
-    place = model.joint("side").dofadr[0]
-    for angle, pressures in ((-0.2, (3e5, 2e5)), (0.0, (4e5, 1e5)), (0.15, (0.5e5, 5e5))):
-        data.qpos[place], data.act[-2:] = angle, pressures
-        mujoco.mj_forward(model, data)
-        assert data.qfrc_actuator[place] == pytest.approx(float(swing.muscles.torque(angle, pressures)), abs=1e-12)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    data.ctrl[-2:] = 2e5, 4e5
-    mujoco.mj_step(model, data, nstep=400)
-    assert data.qpos[place] > 1 * deg
-    assert data.geom("foot").xpos[1] > 0.01
 
 
 OTHER = BiarticularMuscle(

@@ -91,6 +91,28 @@ def test_closed_air_makes_the_landing_stiffer(plant: LegPlant, start: LegStart) 
     assert closed < 0.9 * as_given
 
 
+@pytest.mark.slow
+def test_air_with_a_temperature_keeps_its_mass_in_a_landing_and_is_between_isothermal_and_adiabatic_air(
+    plant: LegPlant, start: LegStart
+) -> None:
+    closed, runs = mk.FlowValve(1e-30, 8e5), {}
+    schedule = PressureSchedule(tuple((p,) for p in start.pressures))
+    for name, parts in {
+        "warm": {"wall_conductance": 5.0},
+        "adiabatic": {"wall_conductance": 0.0},
+        "isothermal": {"polytropic_index": 1.0},
+        "polytropic": {"polytropic_index": 1.4},
+    }.items():
+        valve = dataclasses.replace(closed, **parts)
+        runs[name] = simulate_leg(dataclasses.replace(plant, valve=valve), schedule, start, **STEP)
+    mass, polytropic = runs["warm"]["air_mass"], runs["polytropic"]["air_mass"]
+    np.testing.assert_allclose(mass, np.broadcast_to(mass[:, :1], mass.shape), rtol=1e-6)
+    assert np.ptp(polytropic, axis=1).max() > 0.02 * polytropic.max()  # counted at room temperature
+    lowest = {name: float(run["z"].min()) for name, run in runs.items()}
+    assert lowest["adiabatic"] == pytest.approx(lowest["polytropic"], abs=1e-6)
+    assert lowest["isothermal"] < lowest["warm"] < lowest["adiabatic"]
+
+
 def test_energy_is_kept_without_damping_and_valves(plant: LegPlant) -> None:
     """On an elastic ground with constant pressures: bodies, muscles and ground exchange energy alone."""
     leg = dataclasses.replace(

@@ -20,7 +20,7 @@ from mckibben.leg.uncertainty import drawn_plant
 from mckibben.storage.files import check_seal, file_lock
 from tests.leg.conftest import FILE
 
-HEAD = "name: x\nleg:\n  from: lei-leg\n"
+HEAD = "name: x\nleg:\n  from: lei-leg-planar\n"
 
 
 def test_text_reads_back(scenario: LegScenario) -> None:
@@ -71,16 +71,19 @@ def test_bad_files_name_line_and_remedy(text: str, line: int | None, word: str) 
     ("text", "fields"),
     [
         (
-            "leg: {from: lei-leg, trunk: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
+            "leg: {from: lei-leg-planar, trunk: null}\nlanding: {joint: knee, drop: [20 m], time_constants: ~}\n",
             ["leg.trunk", "landing.time_constants", "landing.drop[0]"],
         ),
-        ("leg: {from: lei-leg, joints: {knee: {muscle1: null}}}\n", ["leg.joints.knee.muscle1"]),
+        ("leg: {from: lei-leg-planar, joints: {knee: {muscle1: null}}}\n", ["leg.joints.knee.muscle1"]),
         ("leg: null\n", ["leg"]),
         (
-            "leg: lei-leg\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
+            "leg: lei-leg-planar\nlanding: {joint: knee, drop: [20 m, 3], time_constants: []}\n",
             ["landing.drop[0]", "landing.drop[1]"],
         ),
-        ("leg: lei-leg\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n", ["landing.stiffness"]),
+        (
+            "leg: lei-leg-planar\nlanding: {joint: knee, stiffness: [9 N*m/rad], time_constants: []}\n",
+            ["landing.stiffness"],
+        ),
     ],
 )
 def test_what_follows_from_another_mistake_is_not_said(text: str, fields: list[str]) -> None:
@@ -127,6 +130,17 @@ def test_landing_study(scenario: LegScenario) -> None:
     assert deflection[2] < deflection[1] < deflection[0]  # closed valves are the stiffest
     rows = study.rows()[1]
     assert len(rows) == 3 and len(study.records()["landings"]) == 3
+    assert study.table["substeps"].shape == study.table["chaotic"].shape == forces.shape
+    integration = study.records()["integration"]
+    assert integration["substeps"] == study.table["substeps"].max() >= 1
+    errors = study.table["error_estimate"].to_numpy()
+    assert integration["error_estimate_rad"] == np.nanmax(errors) > 0
+    assert integration["runs_chaotic"] == study.table["chaotic"].sum()
+    coarse = study_landing(scenario.model_copy(update={"substeps": 1}))
+    finer = study_landing(scenario.model_copy(update={"substeps": 32}))
+    apart = np.abs(coarse.table["deflection"] - finer.table["deflection"]).max()
+    assert np.abs(study.table["deflection"] - finer.table["deflection"]).max() < apart
+    assert coarse.records()["integration"] == {"substeps": 1, "error_estimate_rad": None, "runs_chaotic": 0}
 
 
 @pytest.mark.slow
@@ -253,6 +267,9 @@ def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, mon
     assert (study.timed.rises[0] > 0) and study.timed.work < 20
     assert study.constant.run.engine == "native"
     record = study.records()
+    for jump in (record["constant"], record["timed"]):
+        assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
+        assert jump["integration"]["substeps"] >= 1
     assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
     assert len(study.rows()[1]) == 2 and "mm" in study.describe()
 
@@ -275,6 +292,13 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     with pytest.raises(FileError):
         check_seal(out / "rot.nc")
     resumed = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out), "--json", "--resume"])
+    finer = [str(file), "--accuracy", "1e-7 rad", "--json"]
+    assert (
+        json.loads(CliRunner().invoke(app, ["leg", "land", *finer]).stdout)["integration"]["error_estimate_rad"]
+        < (numbers["integration"]["error_estimate_rad"])
+    )
+    other = CliRunner().invoke(app, ["leg", "land", *finer, "--out", str(out), "--resume"])
+    assert isinstance(other.exception, FileError)
     assert resumed.exit_code == 0
     assert json.loads(resumed.stdout) == numbers
     again = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out)])

@@ -10,6 +10,7 @@ import pytest
 
 from mckibben import catalog, muscle
 from mckibben.codegen.native import NativeFunction, compiler
+from mckibben.component.base import field_quantities
 from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, scaled_law
 from mckibben.units import factor
 
@@ -28,9 +29,11 @@ EXAMPLES = {
     "ExponentialLaw": lambda: catalog.law("lei-mas-10-180n"),
     "SmoothAffineLaw": lambda: muscle.SmoothAffineLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, BOX),
     "SmoothLaw": lambda: muscle.SmoothLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, *S2, BOX),
+    "GaussianProcessLaw": lambda: muscle.GaussianProcessLaw(*EQ_3[:6], *DEVIATION, EQ_3[6], 0.11, 0.28, 3e5, 6e5, BOX),
 }
 EQ_3 = [getattr(catalog.law("lei-mas-10-180n"), p.name) for p in muscle.ExponentialLaw.parameters()]
 S0, S1, S2 = np.array([[8.0, -20.0, 30.0, 10.0, -15.0, 5.0]]) * [[1.0], [0.3e-5], [0.05e-10]]
+DEVIATION = np.outer([4.0, -3.0, 2.0, 1.0, -0.5, 0.2], [1.0, 0.5, -0.3, 0.2, 0.1, -0.05]).ravel()
 ROWS, COLUMNS = 57, 13
 
 
@@ -196,3 +199,18 @@ def test_as_c_for_many_runs_it_is_the_same(law):
     expected = answers(law, force=np.full((ROWS, COLUMNS), 60.0))
     for emitted_one, one in zip(found, expected, strict=True):
         np.testing.assert_allclose(emitted_one.reshape(ROWS, COLUMNS), one, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(LAWS))
+def test_all_that_a_search_tries_can_be_a_field(name):
+    """The limits of the identification are inside those of the constructor."""
+    marks = field_quantities(LAWS[name])
+    for parameter in LAWS[name].shape_parameters:
+        if (mark := marks.get(parameter.name)) is not None:
+            assert (mark.read(parameter.lower), mark.read(parameter.upper)) == (parameter.lower, parameter.upper)
+
+
+def test_without_corrections_the_law_of_tsagarakis_and_caldwell_is_chous():
+    plain = muscle.TsagarakisCaldwellLaw(0.0, ANGLE, DIAMETER, 0.0, 0.0, BOX)
+    for one, other in zip(answers(plain), answers(EXAMPLES["ChouLaw"]()), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)

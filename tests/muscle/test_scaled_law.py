@@ -9,7 +9,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
-from mckibben.muscle import LAWS, HuntLaw, Muscle, scaled_law
+from mckibben.muscle import LAWS, ForceCorrection, HuntLaw, Muscle, scaled_law
 from mckibben.numerics.compiled import numeric
 from mckibben.units import bar
 
@@ -26,6 +26,15 @@ def with_strengths(joint: AntagonisticJoint, strength1, strength2) -> Antagonist
 def test_a_factor_that_makes_no_sense_is_refused(law, strength):
     with pytest.raises(RangeError, match="scaled_law: strength is"):
         scaled_law(law, strength)
+
+
+def test_a_correction_is_constant_beyond_the_contractions_of_its_calibration():
+    """A polynomial in the contraction relative to the window, (eps - 0.1)/0.05."""
+    correction = ForceCorrection((-20.0, 5.0, 3.0), (1e-5, -2e-5, 0.0), 0.1, 0.05)
+    for contraction, v in ((0.06, -0.8), (0.1, 0.0), (0.13, 0.6), (0.15, 1.0), (0.2, 1.0), (0.05, -1.0), (-0.02, -1.0)):
+        offset, gain = correction.terms(contraction)
+        assert float(offset) == pytest.approx(-20.0 + 5.0 * v + 3.0 * v**2)
+        assert float(gain) == pytest.approx(1e-5 - 2e-5 * v)
 
 
 def test_it_is_no_law_to_be_identified(law):

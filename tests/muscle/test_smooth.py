@@ -1,10 +1,12 @@
-"""Laws with smooth deviations: Eq. 2 outside of their window, and Eq. 2 with the first coefficients at its centre."""
+"""Laws with smooth deviations from Eq. 2: inside and outside of their window."""
 
 import numpy as np
 import pytest
+from numpy.polynomial.chebyshev import chebval2d
+from numpy.polynomial.polynomial import polyval
 
 from mckibben import catalog
-from mckibben.muscle import Domain, ExponentialLaw, SmoothAffineLaw, SmoothLaw, forces
+from mckibben.muscle import Domain, ExponentialLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw, forces
 
 EQ_3 = catalog.law("lei-mas-10-180n")
 TERMS = [getattr(EQ_3, one.name) for one in ExponentialLaw.parameters()]  # six linear ones and the decay
@@ -23,3 +25,26 @@ def test_outside_of_the_window_it_is_eq_2_and_at_its_centre_the_first_coefficien
     np.testing.assert_allclose(forces(law, outside, pressure), forces(EQ_3, outside, pressure), rtol=1e-12)
     added = S0[0] + pressure * S1[0] + (pressure**2 * S2[0] if name == "quadratic" else 0.0)
     np.testing.assert_allclose(forces(law, 0.11, pressure) - forces(EQ_3, 0.11, pressure), added, rtol=1e-9)
+
+
+def test_a_gaussian_process_is_a_series_of_chebyshev_polynomials_that_levels_off_outside_of_its_window():
+    coefficients = np.random.default_rng(0).normal(0, 5, (6, 6))
+    law = GaussianProcessLaw(*TERMS[:6], *coefficients.ravel(), TERMS[6], 0.11, 0.2, 3e5, 4e5)
+    for contraction, pressure in ((0.05, 2e5), (0.2, 6e5), (0.11, 3e5)):
+        v, w = (contraction - 0.11) / 0.2, (pressure - 3e5) / 4e5
+        expected = chebval2d((3 * v - v**3) / 2, (3 * w - w**3) / 2, coefficients)
+        found = forces(law, contraction, pressure) - forces(EQ_3, contraction, pressure)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+    beyond = [forces(law, 0.32, pressure) - forces(EQ_3, 0.32, pressure) for pressure in (7.5e5, 9e5)]
+    np.testing.assert_allclose(beyond[0], beyond[1], rtol=1e-9)
+    inside, outside = (law.slope(0.31 + step, 4e5) for step in (-1e-9, 1e-9))
+    np.testing.assert_allclose(inside, outside, rtol=1e-4)
+
+
+def test_a_deviation_is_its_polynomial_within_the_window():
+    """Of the position v, by NumPy, times (1 - v^2)^3."""
+    law, contraction, pressure = LAWS["affine"], 0.125, 4e5
+    v = (contraction - 0.11) / float(law.half_width)
+    expected = (polyval(v, S0) + pressure * polyval(v, S1)) * (1 - v**2) ** 3
+    added = forces(law, contraction, pressure) - forces(EQ_3, contraction, pressure)
+    assert float(added) == pytest.approx(expected, rel=1e-9)

@@ -1,6 +1,7 @@
 """Dry friction of the joint itself: a pendulum against closed forms, its energy, sticking, scenarios and exports."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 
 import equinox as eqx
@@ -12,10 +13,11 @@ from jax import lax
 
 import mckibben as mk
 from mckibben.codegen.native import compiler
-from mckibben.errors import McKibbenWarning, RangeError, ScenarioError, SimulationError
+from mckibben.control import Reference
+from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, ScenarioError, SimulationError
 from mckibben.export.mjcf import joint_model
 from mckibben.export.plant import plant_module
-from mckibben.joint import GeneralLoad, PairedPaths, Pulley
+from mckibben.joint import GeneralLoad, PairedPaths, Pulley, TabulatedPath
 from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import IdealValve, JointFriction, JointPlant
@@ -25,6 +27,7 @@ from mckibben.units import deg, mm
 TORQUE, PRESLIDING, GRAVITY, INERTIA = 0.01, 2e-3, 0.7, 0.02  # N*m, rad, N*m, kg*m^2
 PERIOD, SUBSTEPS = 1e-3, 2
 FRICTION = JointFriction(TORQUE, PRESLIDING)
+STILL = Reference(angle=0.0, stiffness=0.0)  # pressures, of `playback`
 SCENARIO = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 OF_SCENARIO = "friction: {torque: 0.2 N*m, presliding: 0.4 deg}\n"
 
@@ -112,6 +115,38 @@ def test_derivatives_are_those_of_differences(pendulum):
     by = 1e-5
     quotient = (end(TORQUE + by) - end(TORQUE - by)) / (2 * by)
     assert float(jax.jacfwd(end)(TORQUE)) == pytest.approx(float(quotient), rel=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")  # slack muscles hold no angle
+def test_a_result_has_the_friction_as_a_torque_against_the_motion(pendulum, playback):
+    """Its work is the change of energy: the muscles are slack, the load is undamped."""
+    found = mk.simulate(
+        pendulum, playback, STILL, duration=1.0, substeps=2, initial=pendulum.init_state(0.15, (0.0, 0.0))
+    )
+    angle, velocity, torque = (found[name] for name in ("angle", "velocity", "joint_friction_torque"))
+    energy = INERTIA * velocity**2 / 2 - GRAVITY * np.cos(angle)
+    work = np.concatenate([[0.0], np.cumsum((torque * velocity)[1:] + (torque * velocity)[:-1]) * PERIOD / 2])
+    np.testing.assert_allclose(energy - energy[0], work, atol=1e-3 * abs(work[-1]))
+    assert work[-1] < -2 * TORQUE * 0.1
+    assert "friction_torque" not in found.columns  # of muscles: these have none
+
+
+@pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")  # slack muscles hold no angle
+@pytest.mark.parametrize("start", [0.15, -0.15])
+def test_a_run_beyond_the_table_of_its_geometry_warns(pendulum, playback, start):
+    angles = np.linspace(-0.1, 0.1, 9)
+    paths = PairedPaths(*(TabulatedPath(angles, lengths=100 * mm + arm * angles) for arm in (10 * mm, -10 * mm)))
+    plant = dataclasses.replace(pendulum, joint=dataclasses.replace(pendulum.joint, geometry=paths))
+
+    def run(angle):
+        initial = plant.init_state(angle, (0.0, 0.0))
+        return mk.simulate(plant, playback, STILL, duration=0.01, substeps=2, initial=initial)
+
+    with pytest.warns(DomainWarning, match="leaves the table"):
+        run(start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DomainWarning)
+        run(start / 2)
 
 
 def test_half_a_degree_reverses_it_by_default():

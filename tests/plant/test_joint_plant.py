@@ -67,6 +67,9 @@ def test_a_rest_out_of_reach_says_why(plant, as_printed, load):
         JointPlant(as_printed, load, IdealValve()).equilibrium(math.radians(15))
     with pytest.raises(McKibbenError):
         plant.equilibrium(math.radians(50))
+    for wrong in ({"angle": math.nan}, {"stiffness": math.nan}, {"stiffness": math.inf}):
+        with pytest.raises(RangeError, match="finite"):
+            plant.equilibrium(**wrong)
 
 
 def test_the_rate_is_equation_6(plant, paper_precontracted):

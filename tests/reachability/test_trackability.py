@@ -211,6 +211,20 @@ def test_a_smoothing_is_a_positive_time(plant, smoothing):
         on(plant, Reference(0.0, 15.0), smoothing=smoothing)
 
 
+@pytest.mark.slow
+def test_with_a_temperature_of_the_air_a_motion_must_suit_isothermal_and_adiabatic_air(as_printed, load):
+    """The band with a limited flow is within both, and nearly the narrower one."""
+    reference = Reference(Sine(5 * deg, 1.0), 72.8)
+    bands = []
+    for parts in ({"wall_conductance": 0.5}, {"polytropic_index": 1.0}, {"polytropic_index": 1.4}):
+        valve = FlowValve(0.1 * L_PER_S_BAR, 7 * bar, **parts)
+        bands.append(on(JointPlant(as_printed, load, valve), reference).bands.rate_limited)
+    warm, slow, fast = (np.nan_to_num(one.highest - one.lowest, nan=0.0) for one in bands)
+    assert (warm <= np.minimum(slow, fast) + 1e-6).all()
+    assert np.minimum(slow, fast).sum() - warm.sum() < 0.05 * warm.sum()
+    assert 0 < slow.sum() < 0.7 * fast.sum()
+
+
 def test_times_have_to_go_together(plant):
     with pytest.raises(SimulationError):
         check_trackability(plant, Reference(0.0, 15.0), duration=1.0, control_period=0.3)

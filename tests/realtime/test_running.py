@@ -6,11 +6,12 @@ import math
 import numpy as np
 import pytest
 
+from mckibben.codegen.native import compiler
 from mckibben.control.base import Setpoint
 from mckibben.errors import ExportError, RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.realtime import ControlProgram, JointLimits, Sensing, Timing, compiled_step
-from mckibben.realtime.compiled_step import FlatTree, vented_angle
+from mckibben.realtime.compiled_step import FlatTree, LimitCycleDetection, vented_angle
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.realtime.wiring import Wiring
@@ -62,6 +63,25 @@ def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
     compiled_step.flat_program.cache_clear()
     np.testing.assert_allclose(steps(ControlProgram(control)), expected, rtol=1e-9)
     compiled_step.flat_program.cache_clear()
+
+
+@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+def test_the_detector_of_limit_cycles_is_compiled_once_for_all_processes(tmp_path, monkeypatch):
+    def detect():
+        compiled_step.flat_program.cache_clear()
+        try:
+            detection = LimitCycleDetection(1 * ms, 0.01 * deg)
+            swings = np.sin(2 * np.pi * 5.0 * np.arange(3000) * 1 * ms) * deg
+            return [detection.after(float(angle), 0.0, index) for index, angle in enumerate(swings)]
+        finally:
+            compiled_step.flat_program.cache_clear()
+
+    monkeypatch.setattr("mckibben.codegen.native.programs_folder", lambda: tmp_path)
+    first = detect()
+    monkeypatch.setattr("mckibben.codegen.native.NativeFunction._built", lambda *_, **__: pytest.fail("compiled again"))
+    assert detect() == first
+    assert first[-1] is not None
+    assert first[-1].period == pytest.approx(0.2, rel=0.05)
 
 
 @pytest.mark.slow
@@ -130,6 +150,20 @@ def test_rates_are_those_of_a_straight_line(stiff):
     with pytest.raises(StoppedError, match="rate of angle"):
         for i in range(200, 300):
             check(i, 1.99 * 0.2 + 2.02 * (i - 200) * PERIOD)
+
+
+def test_a_pressure_that_stays_off_its_command_stops_the_run(stiff):
+    """By default, 2 bar filtered with 250 ms exceed 1 bar after 250 ms log 2."""
+    sensors = Wiring().sensors
+    monitor = JointMonitor(
+        stiff.joint(), JointLimits(lowest_angle=-6, highest_angle=6, pressure=9 * bar), sensors, PERIOD
+    )
+    volts = [float(sensor.volts(value)) for sensor, value in zip(sensors, (0.0, 3e5, 3e5), strict=True)]
+    with pytest.raises(StoppedError) as caught:
+        for i in range(1000):
+            monitor.check_sample(i * PERIOD, volts, (3e5, 5e5) if i else None, None)
+    assert caught.value.value == pytest.approx(3e5)
+    assert i * PERIOD == pytest.approx(0.25 * math.log(2), abs=3 * PERIOD)
 
 
 @pytest.mark.parametrize("command", [(math.nan, 3e5), (3e5, math.inf)])

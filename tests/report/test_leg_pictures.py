@@ -17,10 +17,10 @@ from PIL import Image
 
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export.leg_mjcf import coordinates, leg_scene
-from mckibben.leg import LegStart, PressureSchedule, simulate_leg
+from mckibben.leg import PressureSchedule, simulate_leg
 from mckibben.report.leg_animation import render_leg
 from mckibben.report.leg_player import leg_player
-from mckibben.report.leg_shapes import muscle_shapes, posture_of, skeleton, straight_paths
+from mckibben.report.leg_shapes import muscle_shapes, run_posture, skeleton, straight_paths
 
 LEG = run_path(str(Path(__file__).parents[1] / "leg" / "test_mujoco.py"))
 
@@ -28,29 +28,35 @@ LEG = run_path(str(Path(__file__).parents[1] / "leg" / "test_mujoco.py"))
 @pytest.fixture(scope="module")
 def landing():
     """A leg with a hamstring, pulleys, a knee that bends backwards and a pitching trunk, and its landing."""
-    plant = LEG["plant_of"]("free")
-    schedule = PressureSchedule(tuple((one,) for one in LEG["COMMANDS"]))
-    start = LegStart(LEG["ANGLES"], LEG["PRESSURES"], 0.0, -1.5)
+    return landing_of(LEG["plant_of"]("free"))
+
+
+def landing_of(plant):
+    start, commands = LEG["start_of"](plant, 0.0, -1.5)
+    schedule = PressureSchedule(tuple((one,) for one in commands))
     return plant, simulate_leg(plant, schedule, start, duration=0.1, control_period=1e-3, substeps=4)
 
 
 @pytest.mark.slow
-def test_what_is_drawn_is_where_mujoco_has_it(landing):
-    plant, run = landing
+@pytest.mark.parametrize("side", [False, True])
+def test_what_is_drawn_is_where_mujoco_has_it(landing, side):
+    plant, run = landing_of(LEG["plant_of"]("floating", side=True)) if side else landing
     at = run.to_xarray().isel(time=[0, 40, 99])
     points, paths = skeleton(plant, at), straight_paths(plant, at)
-    scene = leg_scene(plant, plant.init_state(LEG["ANGLES"], LEG["PRESSURES"]))
-    assert set(paths) == set(scene.parts) == {"hip1", "hip2", "knee1", "knee2", "hamstring"}
+    scene = leg_scene(plant, plant.begin(LEG["start_of"](plant, 0.0, 0.0)[0]))
+    expected = {"hip1", "hip2", "knee1", "knee2", "hamstring", *(("side1", "side2") if side else ())}
+    assert set(paths) == set(scene.parts) == expected
+    assert np.ptp(points[..., 1]) > 0.01 or not side
     model = mujoco.MjModel.from_xml_string(scene.xml)
     data = mujoco.MjData(model)
-    for number, position in enumerate(np.stack(coordinates(plant, posture_of(at)), -1)):
+    for number, position in enumerate(np.stack(coordinates(plant, run_posture(plant, at)), -1)):
         data.qpos[:] = position
         mujoco.mj_forward(model, data)
         for name, parts in scene.parts.items():
             for sites, ends in zip(parts, paths[name], strict=True):
                 for site, end in zip(sites, ends[number], strict=True):
-                    np.testing.assert_allclose(data.site(site).xpos[[0, 2]], end, atol=1e-12)
-        np.testing.assert_allclose(data.geom("foot").xpos[[0, 2]], points[number, -1], atol=1e-12)
+                    np.testing.assert_allclose(data.site(site).xpos, end, atol=1e-12)
+        np.testing.assert_allclose(data.geom("foot").xpos, points[number, -1], atol=1e-12)
 
 
 def test_muscles_have_the_volume_of_their_contraction(landing):

@@ -86,7 +86,7 @@ def test_what_is_not_there_is_told(tmp_path):
         assemble(tmp_path / "1", BENCH)
     for name, first in (("2", 200), ("3", 90)):
         write(tmp_path / name, 9, [replace(POINT_0, first=first)])
-        with pytest.raises(DatasetError, match="samples of no point"):
+        with pytest.raises(DatasetError, match="no complete point"):
             assemble(tmp_path / name, BENCH)
 
 

@@ -4,10 +4,10 @@ import json
 import numpy as np
 import pytest
 
-from mckibben.errors import RangeError, RigError
+from mckibben.errors import RangeError, RigError, ScenarioError
 from mckibben.rig.backend import AnalogChannel
 from mckibben.rig.bench import Drive
-from mckibben.rig.calibration import Calibration, calibrate
+from mckibben.rig.calibration import Calibration, calibrate, read_calibrations
 from mckibben.units import bar, mm
 
 FORCE = Calibration(name="force", unit="N", gain=-200.0, offset=0.05, low=-2000.0, high=2000.0)
@@ -37,6 +37,11 @@ def test_least_squares_line_is_that_of_numpy():
     assert made.residual == pytest.approx(np.abs(made.si(volts) - WEIGHTS).max())
     two = calibrate("force", "N", volts=volts[[0, -1]], known=WEIGHTS[[0, -1]], low=0, high=1000)
     np.testing.assert_allclose(two.si(volts[[0, -1]]), WEIGHTS[[0, -1]], atol=1e-9)
+
+
+def test_a_sensor_of_small_signals_is_calibrated():
+    made = calibrate("force", "N", volts=[0.01, 0.11], known=[0.0, 900.0], low=0, high=1000)
+    assert made.gain == pytest.approx(9000)
 
 
 def test_large_residual_is_refused_with_its_point():
@@ -106,6 +111,22 @@ def test_all_that_is_wrong_in_a_form_is_told_at_once():
     for wrong in ({"gain": 0.0}, {"gain": np.inf}, {"low": 3000.0}):
         with pytest.raises(RangeError):
             dataclasses.replace(FORCE, **wrong)
+
+
+def test_all_calibrations_of_a_rig_are_in_a_file_in_its_units(tmp_path):
+    path, units = tmp_path / "calibrations.json", {"force": "N", "pressure": "Pa"}
+    forms = {"force": FORCE.to_json(), "pressure": dataclasses.replace(FORCE, name="pressure", unit="Pa").to_json()}
+    path.write_text(json.dumps(forms))
+    assert read_calibrations(path, units)["force"] == FORCE
+    for wrong, field in (
+        ({"force": forms["force"]}, "pressure"),  # one is missing
+        (forms | {"angle": forms["force"]}, "angle"),
+        (forms | {"pressure": forms["force"]}, "pressure"),  # of another sensor
+    ):
+        path.write_text(json.dumps(wrong))
+        with pytest.raises(ScenarioError) as refused:
+            read_calibrations(path, units)
+        assert [one.field for one in refused.value.problems] == [field]
 
 
 def test_a_damaged_form_is_refused_unless_its_checksum_was_taken_out():

@@ -11,7 +11,7 @@ import pytest
 
 from mckibben.errors import DatasetError, FileError, McKibbenWarning, RangeError, RigError
 from mckibben.rig import recorder as recorder_module
-from mckibben.rig.record import Column, Event, passages, read_record, rows_in, segments
+from mckibben.rig.record import Column, Event, entries, read_record, rows_in, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.storage import journal
 from mckibben.storage.journal import HEADER, JournalReader
@@ -81,7 +81,7 @@ def test_a_damaged_chunk_is_skipped_and_the_rows_after_it_keep_their_numbers(fil
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
     with pytest.warns(McKibbenWarning, match="are lost"):
-        found = list(passages(filled))
+        found = list(entries(filled))
     pulses = [one.columns["pulses"] for one in found if not isinstance(one, Event)]
     firsts = [one.first for one in found if not isinstance(one, Event)]
     assert len(pulses) == 49 and len(set(firsts)) == 49
@@ -323,7 +323,7 @@ def test_something_else_is_no_record(tmp_path):
 
 
 def test_it_is_read_a_chunk_at_a_time(filled):
-    kinds = [isinstance(one, Event) for one in passages(filled)]
+    kinds = [isinstance(one, Event) for one in entries(filled)]
     assert kinds == [False, True] * 50
 
 

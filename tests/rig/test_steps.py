@@ -55,6 +55,7 @@ def problems(*steps, bench=BENCH, **arguments):
         (lambda: Repeat(times=2, steps=()), "steps", "at least one"),
         (lambda: HoldForce(force=-1.0), "force", "-1 N"),
         (lambda: IsometricProtocol(pressures=[2e5, 1e5]), "pressures", "do not rise"),
+        (lambda: IsometricProtocol(pressures=[1e5, 1e5]), "pressures", "do not rise"),
         (lambda: IsotonicProtocol(forces=[]), "forces", "give at least one"),
     ],
 )
@@ -179,6 +180,16 @@ def test_a_huge_test_is_counted_at_once():
     nested = Repeat(times=1000, steps=(Repeat(times=900, steps=(Vent(),)), Pressurise(pressure=2 * bar)))
     found = dry_run([nested], BENCH)
     assert not found.problems and found.duration == pytest.approx(1000 * 901 * 1.5)
+
+
+def test_the_default_samples_are_those_of_the_default_rate():
+    for protocol in (IsometricProtocol(contractions=[0.0]), IsotonicProtocol(forces=[100.0])):
+        assert protocol.samples / protocol.acquisition == BENCH.rate
+
+
+def test_a_problem_of_many_steps_is_reported_once():
+    far = Move(to=60 * percent)
+    assert len(dry_run([far, Dwell(duration=1.0), far, far], BENCH).problems) == len(dry_run([far], BENCH).problems) > 0
 
 
 @pytest.mark.parametrize(

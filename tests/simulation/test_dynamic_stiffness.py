@@ -12,8 +12,9 @@ from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import KneeLoad
 from mckibben.muscle import MaxwellSlip
+from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointPlant, PressureRegulator, TorquePulses
+from mckibben.plant import IdealValve, JointFriction, JointPlant, PressureRegulator, TorquePulses
 from mckibben.simulation import closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.units import bar, deg, mm, ms
 
@@ -47,6 +48,20 @@ def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
     # a spring dissipates nothing
     assert np.abs(found.loss[:, 0]).max() < 1e-6 * expected[0]
     assert (found.loss[:, 1:] > 1.0).all()
+
+
+def test_friction_of_the_joint_adds_to_the_stiffness_and_its_loop_to_the_loss(knee, load):
+    """At the reversals it is T against the motion; the area is 4 T a, less what its springs give back."""
+    torque, presliding = 0.3, 0.05 * deg
+    plant = JointPlant(knee, load, IdealValve(), friction=JointFriction(torque, presliding))
+    angles, pressures = np.array([1.0, 4.0]) * deg, (3e5, 3e5)
+    found = dynamic_stiffness(plant, plant.init_state(0.0, pressures), angles, FAST, substeps=2, cycles=2)
+    springs = np.asarray(secant(knee, pressures, angles))
+    np.testing.assert_allclose(found.stiffness[0], springs + torque / angles, rtol=1e-6)
+    share, stiffness = polygon(4)
+    area = 4 * torque * (angles - share @ (share / stiffness) * presliding)
+    np.testing.assert_allclose(found.loss[0], area / (np.pi * angles**2), rtol=2e-3)
+    np.testing.assert_allclose(found.magnitude**2, found.stiffness**2 + found.loss**2)
 
 
 @pytest.mark.slow
@@ -122,3 +137,24 @@ def test_closed_valves_need_the_volume_of_the_muscles(held):
     with pytest.raises(RangeError, match="closed valves") as refused:
         closed_valves(dataclasses.replace(held, joint=dataclasses.replace(held.joint, muscle1=unknown)))
     assert refused.value.field == "initial_diameter"
+
+
+@pytest.mark.slow
+def test_air_with_a_temperature_is_stiffer_in_fast_motion_and_dissipates_in_between(knee, load):
+    """Against the linearised chamber, whose index is isothermal at 0.02 Hz and adiabatic at 10 Hz."""
+    valve = PressureRegulator(1e-10, 7 * bar, time_constant=20 * ms, wall_conductance=0.1, dead_volume=2e-6)
+    plant = JointPlant(knee, load, valve)
+    start, rates = plant.equilibrium(0.0, stiffness=15.0), np.array([0.02, 0.5, 1.0, 10.0])
+    closed = closed_valves(plant)
+    found = dynamic_stiffness(closed, start._replace(air=()), 0.01 * deg, rates, cycles=8)
+    volumes = [one.volume for one in plant.air_volumes(start)]
+    indices = [valve.index_at(p, v, rates) for p, v in zip(start.pressures, volumes, strict=True)]
+    expected = knee.closed_valve_stiffness(0.0, start.pressures, polytropic_index=tuple(indices), dead_volume=2e-6)
+    np.testing.assert_allclose(found.stiffness[:, 0], expected.real, rtol=1e-4)
+    np.testing.assert_allclose(found.loss[:, 0], expected.imag, atol=2e-4 * float(expected.real[0]))
+    ends = [
+        float(knee.closed_valve_stiffness(0.0, start.pressures, polytropic_index=n, dead_volume=2e-6))
+        for n in (1.0, 1.4)
+    ]
+    assert (found.stiffness[0, 0], found.stiffness[-1, 0]) == pytest.approx(ends, rel=5e-3)
+    assert found.loss[1, 0] > 0.1 * (ends[1] - ends[0])

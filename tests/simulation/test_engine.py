@@ -13,7 +13,8 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
 from mckibben.simulation import problem
-from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, native_episode
+from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, compute_with, native_episode
+from mckibben.simulation.software import software
 
 SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
 
@@ -47,10 +48,18 @@ sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 1}
 disturbance: {height: 0.5 N*m, width: 20 ms, interval: 50 ms, start: 40 ms}
 """
 FLOW = "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar}"
+WARM = "{class: regulator, conductance: 0.1 L/(s*bar), supply: 7 bar, time_constant: 20 ms, wall_conductance: 0.5 W/K}"
+PAIR = f"""
+  class: unequal
+  muscle1: {{class: tube, volume: 5 cm^3, conductance: 0.1 L/(s*bar), valve: {WARM}}}
+  muscle2: {WARM}
+  reservoir_volume: 0.5 L
+  line_conductance: 1 L/(s*bar)"""
 SCENARIOS = {
     "as in the paper": BASE % (MUSCLE % "", "ideal", PID),
     "friction, noise and pulses": BASE % (MUSCLE % FRICTION, "{time_constant: 20 ms}", DECOUPLING) + REAL,
     "air, prediction": BASE % (MUSCLE % "", FLOW, PREDICTIVE),
+    "air with a temperature": (BASE % (MUSCLE % "", PAIR, PID)).replace("substeps: 2", "substeps: 8"),
 }
 
 
@@ -159,6 +168,12 @@ def test_without_a_compiler_xla_does_it(monkeypatch):
     assert caught.value.field == "engine"
 
 
+@pytest.mark.parametrize(("chosen", "expected"), [("cuda", 3), ("native", 1), ("xla", 2)])
+def test_the_chosen_engine_computes(monkeypatch, chosen, expected):
+    monkeypatch.setattr("mckibben.simulation.engine.check_engine", lambda *_, many: chosen)
+    assert compute_with("auto", np.float64, lambda: 1, lambda: 2, cuda=lambda: 3) == (expected, chosen)
+
+
 def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])
     plant = scenario.plant()
@@ -170,6 +185,17 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
         monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
+
+
+def test_the_software_of_batches_is_the_compiler_of_their_engine():
+    """Programs of other compilers or with other options may round differently."""
+    emitted, by_xla = software("native"), software("xla")
+    assert (emitted["engine"], by_xla["engine"]) == ("native", "xla")
+    path = compiler()
+    assert path is not None
+    first = subprocess.run([path, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
+    assert emitted.pop("compiler").startswith(first)
+    assert emitted | {"engine": "xla"} == by_xla
 
 
 @pytest.mark.parametrize("engine", ["", "c", None, "cuda"])

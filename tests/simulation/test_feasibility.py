@@ -1,5 +1,6 @@
 """Is a reference within reach: against plain NumPy on the paper's equations, and in words."""
 
+import inspect
 import re
 
 import jax
@@ -8,7 +9,7 @@ import pytest
 
 from mckibben.control import Constant, Reference, Sine, Step
 from mckibben.plant import IdealValve, JointPlant
-from mckibben.simulation import check_reference
+from mckibben.simulation import check_reference, simulate
 from mckibben.units import deg
 
 GRID = {"duration": 2.0, "control_period": 0.05}  # all of so many periods share a program
@@ -99,6 +100,18 @@ def test_what_is_out_of_reach_for_a_part_is_so_just_there(plant):
     np.testing.assert_array_equal(reach.shortfall > 0, reach.times >= 3.0)
     assert reach.shortfall[-1] == pytest.approx(25.0 - reach.highest[-1])
     assert "for 25% of the run, between 3 s and 4 s" in reach.describe()
+
+
+def test_half_a_percent_and_less_is_not_stated_as_0_percent(plant):
+    late = Reference(angle=Constant(0.0), stiffness=Step(before=15.0, after=25.0, at=0.995))
+    reach = check_reference(plant, late, duration=1.0, control_period=0.005)
+    assert np.count_nonzero(reach.shortfall) == 1 and "for under 1% of the run" in reach.describe()
+
+
+def test_the_default_period_is_that_of_simulate(plant):
+    simulated, checked = (inspect.signature(one).parameters for one in (simulate, check_reference))
+    for name in ("duration", "control_period"):
+        assert simulated[name].default == checked[name].default
 
 
 def test_from_below_as_well(plant):

@@ -126,6 +126,12 @@ def test_the_last_change_counts():
     assert answer(earlier, stiffness) == answer(desired, stiffness)
 
 
+@pytest.mark.parametrize("at", [1, 2, 7])
+def test_a_change_has_the_setpoints_before_and_after_it(at):
+    found = last_change(np.where(np.arange(9) < at, 14.0, 16.0), np)
+    assert (int(found.at), float(found.before), float(found.after), bool(found.ends)) == (at, 14.0, 16.0, True)
+
+
 @pytest.mark.slow
 def test_the_end_of_a_ramp_is_no_step():
     times = np.arange(3000) * PERIOD

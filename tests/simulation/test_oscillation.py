@@ -39,6 +39,11 @@ def test_the_error_of_a_late_joint_is_none(frequency):
     assert found(2 * deg * np.sin(wave + 1) + 0.3 * deg * np.sin(3 * wave), 8 * deg * np.sin(wave))[0] == 0.0
 
 
+def test_that_of_a_joint_late_on_a_small_reference_is_none_either():
+    wave = 2 * np.pi * 4 * TIMES
+    assert found(0.3 * deg * np.sin(wave + 1), 0.15 * deg * np.sin(wave))[0] == 0.0  # the least amplitude is 0.1 deg
+
+
 def test_an_oscillation_that_decays_is_none():
     assert found(8 * deg * np.exp(-4 * TIMES) * np.cos(2 * np.pi * 3 * TIMES))[0] == 0.0
 

@@ -3,8 +3,10 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 from mckibben import (
     PID,
@@ -22,8 +24,11 @@ from mckibben import (
     simulate_many,
 )
 from mckibben.errors import RangeError, SimulationError
-from mckibben.plant.base import STABILITY_LIMIT
+from mckibben.muscle import MaxwellCreep, MaxwellSlip
+from mckibben.plant import IdealValve, JointFriction
+from mckibben.plant.base import STABILITY_LIMIT, Motion
 from mckibben.simulation import Outcome
+from mckibben.units import deg, mm
 
 KNEE, LOAD = catalog.joint("knee-table-2"), catalog.load("knee-table-2")
 PLANT = JointPlant(KNEE, LOAD, FirstOrderValve(0.02))
@@ -82,9 +87,39 @@ def test_the_mode_is_that_of_damping_over_inertia_or_of_the_spring():
     assert undamped == pytest.approx(np.sqrt((72.5 + float(LOAD.gravity_moment)) / inertia))
 
 
+SLIP, CREEP = MaxwellSlip(7.5, 0.5 * mm, viscous=200.0), MaxwellCreep(3000.0, 0.3, arms=2)
+
+
+@pytest.mark.parametrize(
+    ("parts", "friction"),
+    [
+        ({}, None),
+        ({}, JointFriction(30.0, 0.05 * deg)),
+        ({"friction": SLIP, "creep": CREEP}, JointFriction(0.3, 0.05 * deg)),
+        ({"creep": MaxwellCreep(1.0, 0.01)}, None),  # the fastest mode is its relaxation
+    ],
+)
+def test_the_fastest_mode_is_that_of_the_linearised_plant(parts, friction):
+    """Eigenvalues of the derivative of the equation of motion, at a state without stress, where gravity is stiffest."""
+    muscle, angle, pressures = dataclasses.replace(KNEE.muscle1, **parts), 0.1, (2e5, 3e5)
+    joint = dataclasses.replace(KNEE, muscle1=muscle, muscle2=muscle)
+    load = dataclasses.replace(LOAD, damping=0.05, hanging_angle=angle)
+    plant = JointPlant(joint, load, IdealValve(), friction=friction)
+    state = plant.init_state(angle, pressures)
+    flat, restored = ravel_pytree(Motion.of(state))
+
+    def rate(motion):
+        return ravel_pytree(plant.rate(restored(motion).applied_to(state, state.pressures)))[0]
+
+    modes = np.linalg.eigvals(np.asarray(jax.jit(jax.jacfwd(rate))(flat)))
+    found = plant.fastest_rates([angle], [float(joint.stiffness(angle, pressures))])
+    assert found["the motion"] == pytest.approx(np.abs(modes).max(), rel=2e-3)
+
+
 def test_the_limit_is_that_of_the_runge_kutta_method():
     damping = STABILITY_LIMIT / 0.25e-3 * float(LOAD.total_inertia)
     heavily_damped(0.99 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
+    assert [heavily_damped(part * damping).needed_substeps([0.0], [72.5], 1e-3) for part in (0.99, 1.01)] == [4, 5]
     with pytest.raises(SimulationError) as caught:
         heavily_damped(1.01 * damping).check_substeps([0.0], [72.5], 1e-3, 4)
     assert caught.value.lower == 5

@@ -8,9 +8,9 @@ import pytest
 import mckibben as mk
 from mckibben.actuator import FirstOrderValve
 from mckibben.control import ExtendedStateObserver, PressureObserver
-from mckibben.plant import SampledSensors
+from mckibben.plant import PerfectSensors, SampledSensors
 from mckibben.simulation import Outcome, disk_margins, margins
-from mckibben.simulation.stability import LinearLoop, _margins_of
+from mckibben.simulation.stability import LinearLoop, _crossings, _margins_of, _without_noise
 from mckibben.units import deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -69,6 +69,18 @@ def test_a_reading_delay_of_the_sensors_takes_from_the_delay_margin(loop, found)
     assert again.delay.min() == pytest.approx(found.delay.min() - 1 * ms, abs=0.05 * ms)
 
 
+@pytest.mark.parametrize(
+    ("of_sensors", "of_commands", "expected"), [(0.0, None, None), (0.5, None, 0.5), (0.0, 3.0, 3.0), (0.5, 3.0, 3.5)]
+)
+def test_delays_of_sensors_and_commands_add_up(loop, of_sensors, of_commands, expected):
+    """In milliseconds, the control period."""
+    delay = None if of_commands is None else of_commands * ms
+    plant = dataclasses.replace(loop[0], sensors=SampledSensors(delay=of_sensors), command_delay=delay)
+    found = _without_noise(plant, 1 * ms)
+    assert found.sensors == PerfectSensors()
+    assert found.command_delay == (None if expected is None else pytest.approx(expected * ms))
+
+
 @pytest.mark.slow
 def test_the_poles_are_those_that_were_placed(found):
     """The slowest pole of the closed loop decays within the bandwidths: 60 rad/s with a damping of 2.5."""
@@ -91,9 +103,20 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
     np.testing.assert_allclose(largest, np.abs(1 / (1 + open_loop)).max(axis=1), rtol=1e-9)
     assert radius == pytest.approx(max(np.abs(np.roots([1, -1, k])).max() for k in gains))
     assert gain == pytest.approx(1 / max(gains), rel=0.01)
-    assert phase == pytest.approx(phases.min(), rel=1e-3)
-    assert delay == pytest.approx((phases / crossover).min() * period, rel=1e-3)
+    assert phase == pytest.approx(phases.min(), rel=5e-5)
+    assert delay == pytest.approx((phases / crossover).min() * period, rel=5e-5)
     assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=1e-9)
+
+
+def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
+    """A locus with a gain of 1.5 that falls below 1 late, where its phase has moved away from -180 degrees."""
+    angles, period = np.linspace(0.01, 1.0, 400), 1e-3
+    locus = (1.5 - 0.7 * angles**4) * np.exp(-1j * (np.pi - 0.2 - angles))
+    crossover = (0.5 / 0.7) ** 0.25
+    gain, phase, delay = _crossings(np.stack([locus, 0.1 * locus], axis=1), angles, period)
+    assert gain == np.inf
+    assert phase == pytest.approx(0.2 + crossover, rel=1e-4)
+    assert delay == pytest.approx((0.2 + crossover) / crossover * period, rel=1e-4)
 
 
 def test_an_unstable_loop_has_no_margins():

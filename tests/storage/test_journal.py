@@ -147,6 +147,15 @@ def test_a_failed_append_leaves_nothing(filled, monkeypatch):
     assert numbers(filled) == list(range(21))
 
 
+def test_a_closed_journal_is_closed_once(filled):
+    with Journal.create(filled.with_name("b"), ABOUT) as journal:
+        assert not journal.closed
+    assert journal.closed
+    journal.close()
+    with pytest.raises(OSError):
+        journal.append(JournalRecord(ITEM, 0, b""))
+
+
 def test_an_existing_file_is_not_taken(filled):
     with pytest.raises(FileError):
         Journal.create(filled, ABOUT)

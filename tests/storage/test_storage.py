@@ -4,6 +4,7 @@ import errno
 import fcntl
 import os
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -11,6 +12,8 @@ import pytest
 from mckibben.errors import FileError, McKibbenWarning
 from mckibben.storage import files
 from mckibben.storage.files import atomic_write, check_free, file_lock, make_folder
+
+OPEN_FILES = Path("/proc/self/fd")
 
 
 def test_only_one_at_a_time(tmp_path):
@@ -25,6 +28,15 @@ def test_only_one_at_a_time(tmp_path):
     assert not path.exists()
     with file_lock(path, "at it"):
         pass
+
+
+@pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="open files are not listed here")
+def test_a_lock_leaves_no_open_file(tmp_path):
+    before = sum(1 for _ in OPEN_FILES.iterdir())
+    for _ in range(3):
+        with file_lock(tmp_path / ".lock", "at it"):
+            pass
+    assert sum(1 for _ in OPEN_FILES.iterdir()) <= before
 
 
 def test_it_is_let_go_of_after_an_error_too(tmp_path):
@@ -104,6 +116,18 @@ def test_a_file_is_written_completely_or_not_at_all(tmp_path):
     with atomic_write(path, overwrite=True) as part:
         part.write_text("second")
     assert path.read_text() == "second" and list(tmp_path.iterdir()) == [path]
+
+
+def test_without_hard_links_an_existing_file_is_kept_too(tmp_path, monkeypatch):
+    def link(*_):
+        raise OSError(errno.EPERM, "not supported here")
+
+    monkeypatch.setattr(os, "link", link)
+    with atomic_write(tmp_path / "a") as part:
+        part.write_text("first")
+    with pytest.raises(FileError), atomic_write(tmp_path / "a") as part:
+        part.write_text("second")
+    assert (tmp_path / "a").read_text() == "first" and len(list(tmp_path.iterdir())) == 1
 
 
 @pytest.mark.parametrize("overwrite", [True, False])

@@ -3,6 +3,7 @@
 import pytest
 
 from mckibben import catalog
+from mckibben.dataset import Recipe
 from mckibben.errors import FileError, McKibbenError, NotInCatalogError
 from mckibben.identification import identify
 from mckibben.muscle import ChouLaw, ExponentialLaw
@@ -80,7 +81,7 @@ def test_a_misspelt_law_has_a_suggestion():
 
 def test_options_are_followed_or_refused_for_catalog_entries_too():
     try:
-        found = data_named("festo-tool-10mm", slack_force=100.0)
+        found = data_named("festo-tool-10mm", Recipe(slack_force=100.0))
     except McKibbenError:
         return
     assert found.taut.force.min() > 100.0

@@ -7,6 +7,7 @@ import gc
 import random
 import re
 import sys
+import threading
 import time
 import weakref
 import zipfile
@@ -260,6 +261,27 @@ def test_two_tabs_of_a_browser_show_the_same():
     assert asyncio.run(visit()) is None
 
 
+@pytest.mark.parametrize("same_tab", [False, True])
+def test_a_tab_is_told_that_another_has_replaced_its_job(monkeypatch, same_tab):
+    last = threading.Event()
+    monkeypatch.setattr(identify, "rank", lambda data, progress: last.wait(10.0))
+
+    async def visit():
+        async with visitor() as user:
+            kept = await points_of_the_rig(user)
+            user.find(marker="rank").click()
+            await until(lambda: kept.jobs.busy)
+            if not same_tab:
+                await user.open("/identify")
+            await paste(user, RIG)
+            last.set()
+            await until(lambda: kept.data is not None)
+            await asyncio.sleep(0.5)
+            return user.notify.messages
+
+    assert len(asyncio.run(visit())) == (0 if same_tab else 1)
+
+
 def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):
     """Also if it is cancelled after its last evaluation."""
     written = identify.keep_muscle
@@ -329,7 +351,7 @@ def test_a_page_is_freed_when_it_is_left(where):
             await asyncio.sleep(0.5)
             user.client.delete()
             user.client = None
-            for _ in range(50):
+            for _ in range(300):  # a run that has begun keeps its page
                 gc.collect()
                 if pages[0]() is None:
                     break

@@ -3,31 +3,159 @@
 from __future__ import annotations
 
 import abc
-from typing import Any, Self
+import functools
+import operator
+from typing import Any, ClassVar, NamedTuple, Self
 
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.base import Actuator, AirVolume, Scalar
+from mckibben.component.columns import Label
 from mckibben.joint import AntagonisticJoint
+from mckibben.muscle.air import (
+    ATMOSPHERE,
+    ENERGY,
+    HEAT_CAPACITY_RATIO,
+    TEMPERATURE,
+    effective_index,
+    heat_as_flow,
+    pressure_rate,
+    temperature_rate,
+)
+
+
+class Exchange(NamedTuple):
+    """Air that a muscle exchanges with its actuator.
+
+    Mass flows [kg/s] into the muscle, negative out of it, the rate of the state of the actuator, and the mass flow
+    [kg/s] drawn from the supply.
+    """
+
+    flows: tuple[Array, ...]
+    rate: Any
+    drawn: Array
+
+    @property
+    def net(self) -> Array:
+        """Sum of the flows [kg/s]."""
+        return functools.reduce(operator.add, self.flows)
+
+    def enthalpy(self, temperature: Scalar) -> Array:
+        """Return the enthalpy of the flows over that of 1 kg of air at room temperature [kg/s].
+
+        Air flows in at room temperature, and out at the temperature of the muscle's air [K].
+        """
+        ratio = temperature * (1 / TEMPERATURE)
+        return functools.reduce(operator.add, (jnp.where(flow < 0, flow * ratio, flow) for flow in self.flows))
 
 
 class AirActuator(Actuator):
-    """Actuator that lets air into a muscle and out; pressures are integrated with the volumes of the muscles.
+    r"""Actuator that lets air into a muscle and out; pressures are integrated with the volumes of the muscles.
 
-    It has a gauge pressure `supply` [Pa] and a `polytropic_index`, as fields or properties.
+    It has a gauge pressure `supply` [Pa] and a `polytropic_index`, as fields or properties. With a `wall_conductance`
+    h A [W/K] the temperature T of the air in each muscle is a state, in place of a polytropic change of state:
+
+    .. math::
+
+        \dot p = \frac{\kappa}{V} \left(R T_0 \dot m_\mathrm{in} - R T \dot m_\mathrm{out} - p \dot V
+        + \frac{\kappa - 1}{\kappa} h A (T_0 - T)\right), \qquad
+        \dot T = T \left(\frac{\dot p}{p} + \frac{\dot V}{V}
+        - \frac{\dot m_\mathrm{in} - \dot m_\mathrm{out}}{m}\right)
+
+    This is the energy balance of an open system (E. Richer and Y. Hurmuzlu, "A High Performance Pneumatic Force
+    Actuator System: Part I", ASME Journal of Dynamic Systems, Measurement, and Control 122, 2000): supply and wall are
+    at room temperature T0, and air leaves at T. h A = 0 is adiabatic; with a large h A the air is isothermal.
     """
 
     default_class = ""
     holds_air = True
+    telemetry_labels: ClassVar = {
+        f"temperature{number}": Label("K", f"temperature of the air in muscle {number}") for number in (1, 2)
+    }
 
     @abc.abstractmethod
+    def exchange(
+        self, pressure: Scalar, state: Any, command: ArrayLike, inlet: ArrayLike, temperature: Scalar | None = None
+    ) -> Exchange:
+        """Return the air exchanged with a muscle at a gauge pressure [Pa] and a temperature [K], by default the room's.
+
+        The supply has an absolute pressure `inlet` [Pa].
+        """
+
     def muscle_rate(
         self, pressure: Scalar, state: Any, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
     ) -> tuple[Array, Any, Array]:
         """Return the rates of the pressure [Pa/s] and of the state, and the mass flow [kg/s] drawn from the supply.
 
-        The supply has an absolute pressure `inlet` [Pa].
+        For polytropic air; the supply has an absolute pressure `inlet` [Pa].
         """
+        passed = self.exchange(pressure, state, command, inlet)
+        index, absolute = self.polytropic_index, pressure + ATMOSPHERE  # type: ignore[attr-defined]
+        rate = pressure_rate(index, absolute, passed.net, volume.effective(index, absolute), volume.rate)
+        return rate, passed.rate, passed.drawn
+
+    def energy_rates(
+        self,
+        pressure: Scalar,
+        temperature: Scalar,
+        state: Any,
+        command: ArrayLike,
+        volume: AirVolume,
+        inlet: ArrayLike,
+    ) -> tuple[Array, Array, Any, Array]:
+        """Return the rates of pressure [Pa/s], temperature [K/s] and state, and the flow drawn [kg/s]; `muscle_rate`.
+
+        By the energy balance, with a `wall_conductance`.
+        """
+        passed = self.exchange(pressure, state, command, inlet, temperature)
+        index, absolute = HEAT_CAPACITY_RATIO, pressure + ATMOSPHERE
+        filling = passed.enthalpy(temperature) + heat_as_flow(self.wall_conductance, temperature)
+        rate = pressure_rate(index, absolute, filling, volume.effective(index, absolute), volume.rate)
+        growth = volume.rate if volume.by_pressure is None else volume.rate + volume.by_pressure * rate
+        warming = temperature_rate(temperature, absolute, rate, passed.net, volume.volume, growth)
+        return rate, warming, passed.rate, passed.drawn
+
+    def index_at(self, pressure: ArrayLike, volume: ArrayLike, frequency: ArrayLike) -> Any:
+        """Return the index n of small changes of a volume [m^3] at a gauge pressure [Pa] behind the shut valve.
+
+        With a `wall_conductance` it is complex and depends on the frequency [Hz]; see `effective_index`.
+        """
+        if self.wall_conductance is None:
+            return self.polytropic_index  # type: ignore[attr-defined]
+        return effective_index(self.wall_conductance, jnp.asarray(pressure) + ATMOSPHERE, volume, frequency)
+
+    @property
+    def fastest_index(self) -> float:
+        """Index n of the fastest change of the pressure by a flow.
+
+        With a `wall_conductance` kappa, times the flow of air that filling has heated to at most kappa times room
+        temperature.
+        """
+        if self.wall_conductance is None:
+            return float(self.polytropic_index)  # type: ignore[attr-defined]
+        return HEAT_CAPACITY_RATIO**1.5
+
+    def cooling_rate(self, volume: float) -> float:
+        """Return the rate [1/s] at which the temperature of air of atmospheric pressure, in a volume [m^3], settles."""
+        if self.wall_conductance is None:
+            return 0.0
+        return float(self.wall_conductance) * (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE / (ATMOSPHERE * volume)
+
+    def needed_flow(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
+        """Return the mass flow [kg/s] into a muscle at which a gauge pressure [Pa] changes at a rate [Pa/s].
+
+        With a `wall_conductance` the larger one of isothermal air and adiabatic air, as the temperature is not known.
+        """
+        absolute = jnp.asarray(pressure) + ATMOSPHERE
+
+        def polytropic(index: Any) -> Any:
+            return (rate * volume.effective(index, absolute) / index + absolute * volume.rate) / ENERGY
+
+        if self.wall_conductance is None:
+            return polytropic(self.polytropic_index)  # type: ignore[attr-defined]
+        slow, fast = polytropic(1.0), polytropic(HEAT_CAPACITY_RATIO)
+        return jnp.where(jnp.abs(slow) > jnp.abs(fast), slow, fast)
 
     @abc.abstractmethod
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from mckibben.actuator.air_actuator import AirActuator
+from mckibben.actuator.air_actuator import AirActuator, Exchange
 from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar, lag_fraction
 from mckibben.component.checks import check_within
 from mckibben.component.columns import Label
@@ -23,12 +23,13 @@ from mckibben.muscle.air import (
     ENERGY,
     CriticalRatio,
     exchange_rate,
+    flow_of_warm_air,
     mass_flow,
-    pressure_rate,
 )
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import (
     Conductance,
+    HeatConductance,
     Percent,
     PositivePressure,
     PressureScale,
@@ -70,7 +71,10 @@ class AirValve(AirActuator):
     band
         Error of the pressure [Pa] at which the valve is fully open.
     polytropic_index
-        n of the air in the muscles, 1 (isothermal) to 1.4 (adiabatic).
+        n of the air in the muscles, 1 (isothermal) to 1.4 (adiabatic), without a `wall_conductance`; controllers and
+        the reservoir use it in any case.
+    wall_conductance
+        h A [W/K] of the wall of a muscle to its air: with it the temperature of the air is a state. 0 is adiabatic.
     dead_volume
         Volume [m^3] of tube and fittings between valve and muscle.
     leak
@@ -92,6 +96,7 @@ class AirValve(AirActuator):
     critical_ratio: CriticalRatio = eqx.field(kw_only=True, default=0.3)
     band: PressureScale = eqx.field(kw_only=True, default=1 * bar)
     polytropic_index: PolytropicIndex = eqx.field(kw_only=True, default=1.2)
+    wall_conductance: HeatConductance | None = eqx.field(kw_only=True, default=None)
     dead_volume: DeadVolume = eqx.field(kw_only=True, default=0.0)
     leak: Conductance | None = eqx.field(kw_only=True, default=None)
     reservoir_volume: Volume | None = eqx.field(kw_only=True, default=None)
@@ -146,15 +151,16 @@ class AirValve(AirActuator):
     def signals(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
         return {"opening": self.opening(state, command, pressure)}
 
-    def muscle_rate(
-        self, pressure: Scalar, state: Any, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
-    ) -> tuple[Array, Any, Array]:
+    def exchange(
+        self, pressure: Scalar, state: Any, command: ArrayLike, inlet: ArrayLike, temperature: Scalar | None = None
+    ) -> Exchange:
         opening = self.opening(state, command, pressure)
-        flow = self.flow(opening, inlet, pressure)
-        index, absolute = self.polytropic_index, pressure + ATMOSPHERE
-        net = flow - self.leakage(pressure)
-        rate = pressure_rate(index, absolute, net, volume.effective(index, absolute), volume.rate)
-        return rate, self.rate(state, command, pressure), jnp.where(opening > 0, flow, 0.0)
+        flows: tuple[Any, ...] = (self.flow(opening, inlet, pressure),)
+        if self.leak is not None:
+            flows = (*flows, -self.leakage(pressure))
+        if temperature is not None:
+            flows = tuple(flow_of_warm_air(flow, temperature) for flow in flows)
+        return Exchange(flows, self.rate(state, command, pressure), jnp.where(opening > 0, flows[0], 0.0))
 
     def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""
@@ -172,9 +178,7 @@ class AirValve(AirActuator):
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
         # the lag of a spool is left out
-        absolute = jnp.asarray(pressure) + ATMOSPHERE
-        room = volume.effective(self.polytropic_index, absolute)
-        needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY + self.leakage(pressure)
+        needed = self.needed_flow(pressure, rate, volume) + self.leakage(pressure)
         full = jnp.where(needed > 0, 1.0, -1.0)
         share = needed / self.flow(full, self.supply + ATMOSPHERE, pressure)
         command = pressure + self._error_for(full * share) + self.command_lag * rate
@@ -258,10 +262,10 @@ class AirValve(AirActuator):
 
     def fastest_rate_in(self, volume: float) -> float:
         """Return a bound on the rates [1/s] of the air in a volume [m^3], of valve, loop and reservoir."""
-        index, critical = float(self.polytropic_index), float(self.critical_ratio)
+        index, critical = self.fastest_index, float(self.critical_ratio)
         widest, room = self.widest, volume + float(self.dead_volume)
         stroke = index * ENERGY * DENSITY * widest * (float(self.supply) + ATMOSPHERE) / room
-        fastest = exchange_rate(index, critical, widest, room) + self.fastest_rate(stroke)
+        fastest = exchange_rate(index, critical, widest, room) + self.cooling_rate(room) + self.fastest_rate(stroke)
         return fastest if self.reservoir is None else max(fastest, self.reservoir.fastest_rate(2 * widest))
 
     @property

@@ -18,7 +18,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, RigidTendon
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.muscle import Domain
-from mckibben.muscle.air import ATMOSPHERE, exchange_rate, mass_flow, pressure_rate
+from mckibben.muscle.air import ATMOSPHERE, TEMPERATURE, exchange_rate, mass_flow, pressure_rate
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import exp, floating
 
@@ -29,10 +29,27 @@ _ROUNDING = 1e-9  # periods
 
 
 class AirState(NamedTuple):
-    """State of the actuator of each muscle, and the gauge pressure [Pa] of the reservoir where there is one."""
+    """State of the actuator of each muscle, gauge pressure [Pa] of the reservoir, and temperatures [K] of the air.
+
+    Without a reservoir, or with polytropic air, these are empty.
+    """
 
     valves: tuple[Any, ...]
     reservoir: Any = ()
+    temperatures: tuple[Any, ...] = ()
+
+
+def state_of_muscle(states: AirState | tuple[()], index: int) -> tuple[Any, Any]:
+    """Return the state of the actuator of a muscle, and the temperature [K] of its air; () for none."""
+    if not isinstance(states, AirState):
+        return (), ()
+    return states.valves[index], states.temperatures[index] if states.temperatures else ()
+
+
+def at_room_temperature(content: Array, states: AirState | tuple[()], index: int) -> Array:
+    """Return the content of a muscle, computed for room temperature, for the temperature that its air has."""
+    temperature = state_of_muscle(states, index)[1]
+    return content * (TEMPERATURE / temperature) if jax.tree.leaves(temperature) else content
 
 
 class AirVolume(NamedTuple):
@@ -153,6 +170,8 @@ class Actuator(Labelled, Component):
     """Whether commands are openings -1..1 in place of pressures."""
     dead_volume = 0.0
     """Volume [m^3] of tube and fittings between actuator and muscle."""
+    wall_conductance = None
+    """Conductance h A [W/K] for heat from the wall of a muscle to its air; None for air without a temperature."""
     muscle_count: ClassVar[int | None] = None
     """Number of muscles that it is made for, None for any."""
 
@@ -222,16 +241,21 @@ class Actuator(Labelled, Component):
         volumes: Sequence[AirVolume],
     ) -> tuple[tuple[Array, ...], AirState]:
         """Return the rates of the pressures [Pa/s] of all muscles, and of the state; see `AirActuator.muscle_rate`."""
-        rates, valve_rates, drawn, reservoir = [], [], 0.0, self.reservoir
-        for i, each in enumerate(zip(pressures, air.valves, commands, volumes, strict=True)):
-            own = self.for_muscle(i)
+        rates, valve_rates, warming, drawn, reservoir = [], [], [], 0.0, self.reservoir
+        for i, (pressure, *others) in enumerate(zip(pressures, air.valves, commands, volumes, strict=True)):
+            own, temperature = self.for_muscle(i), state_of_muscle(air, i)[1]
             inlet = ATMOSPHERE + (own.supply if reservoir is None else air.reservoir)
-            rate, valve_rate, flow = own.muscle_rate(*each, inlet)
+            warmed: Any = ()
+            if own.wall_conductance is None:
+                rate, valve_rate, flow = own.muscle_rate(pressure, *others, inlet)
+            else:
+                rate, warmed, valve_rate, flow = own.energy_rates(pressure, temperature, *others, inlet)
             rates.append(rate)
             valve_rates.append(valve_rate)
+            warming.append(warmed)
             drawn = drawn + flow
         filled: Any = () if reservoir is None else reservoir.rate(air.reservoir, drawn)
-        return tuple(rates), AirState(tuple(valve_rates), filled)
+        return tuple(rates), AirState(tuple(valve_rates), filled, tuple(warming) if air.temperatures else ())
 
     def before_steps(
         self, air: AirState, commands: Sequence[ArrayLike], pressures: Sequence[ArrayLike], step: ArrayLike
@@ -292,23 +316,34 @@ class Actuator(Labelled, Component):
     ) -> dict[str, Array]:
         """Return quantities of a run, by name, from the states, commands [Pa] and pressures [Pa] of all muscles.
 
-        They are the `signals` of each muscle, followed by its number, and the pressure [Pa] of the reservoir.
+        They are the `signals` of each muscle and the temperature [K] of its air, followed by its number, and the
+        pressure [Pa] of the reservoir.
         """
         found: dict[str, Array] = {}
         for i, one in enumerate(zip(held_states(state, len(pressures)), commands, pressures, strict=True)):
             found |= {f"{name}{i + 1}": value for name, value in self.for_muscle(i).signals(*one).items()}
+        if isinstance(state, AirState):
+            found |= {
+                f"temperature{i}": one for i, one in enumerate(state.temperatures, 1) if not isinstance(one, tuple)
+            }
         return found if self.reservoir is None else {**found, "reservoir": state.reservoir}  # type: ignore[union-attr]
 
     def init_states(self, pressures: tuple[Scalar, ...]) -> AirState | tuple[()]:
         """Return the states that hold the pressures [Pa] of all muscles, with the reservoir at its supply pressure.
 
-        Empty if there are none in addition to the pressures.
+        The air has room temperature. Empty if there are none in addition to the pressures.
         """
         states = tuple(self.for_muscle(i).init(pressure) for i, pressure in enumerate(pressures))
         if not (self.holds_air or jax.tree.leaves(states)):
             return ()
         reservoir = self.reservoir
-        return AirState(states, () if reservoir is None else jnp.full_like(floating(pressures[0]), reservoir.supply))
+        inlet = () if reservoir is None else jnp.full_like(floating(pressures[0]), reservoir.supply)
+        conductances = [self.for_muscle(i).wall_conductance for i in range(len(pressures))]
+        temperatures: tuple[Any, ...] = tuple(
+            () if conductance is None else jnp.full_like(floating(pressure), TEMPERATURE)
+            for conductance, pressure in zip(conductances, pressures, strict=True)
+        )
+        return AirState(states, inlet, temperatures if jax.tree.leaves(temperatures) else ())
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         """Return the pressure [Pa] right after a new command [Pa]."""

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from mckibben.actuator.air_actuator import AirActuator
+from mckibben.actuator.air_actuator import AirActuator, Exchange
 from mckibben.actuator.air_valve import AirValve
 from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar
 from mckibben.component.columns import Label
@@ -21,6 +21,7 @@ from mckibben.muscle.air import (
     LAMINAR,
     CriticalRatio,
     exchange_rate,
+    flow_of_warm_air,
     flow_share,
     mass_flow,
     pressure_behind,
@@ -95,6 +96,11 @@ class Tube(AirActuator):
         return self.valve.polytropic_index
 
     @property
+    def wall_conductance(self) -> Any:  # type: ignore[override]
+        """Conductance [W/K] for heat from the wall of the muscle to its air."""
+        return self.valve.wall_conductance
+
+    @property
     def widest(self) -> float:
         return self.valve.widest
 
@@ -119,20 +125,27 @@ class Tube(AirActuator):
     def signals(self, state: TubeState, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
         return {**self.valve.signals(state.valve, command, state.pressure), "outlet": state.pressure}
 
-    def muscle_rate(
-        self, pressure: Scalar, state: TubeState, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
-    ) -> tuple[Array, TubeState, Array]:
-        index, absolute, outlet = self.polytropic_index, pressure + ATMOSPHERE, state.pressure + ATMOSPHERE
-        through = mass_flow(self.conductance, self.critical_ratio, outlet, absolute)
-        net = through - self.valve.leakage(pressure)
-        rate = pressure_rate(index, absolute, net, volume.effective(index, absolute), volume.rate)
-        at_valve = AirVolume(self.dead_volume, self._growth(through, outlet))
+    def exchange(
+        self,
+        pressure: Scalar,
+        state: TubeState,
+        command: ArrayLike,
+        inlet: ArrayLike,
+        temperature: Scalar | None = None,
+    ) -> Exchange:
+        outlet = state.pressure + ATMOSPHERE
+        flows: tuple[Any, ...] = (mass_flow(self.conductance, self.critical_ratio, outlet, pressure + ATMOSPHERE),)
+        if self.valve.leak is not None:
+            flows = (*flows, -self.valve.leakage(pressure))
+        if temperature is not None:
+            flows = tuple(flow_of_warm_air(flow, temperature) for flow in flows)
+        at_valve = AirVolume(self.dead_volume, self._growth(flows[0], outlet))
         tube, valve, drawn = self._tight.muscle_rate(state.pressure, state.valve, command, at_valve, inlet)
-        return rate, TubeState(valve, tube), drawn
+        return Exchange(flows, TubeState(valve, tube), drawn)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
         absolute = jnp.asarray(pressure) + ATMOSPHERE
-        needed = self._flow_for(absolute, rate, volume)
+        needed = self.needed_flow(pressure, rate, volume) + self.valve.leakage(pressure)
         outlet = pressure_behind(self.conductance, self.critical_ratio, absolute, needed)
         at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(needed, outlet))
         choked = -needed > self.conductance * DENSITY * absolute
@@ -144,9 +157,9 @@ class Tube(AirActuator):
         return self.valve.time_constant_at(pressure, volume + self.volume) + tube
 
     def fastest_rate_in(self, volume: float) -> float:
-        index, critical, own = float(self.polytropic_index), float(self.critical_ratio), float(self.dead_volume)
+        index, critical, own = self.fastest_index, float(self.critical_ratio), float(self.dead_volume)
         each = exchange_rate(index, critical, float(self.conductance), volume * own / (volume + own))
-        return each + self.valve.fastest_rate_in(float(self.volume))
+        return each + self.cooling_rate(volume) + self._tight.fastest_rate_in(float(self.volume))
 
     def scaled(self, factor: float) -> Self:
         return dataclasses.replace(self, valve=self.valve.scaled(factor))
@@ -198,8 +211,10 @@ class Tube(AirActuator):
 
     @property
     def _tight(self) -> AirValve:
-        """The valve without the leak, which is at the muscle."""
-        return self.valve if self.valve.leak is None else dataclasses.replace(self.valve, leak=None)
+        """The valve without leak and wall, which are those of the muscle."""
+        if self.valve.leak is None and self.valve.wall_conductance is None:
+            return self.valve
+        return dataclasses.replace(self.valve, leak=None, wall_conductance=None)
 
     @property
     def _in_series(self) -> AirValve:

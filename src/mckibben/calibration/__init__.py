@@ -13,6 +13,7 @@ from mckibben.calibration.experiment import (
     run_sweeps,
 )
 from mckibben.calibration.output_error import CommandedCalibration, SimulatedAngles, calibrate_from_commands
+from mckibben.calibration.shut_valve import AirFit, identify_air
 from mckibben.calibration.valve_experiment import (
     ValveExperiment,
     calibrate_scenario_valves,
@@ -23,6 +24,7 @@ from mckibben.calibration.valve_experiment import (
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 
 __all__ = [
+    "AirFit",
     "CommandedCalibration",
     "JointCalibration",
     "JointEstimate",
@@ -40,6 +42,7 @@ __all__ = [
     "calibrated_model",
     "calibrated_scenario",
     "expected",
+    "identify_air",
     "read_joint_recording",
     "run_parts",
     "run_sweeps",

@@ -306,7 +306,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         return objective + float(z @ z) / 2, np.concatenate(gradients).sum(axis=0) + z, curvature + np.eye(count)
 
     means: list[Floats] = []
-    apart: list[Floats] = []  # half the differences of both halves
+    apart: list[Floats] = []  # half the difference between the halves
     begun = [minimised(terms, start(problem, strength), _FIRST) for strength in STARTS]
     z = min(begun, key=lambda found: found[1])[0]
     for _ in range(_STAGES):
@@ -341,7 +341,7 @@ def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:
 
 
 def start(problem: CalibrationProblem, strength: float) -> Floats:
-    """Start of a search, with a strength of all muscles in prior standard deviations: slack ones cause local minima."""
+    """Start of a search: strength of all muscles in prior standard deviations; slack ones cause local minima."""
     z = np.zeros(parameters(problem))
     z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE)[:, COEFFICIENTS] = strength
     return z

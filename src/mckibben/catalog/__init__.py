@@ -9,13 +9,12 @@ M. Martens and I. Boblan, "Modeling the Static Force of a Festo Pneumatic Muscle
 
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from mckibben.errors import NotInCatalogError
+from mckibben.errors import NotInCatalogError, suggest
 
 if TYPE_CHECKING:
     from mckibben.catalog.entries import (
@@ -97,9 +96,12 @@ def _publications() -> tuple[dict[str, Any], ...]:
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:
-    close = difflib.get_close_matches(name, known, 1, cutoff=0.4)
-    remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(dict.fromkeys(known))}"
+    remedy = suggest(name, list(dict.fromkeys(known)))
     return NotInCatalogError(f"the catalog has no {kind} {name!r}", value=name, remedy=remedy)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
 
 
 def __getattr__(name: str) -> Any:

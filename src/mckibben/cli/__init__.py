@@ -20,6 +20,7 @@ import typer
 from typer import Argument, Option
 
 import mckibben
+from mckibben.cli.air import identify_air
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
@@ -29,6 +30,7 @@ from mckibben.cli.leg import leg
 from mckibben.cli.options import (
     INTERRUPTED,
     Accuracy,
+    Extrapolate,
     Force,
     Json,
     Out,
@@ -99,6 +101,7 @@ def reproduce(
 app.command()(check)
 app.command()(points)
 app.command()(identify)
+app.command()(identify_air)
 app.command()(validate)
 
 
@@ -109,6 +112,7 @@ def simulate(
         Path | None, Option(metavar="FILE", help="Write an animation of the joint, as .webp or .gif.")
     ] = None,
     accuracy: Accuracy = "",
+    extrapolate: Extrapolate = False,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -123,6 +127,7 @@ def simulate(
     from mckibben.scenario import Scenario
 
     read = with_accuracy(Scenario.read(scenario), accuracy)
+    read = read.with_extrapolation() if extrapolate else read
     from mckibben.scenario import run_scenario
     from mckibben.simulation.metrics import in_shown_units
 
@@ -135,6 +140,7 @@ def simulate(
         "integration": result.resolution._asdict() if result.resolution else {},
         "infeasible": infeasible,
         "metrics": in_shown_units(result.metrics),
+        "remarks": read.joint.remarks,
     }
     if out:  # before printing: the reader of the output may be gone
         with keeping(out):
@@ -149,8 +155,14 @@ def simulate(
         if result.resolution:
             echo(result.resolution.describe())
         echo(result.describe())
+        for remark in read.joint.remarks:
+            echo(remark)
+        if "small_motion_stiffness" in result.columns and not result.outcome.failed:
+            small, isobaric = result["small_motion_stiffness"], result["stiffness"]
+            ranges = [f"{values.min():.3g}..{values.max():.3g} N*m/rad" for values in (small, isobaric)]
+            echo(f"small-motion stiffness {ranges[0]}, isobaric stiffness {ranges[1]}")
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
-            echo("air is unknown: a specimen has no initial_diameter or braid_angle")
+            echo("air is unknown: a specimen has no volume; give its initial_diameter and braid_angle, or volume_terms")
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if animate:
@@ -307,8 +319,9 @@ def _run(interrupts: list[int]) -> int:
         return _failed(f"error: {on_command_line(str(error))}", 2)
     except OSError as error:
         if error.filename is None and error.errno in (errno.EPIPE, errno.ENOSPC, errno.EIO):
+            reader_has_gone = error.errno == errno.EPIPE
             sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 (the rest is not retried)
-            return _failed(f"failed: the output is incomplete: {error.strerror}", 1)
+            return 0 if reader_has_gone else _failed(f"failed: the output is incomplete: {error.strerror}", 1)
         return _failed(f"error: {error}", 1 if error.errno in (errno.ENOSPC, errno.EIO) else 2)
     except Exception as error:
         if interrupts:  # for example an interrupted import

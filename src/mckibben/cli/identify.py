@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,22 +14,25 @@ from mckibben.cli.options import (
     Column,
     Data,
     Decimal,
+    Displacement,
     Force,
     ForceSign,
     InitialLength,
     Json,
     Out,
+    RecipeFile,
     SkipCorrupt,
     SlackForce,
+    ZeroLength,
     echo,
     keeping,
     notify,
     on_command_line,
-    parse_columns,
     parse_optional_quantity,
     parse_quantity,
     progress,
     read_data,
+    recipe_of,
     report_reading,
     results_folder,
     table,
@@ -38,7 +43,7 @@ from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
-    from mckibben.identification import FrictionForm, RankedLaw, Ranking
+    from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking
     from mckibben.muscle import MaxwellSlip
 
 
@@ -57,7 +62,9 @@ _LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 
 
 def points(
-    recording: Annotated[Path, Argument(metavar="RECORDING", help="CSV, .xlsx, .mat, .tdms, .lvm or .nc, over time.")],
+    recording: Annotated[
+        list[Path], Argument(metavar="RECORDING...", help="CSV, .xlsx, .mat, .tdms, .lvm or .nc, over time.")
+    ],
     out: Annotated[
         Path | None, Option(metavar="FILE", help="New file: .csv, or .nc with the spread of the force.")
     ] = None,
@@ -79,39 +86,51 @@ def points(
     gap: Annotated[str, Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals).")] = "",
     sample_rate: Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")] = "",
     initial_length: InitialLength = "",
+    displacement: Displacement = "",
+    zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
     specimen: Annotated[str, Option(metavar="NAME", help="Name of the specimen.")] = "",
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
+    recipe: RecipeFile = None,
+    save_recipe: Annotated[
+        Path | None, Option(metavar="FILE", help="New file: the options by which the recording was read.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Extract points from a raw recording: steady plateaus, or pressure levels at a fixed length."""
-    if out is not None:
-        _check_new(out)
+    for file, endings in ((out, (".csv", ".nc")), (save_recipe, (".yaml", ".yml"))):
+        if file is not None:
+            _check_new(file, endings)
     pressures = _levels(levels)
-    from mckibben.dataset import read_recording
-
-    read = read_recording(
-        recording,
-        columns=parse_columns(column),
-        initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
-        contraction=None if isometric else parse_optional_quantity("--contraction", contraction, "1"),
+    how = recipe_of(
+        recipe,
+        column,
+        initial_length,
+        displacement,
+        zero_length,
+        slack_force,
+        force_sign,
+        decimal,
+        contraction=parse_optional_quantity("--contraction", contraction, "1"),
         sample_rate=parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
         specimen=specimen,
-        slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
-        force_sign=force_sign,
-        on_corrupt="report" if skip_corrupt else "raise",
-        decimal=decimal,  # type: ignore[arg-type]  # checked by the reader
     )
+    held = how.contraction if isometric else None
+    reader = how.model_copy(update={"contraction": None}) if isometric else how
+    read = reader.recording(recording, on_corrupt="report" if skip_corrupt else "raise")
+    if save_recipe is not None:
+        how.to_yaml(save_recipe)
+        notify(f"wrote {save_recipe}; read the next file with: --recipe {save_recipe}", json)
     between = parse_optional_quantity("--gap", gap, "s")
     tolerance = parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1")
     if isometric:
         found = read.isometric(
             pressures,
             count=count,
-            contraction=parse_optional_quantity("--contraction", contraction, "1"),
+            contraction=held,
             contraction_tolerance=0.005 if tolerance is None else tolerance,
             gap=between,
         )
@@ -132,7 +151,7 @@ def points(
         notify(f"wrote {len(found.dataset)} points to {out}; fit a law with: mckibben identify {out}", json)
 
 
-def _show_points(read: Recording, found: ExtractedPoints, path: Path, json: bool) -> None:
+def _show_points(read: Recording, found: ExtractedPoints, paths: list[Path], json: bool) -> None:
     report_reading(read.table.attrs)
     rows = _rows(found)
     if json:
@@ -148,11 +167,11 @@ def _show_points(read: Recording, found: ExtractedPoints, path: Path, json: bool
     shown = [tuple(map(format, row, formats)) for row in rows[:_SHOWN]]
     more = f" (first {_SHOWN} shown)" if len(rows) > _SHOWN else ""
     table(
-        f"{path.name}: {len(rows)} points from {len(read)} samples{more}",
+        f"{', '.join(path.name for path in paths)}: {len(rows)} points from {len(read)} samples{more}",
         ("time s", "pressure bar", "contraction %", "force N", "spread N", "samples", "direction"),
         shown,
     )
-    echo(found.describe())
+    echo(on_command_line(found.describe()))
 
 
 def _rows(found: ExtractedPoints) -> list[tuple[float | str, ...]]:
@@ -171,10 +190,11 @@ def _rows(found: ExtractedPoints) -> list[tuple[float | str, ...]]:
     return list(zip(*(column.tolist() for column in numbers), came_by, strict=True))
 
 
-def _check_new(out: Path) -> None:
-    """Check, before the computation, that the output file is new and can be written."""
-    if out.suffix.lower() not in (".csv", ".nc"):
-        raise DatasetError(str(out), [Problem("is neither .csv nor .nc", remedy="use the ending .csv or .nc")])
+def _check_new(out: Path, endings: tuple[str, str]) -> None:
+    """Check, before the computation, that an output file is new and can be written."""
+    if out.suffix.lower() not in endings:
+        problem = Problem(f"is neither {endings[0]} nor {endings[1]}", remedy=f"use the ending {' or '.join(endings)}")
+        raise DatasetError(str(out), [problem])
     if not out.parent.is_dir():
         raise DatasetError(str(out), [Problem(f"there is no folder {out.parent}", remedy="create it")])
     if out.exists():
@@ -216,13 +236,22 @@ def identify(
         str,
         Option("--friction", metavar="FORM", help="Form of friction of --hysteresis (default: by held-out loops)."),
     ] = "",
+    diameter: Annotated[
+        str, Option(metavar="LENGTH", help="Inner diameter without pressure, from which muscle.yaml gets a volume.")
+    ] = "",
+    fill: Annotated[
+        str, Option(metavar="VOLUME", help="Measured volume of the air at contraction 0, in place of --diameter.")
+    ] = "",
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
+    displacement: Displacement = "",
+    zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
+    recipe: RecipeFile = None,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -235,15 +264,14 @@ def identify(
     """
     figures = ("fit", "bands", "loops", "ranking")
     names = [f"{name}{end}" for name in figures for end in (".png", ".svg")]
-    results_folder(out, ("fit.yaml", "muscle.yaml", "data.nc", "results.json", "fits", *names), force)
+    results_folder(out, ("fit.yaml", "muscle.yaml", "recipe.yaml", "data.nc", "results.json", "fits", *names), force)
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
     if (friction_form or no_drift) and not hysteresis:
         raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
-    points = read_data(
-        data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt, decimal=decimal
-    )
+    how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
+    points = read_data(data, how, skip_corrupt=skip_corrupt)
     if law_type is None:
         if profile or bootstrap or hysteresis or level != _LEVEL:
             raise ParameterError(
@@ -273,7 +301,8 @@ def identify(
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, friction.friction if friction else None)
+            kept = _keep_muscle(out, data, points, fit, friction.friction if friction else None, diameter, fill)
+            how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             drawn = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
@@ -283,16 +312,31 @@ def identify(
                 report.save(figure, out, name)
     echo(to_json(numbers) if json else on_command_line("\n".join(filter(None, texts))))
     if out:
-        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}; {kept}", json)
+        figures = ", ".join(drawn)
+        notify(f"wrote fit.yaml, recipe.yaml, data.nc, results.json, {figures} (.png, .svg) to {out}; {kept}", json)
 
 
-def _keep_muscle(out: Path, data: str, points: IsobaricDataset, friction: MaxwellSlip | None = None) -> str:
+def _keep_muscle(
+    out: Path,
+    data: list[str],
+    points: IsobaricDataset,
+    fit: Fit,
+    friction: MaxwellSlip | None = None,
+    diameter: str = "",
+    fill: str = "",
+) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
+    from mckibben.muscle.air import volume_terms
     from mckibben.scenario import muscle_text
 
     attrs = points.table.attrs
-    name, length = attrs["specimen"] or Path(data).stem, attrs.get("initial_length")
-    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction)
+    name, length = attrs["specimen"] or Path(data[0]).stem, attrs.get("initial_length")
+    wide = parse_optional_quantity("--diameter", diameter, "m")
+    volume = parse_optional_quantity("--fill", fill, "m^3")
+    if volume is None and wide is not None and length:
+        volume = math.pi / 4 * wide**2 * length
+    terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
+    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction, volume_terms=terms)
     if not text:
         return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
     with atomic_write(out / "muscle.yaml", overwrite=True) as part:
@@ -317,11 +361,14 @@ def validate(
     data: Data,
     specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
+    displacement: Displacement = "",
+    zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
+    recipe: RecipeFile = None,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -331,9 +378,8 @@ def validate(
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
-    points = read_data(
-        data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt, decimal=decimal
-    )
+    how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
+    points = read_data(data, how, skip_corrupt=skip_corrupt)
     from mckibben.identification import validate as run
 
     validation = run({Path(law).name if Path(law).is_absolute() else law: known}, points)
@@ -346,7 +392,7 @@ def validate(
         notify(f"wrote results.json to {out}", json)
 
 
-def _rank(data: str, points: IsobaricDataset, json: bool, out: Path | None) -> None:
+def _rank(data: list[str], points: IsobaricDataset, json: bool, out: Path | None) -> None:
     from mckibben.identification import rank
 
     with progress() as report_progress:
@@ -358,6 +404,7 @@ def _rank(data: str, points: IsobaricDataset, json: bool, out: Path | None) -> N
         "points": len(ranking.points),
         "slack": ranking.slack,
         "not_left_out": ranking.missing,
+        "outliers": [dataclasses.asdict(one) for one in ranking.outliers],
         "laws": ranking.records(),
     }
     kept = ""
@@ -370,7 +417,7 @@ def _rank(data: str, points: IsobaricDataset, json: bool, out: Path | None) -> N
                 if entry.fit:
                     entry.fit.to_yaml(make_subfolder(out, "fits") / f"{entry.law}.yaml")
             best.fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points)
+            kept = _keep_muscle(out, data, points, best.fit)
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             report.save(report.ranking(ranking), out, "ranking")
@@ -406,6 +453,8 @@ def _show(ranking: Ranking) -> None:
     headers = ("law", "parameters", "RMSE [N]", *blocks, "AICc difference", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
+    for one in ranking.outliers:
+        echo(f"left out, as it contradicts the points around it: {one}")
     for name, reason in ranking.missing.items():
         echo(f"no cross-validation over {name}s: {reason}")
     if not ranking.blocks:

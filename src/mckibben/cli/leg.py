@@ -1,4 +1,4 @@
-"""`mckibben leg`: landing and jumping of a leg."""
+"""`mckibben leg`: landing and jumping of a leg, and stiffness of its foot."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 from typer import Argument, Option
 
 from mckibben.cli.options import (
+    Accuracy,
     Force,
     Json,
     Out,
@@ -19,6 +20,7 @@ from mckibben.cli.options import (
     required_folder,
     results_folder,
     table,
+    with_accuracy,
 )
 from mckibben.storage.files import to_json, write_json
 
@@ -26,11 +28,12 @@ if TYPE_CHECKING:
     from mckibben.leg import LegPlant, LegResult
     from mckibben.leg.scenario import LegScenario
 
-leg = typer.Typer(name="leg", help="Landing and jumping of a leg.", no_args_is_help=True)
+leg = typer.Typer(name="leg", help="Landing and jumping of a leg, and stiffness of its foot.", no_args_is_help=True)
 
 Animate = Annotated[
     Path | None, Option("--animate", metavar="FILE", help="Animation, .webp or .gif; needs the package mujoco.")
 ]
+_FIGURE = "foot_stiffness"
 LegFile = Annotated[Path, Argument(metavar="LEG.yaml", help="Leg; see examples/leg/.")]
 
 
@@ -42,6 +45,7 @@ def land(
     force: Force = False,
     animate: Animate = None,
     resume: Annotated[bool, Option("--resume", help="Continue the study in DIR.")] = False,
+    accuracy: Accuracy = "",
 ) -> None:
     """Simulate drop landings over stiffness, drop height and valve, with intervals; can be resumed."""
     if resume:
@@ -50,7 +54,7 @@ def land(
     results_folder(out, ("results.json", "landing.nc", "leg.yaml", "landing.html", "landing.journal"), force or resume)
     from mckibben.leg.landing import study_landing
 
-    read = _read(file)
+    read = _read(file, accuracy)
     _check_animation(animate, force)
     if journal and not resume:
         journal.unlink(missing_ok=True)  # of the study that --force replaces
@@ -74,12 +78,19 @@ def land(
 
 
 @leg.command()
-def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = False, animate: Animate = None) -> None:
+def jump(
+    file: LegFile,
+    json: Json = False,
+    out: Out = None,
+    force: Force = False,
+    animate: Animate = None,
+    accuracy: Accuracy = "",
+) -> None:
     """Find the highest jumps with constant and with timed pressures, with intervals."""
     results_folder(out, ("results.json", "constant.nc", "timed.nc", "leg.yaml", "jump.html"), force)
     from mckibben.leg.jumping import study_jump
 
-    read = _read(file)
+    read = _read(file, accuracy)
     _check_animation(animate, force)
     with long_job(quiet=json, kept="") as report:
         study = study_jump(read, source=str(file), progress=report)
@@ -94,18 +105,43 @@ def jump(file: LegFile, json: Json = False, out: Out = None, force: Force = Fals
             read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)
-    if not json:
-        echo(study.describe())
     if animate:
         _animate(read.plant(), study.timed.run, animate, json)
     if out:
         notify(f"wrote jump.html, results.json, constant.nc, timed.nc and leg.yaml to {out}", json)
 
 
-def _read(file: Path) -> LegScenario:
+@leg.command()
+def stiffness(file: LegFile, json: Json = False, out: Out = None, force: Force = False) -> None:
+    """Find the pressures for a stiffness of the foot: exact, or the nearest with a bound of the error."""
+    results_folder(out, ("results.json", "leg.yaml", "foot_stiffness.svg", "foot_stiffness.png"), force)
+    from mckibben.leg.foot_pressures import solve_foot_stiffness
+
+    read = _read(file)
+    found = solve_foot_stiffness(read, source=str(file))
+    numbers = found.record(read.leg)
+    if out:
+        from mckibben.report.leg import foot_ellipses
+        from mckibben.report.style import save
+
+        assert read.stiffness is not None
+        with keeping(out):
+            write_json(out / "results.json", numbers)
+            read.to_yaml(out / "leg.yaml")
+            save(foot_ellipses(read.leg, read.leg.posture_angles(read.stiffness.posture), found=found), out, _FIGURE)
+    if json:
+        echo(to_json(numbers))
+    else:
+        table(read.name, *found.rows(read.leg))
+        echo(found.describe())
+    if out:
+        notify(f"wrote results.json, leg.yaml, foot_stiffness.svg and foot_stiffness.png to {out}", json)
+
+
+def _read(file: Path, accuracy: str = "") -> LegScenario:
     from mckibben.leg.scenario import LegScenario
 
-    return LegScenario.read(file)
+    return with_accuracy(LegScenario.read(file), accuracy)
 
 
 def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
@@ -113,6 +149,7 @@ def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
         echo(to_json(numbers))
     else:
         table(f"{name}; intervals are 5 to 95 % of the draws", *study.rows())
+        echo(study.describe())
 
 
 def _check_animation(path: Path | None, force: bool) -> None:

@@ -18,16 +18,29 @@ from mckibben.storage.files import check_free, explain_write_errors, make_folder
 from mckibben.units import parse_range, quantity
 
 if TYPE_CHECKING:
-    from mckibben.dataset import IsobaricDataset
+    from mckibben.dataset import IsobaricDataset, Recipe
     from mckibben.scenario import RunSettings
 
 Document = TypeVar("Document", bound="RunSettings")
 
 Json = Annotated[bool, Option("--json", help="Print machine-readable results instead of a table.")]
 Out = Annotated[Path | None, Option("--out", metavar="DIR", help="Write results, figures and data here.")]
-Data = Annotated[str, Argument(metavar="DATA", help="A data file, or the name of a dataset in the catalog.")]
+Data = Annotated[
+    list[str], Argument(metavar="DATA...", help="Data files of one test, or the name of a dataset in the catalog.")
+]
 InitialLength = Annotated[
     str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', if the file has lengths.")
+]
+Displacement = Annotated[
+    str,
+    Option(metavar="shortening|lengthening", help="Direction of positive displacements, if the file has them."),
+]
+ZeroLength = Annotated[
+    str, Option(metavar="LENGTH", help="Length of the muscle at displacement 0 (default: the initial length).")
+]
+RecipeFile = Annotated[
+    Path | None,
+    Option("--recipe", metavar="FILE", help="Read as the recipe of an earlier file says; other options go first."),
 ]
 SlackForce = Annotated[
     str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
@@ -55,34 +68,51 @@ Known = Annotated[
         "controller's model keeps the values of the file.",
     ),
 ]
+Extrapolate = Annotated[
+    bool,
+    Option("--extrapolate", help="Apply the force laws at all pressures of their specimens, also where not measured."),
+]
 Decimal = Annotated[
     str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
 ]
 SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows without numbers, and report them.")]
 
 
-def read_data(
-    data: str,
-    columns: list[str] | None,
+def recipe_of(
+    file: Path | None,
+    column: list[str] | None,
     initial_length: str,
+    displacement: str,
+    zero_length: str,
     slack_force: str,
-    force_sign: int = 1,
-    *,
-    skip_corrupt: bool = False,
-    decimal: str = "",
-) -> IsobaricDataset:
-    """Read a data file or a dataset from the catalog; report reading and preprocessing on standard error."""
+    force_sign: int,
+    decimal: str,
+    **others: Any,
+) -> Recipe:
+    """The recipe of --recipe with the options that were given; `others` are None where they were not."""
+    from mckibben.dataset.reading import check_reading
+    from mckibben.dataset.recipe import Recipe
+
+    given = {
+        "columns": parse_columns(column),
+        "initial_length": parse_optional_quantity("--initial-length", initial_length, "m"),
+        "displacement": displacement or None,
+        "zero_length": parse_optional_quantity("--zero-length", zero_length, "m"),
+        "slack_force": parse_optional_quantity("--slack-force", slack_force, "N"),
+        "force_sign": None if force_sign == 1 else force_sign,
+        "decimal": decimal or None,
+        **others,
+    }
+    check_reading(force_sign, decimal, displacement)
+    recipe = Recipe.read(file) if file else Recipe()
+    return recipe.model_copy(update={name: one for name, one in given.items() if one not in (None, "")})
+
+
+def read_data(data: list[str], recipe: Recipe, *, skip_corrupt: bool = False) -> IsobaricDataset:
+    """Read data files or a dataset from the catalog; report reading and preprocessing on standard error."""
     from mckibben.study.inputs import data_named
 
-    found = data_named(
-        data,
-        columns=parse_columns(columns),
-        initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
-        slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
-        force_sign=force_sign,
-        skip_corrupt=skip_corrupt,
-        decimal=decimal,
-    )
+    found = data_named(data, recipe, skip_corrupt=skip_corrupt)
     report_reading(found.table.attrs)
     for note in found.table.attrs.get("preprocessing", "").splitlines():
         echo(f"found in the data: {note}", err=True)

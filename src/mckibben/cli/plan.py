@@ -12,22 +12,28 @@ from mckibben.cli.options import (
     Column,
     Data,
     Decimal,
+    Displacement,
+    Extrapolate,
     Force,
     ForceSign,
     InitialLength,
     Json,
     Out,
+    RecipeFile,
     SkipCorrupt,
     SlackForce,
+    ZeroLength,
     check_choice,
     echo,
     job_progress,
     keeping,
     notify,
+    on_command_line,
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
     read_data,
+    recipe_of,
     results_folder,
     table,
 )
@@ -82,11 +88,14 @@ def plan(
         str, Option(metavar="NAME", help="Specimen, or its file (default: the one named in the data).")
     ] = "",
     initial_length: InitialLength = "",
+    displacement: Displacement = "",
+    zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
     column: Column = None,
+    recipe: RecipeFile = None,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -103,7 +112,8 @@ def plan(
     known = specimen_named(specimen) if specimen else None
     quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
-    read = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt, decimal=decimal)
+    how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
+    read = read_data(data, how, skip_corrupt=skip_corrupt)
     in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
     muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
     length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)
@@ -391,6 +401,7 @@ def envelope(
         str, Option(metavar="TORQUE", help="Torque of a design in either direction in excess of gravity.")
     ] = "0 N*m",
     minimum_tension: Annotated[str, Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
+    extrapolate: Extrapolate = False,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -414,6 +425,7 @@ def envelope(
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
+    read = read.with_extrapolation() if extrapolate else read
     if design is None:
         _show_envelope(reachability.envelope(read, margin=fraction, smoothing=width), json, out)
         return
@@ -423,7 +435,7 @@ def envelope(
 
 
 def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
-    from mckibben.reachability import HEADERS, save_reference
+    from mckibben.reachability import save_reference
 
     numbers, static = found.records(), found.static
     names = ["results.json"]
@@ -441,8 +453,10 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
     else:
         if static.exists:
             angles = f"{static.angle_min / deg:.4g} to {static.angle_max / deg:.4g} deg"
-            table(f"{found.scenario.name}: static range {angles}", HEADERS, found.rows())
+            table(f"{found.scenario.name}: static range {angles}", found.headers, found.rows())
         echo(found.verdict())
+        for remark in found.remarks():
+            echo(on_command_line(remark))
         for near in found.nearest:
             echo(f"nearest, {near.preserved.name.lower()} preserved: {near.describe()}")
         if not found.trackability.trackable and not found.nearest:

@@ -135,10 +135,10 @@ def _write_statistics(swept: SweepResult, out: Path) -> dict[str, Any]:
 
 
 def _print(runs: int, numbers: dict[str, Any]) -> None:
+    from mckibben.simulation.accuracy import integration_sentence
     from mckibben.study.sweep.result import (
         correlation_rows,
         feasibility_sentence,
-        integration_sentence,
         metric_rows,
         outcome_rows,
     )
@@ -149,7 +149,7 @@ def _print(runs: int, numbers: dict[str, Any]) -> None:
     ranked = ("parameter", "metric", "Spearman")
     table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
     echo(feasibility_sentence(numbers))
-    echo(integration_sentence(numbers))
+    echo(integration_sentence(numbers["integration"]))
 
 
 def _show(swept: SweepResult, out: Path, json: bool) -> None:
@@ -339,6 +339,8 @@ def _show_tuned(
             echo(
                 "gain margin: factor on all tuned gains up to which a step of 0.2 deg does not make the loop oscillate"
             )
+        for remark in dict.fromkeys(remark for one in before for remark in one.joint.remarks):
+            echo(remark)
         if tuned.at_bound:
             echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
     echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)

@@ -305,7 +305,8 @@ class _Diagnosis:
             return present.partition(":")[0], f"write `{present}`"
         keys = _keys_of(around)
         free = [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
-        return closest(key, free), suggest(key, free)
+        found = closest(key, free)
+        return found, suggest(key, [found] if found else keys)
 
     def model_at(self, place: Place) -> type[BaseModel] | None:
         """The model that validates a place."""

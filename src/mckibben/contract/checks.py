@@ -51,7 +51,7 @@ _COMPILER = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_pa
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check of a class; `passed` is None if it was not possible."""
+    """Result of one check of a class; `passed` is None if it could not be run."""
 
     kind: str
     check: str
@@ -69,11 +69,11 @@ class _BrokenError(Exception):
 
 
 class _SkippedError(Exception):
-    """A check that is not possible here."""
+    """A check that cannot be run here."""
 
 
 def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | None = None) -> list[Finding]:
-    """Run the contract of every class of a Python file or module, on its module-level instances or as by `check_class`.
+    """Check the contract of every class of a Python file or module, on its module-level instances or as `check_class`.
 
     Raises `ScenarioError` if the module cannot be run, `ParameterError` if it has no component, or none has a field.
     """
@@ -95,7 +95,7 @@ def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | N
 
 
 def _own_classes(module: ModuleType) -> Iterator[type]:
-    """Components that a module or its package defines; not the abstract ones that it derives others from."""
+    """Components that a module or its package defines; not abstract bases of its other components."""
     package = module.__name__.partition(".")[0]
     found = [one for one in vars(module).values() if isinstance(one, type) and issubclass(one, Component)]
     own = [one for one in dict.fromkeys(found) if one.__module__.partition(".")[0] == package]
@@ -106,7 +106,7 @@ def _own_classes(module: ModuleType) -> Iterator[type]:
 
 
 def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: Sequence[Any] = ()) -> list[Finding]:
-    """Run the contract of a component class; failures of the class are findings, not exceptions.
+    """Check the contract of a component class; failures of the class are findings, not exceptions.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _place(error: BaseException, kind: type) -> str:
 
 
 def _base_of(kind: type) -> type:
-    """Base whose fields in files hold a class: the one that derives from `Component` itself."""
+    """Base class of a component: the one that derives from `Component` directly."""
     return next((one for one in kind.__mro__ if Component in one.__bases__), kind)
 
 
@@ -240,7 +240,7 @@ def _check_file(component: Any) -> None:
     kind = type(component)
     back = _read(kind, to_text({"it": write(component, Part(_base_of(kind), UNITS))}))
     if type(back) is not kind:
-        raise _BrokenError(f"a file gives a {type(back).__name__}", "give the class a `short_name` of its own")
+        raise _BrokenError(f"a file gives a {type(back).__name__}", "give the class another `short_name`")
     for name in declared_fields(kind):
         before, after = getattr(component, name), getattr(back, name)
         if not _is_same(before, after):
@@ -340,14 +340,14 @@ class _Sampled:
     def _compare(self, one: Any, other: Any, where: str, remedy: str = "", tolerance: float = _EQUAL) -> None:
         if (at := _difference(one, other, tolerance, self.values)) is not None:
             text = f"the result {where} is {at[0]:.6g}, alone {at[1]:.6g}"
-            raise _BrokenError(text, remedy or "the result must not depend on other samples or on the number of them")
+            raise _BrokenError(text, remedy or "the result must not depend on other samples or on their number")
 
     def _where(self, row: int) -> str:
         pairs = zip(self.probe.ranges, np.concatenate([self.points, self._middle])[row], strict=False)
         return ", ".join(f"{name} {value:.4g}" for name, value in pairs)
 
     def check_derivatives(self) -> None:
-        """Derivatives are finite, and those of finite differences; at a kink between those of its two sides."""
+        """Derivatives are finite and agree with finite differences; at a kink they lie between those of its sides."""
         values, moving = self.values, self.moving
         for row in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
             raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
@@ -361,7 +361,7 @@ class _Sampled:
         )  # (points, directions, results)
         bad = (np.isfinite(self._computed[: len(points), None]) & ~np.isfinite(found)).any(axis=2)
         for row, direction in np.argwhere(bad).tolist():
-            text = f"the derivative by {self.names[moving[direction]]} is not finite at {self._where(row)}"
+            text = f"the derivative with respect to {self.names[moving[direction]]} is not finite at {self._where(row)}"
             remedy = "keep arguments off the edge: jnp.sqrt(jnp.where(x > 0, x, 1.0)) within jnp.where(x > 0, ..., 0.0)"
             raise _BrokenError(text, remedy)
         found, here = found[-_ROWS:], self._computed[len(self.points) :][:_ROWS, None]
@@ -373,8 +373,9 @@ class _Sampled:
         for row, direction, result in np.argwhere(wrong & np.isfinite(here)).tolist():
             scale = self.scales[moving[direction]]
             text = (
-                f"the derivative by {self.names[moving[direction]]} is {found[row, direction, result] / scale:.4g}, "
-                f"finite differences give {sides[:, row, direction, result].mean() / scale:.4g} at {self._where(row)}"
+                f"the derivative with respect to {self.names[moving[direction]]} is "
+                f"{found[row, direction, result] / scale:.4g}, finite differences give "
+                f"{sides[:, row, direction, result].mean() / scale:.4g} at {self._where(row)}"
             )
             raise _BrokenError(text, "use operations of jax.numpy that have derivatives, no stop_gradient or rounding")
 

@@ -21,12 +21,13 @@ from typing import Any, TypeVar, cast
 from mckibben.errors import DatasetError, Problem
 
 SECONDS = 10.0
-"""Processor time of the child process for a file."""
+"""Processor time of the child process for a file; where it is not limited (Windows), the wall-clock time."""
 MEMORY = 448 * 2**20
 """Memory [bytes] of the child process for a file, in excess of the idle process."""
 _VARIABLE = "MCKIBBEN_READ_LIMITS"
 LIMIT_REMEDY = f"give fewer rows or columns, or, if you trust the file, set {_VARIABLE}=4 for four times the limits"
 _LARGE = 2**28  # bytes: a child process with more is replaced after the file
+_WALL = 6.0  # times the processor time: other programs may use the processors, or a disk be slow
 _STARTED = 60.0  # s: until the child process has imported its modules
 _OUT_OF_MEMORY = 99  # exit status
 
@@ -57,7 +58,7 @@ class _Child:
         with self.lock:
             process = self._running()
             start = time.monotonic()
-            timer = threading.Timer(1.3 * seconds, process.kill)
+            timer = threading.Timer((_WALL if os.name == "posix" else 1.3) * seconds, process.kill)
             timer.start()
             done, replace, answer = False, True, None
             try:

@@ -20,6 +20,7 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
     "pressure": _PRESSURE,
     "contraction": ("percent", "ratio"),
     "length": ("mm", "m", "cm", "in"),
+    "displacement": ("mm", "m", "cm", "in"),
     "force": ("N", "kN", "daN", "kgf", "lbf"),
     "direction": (),
     "repeat": (),
@@ -28,9 +29,9 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
     "phase": (),
 }
 
-# Other names, accepted only with a unit, also in five more European and two Asian languages. Names with an ambiguous
-# sign or zero, such as strain or displacement, are excluded. Letters are case-sensitive: f is a frequency and T a
-# temperature.
+# Other names, accepted only with a unit, also in five more European and two Asian languages. A strain, whose sign and
+# base are ambiguous, is excluded; sign and zero of a displacement are given when it is read. Letters are
+# case-sensitive: f is a frequency and T a temperature.
 _NAMES: Mapping[str, str] = {
     name: quantity
     for quantity, others in (
@@ -44,9 +45,24 @@ _NAMES: Mapping[str, str] = {
         ("force", ("kraft", "zugkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
         (
             "contraction",
-            ("kontraktion", "verkürzung", "kürzung", "contrazione", "contracción", "contração", "收缩率", "収縮率"),
+            (
+                "kontraktion",
+                "verkürzung",
+                "verkuerzung",
+                "kürzung",
+                "contrazione",
+                "contracción",
+                "contração",
+                "收缩率",
+                "収縮率",
+            ),
         ),
-        ("length", ("länge", "muskellänge", "longueur", "lunghezza", "longitud", "comprimento", "长度", "長さ")),
+        ("displacement", ("stroke", "travel", "weg", "hub", "verschiebung", "déplacement", "spostamento", "corsa")),
+        ("displacement", ("desplazamiento", "deslocamento", "位移", "変位")),
+        (
+            "length",
+            ("länge", "laenge", "muskellänge", "longueur", "lunghezza", "longitud", "comprimento", "长度", "長さ"),
+        ),
         ("time", ("zeit", "temps", "tempo", "tiempo", "时间", "時間")),
         ("set_pressure", ("solldruck", "druck soll", "pression de consigne")),
     )
@@ -221,14 +237,19 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
             problem(f"columns assigns the unknown name {name!r} to {given!r}", remedy=f"accepted are {_accepted()}")
         else:
             asked.add(column.quantity)
-    for index, channel in enumerate(sheet.channels):
+    columns = [
+        parse_header(mapping[channel.name]) if channel.name in mapping else parse_header(channel.label, channel.unit)
+        for channel in sheet.channels
+    ]
+    lengths = {"contraction", "length"} & {column.quantity for column in columns if column}
+    known = asked | ({"displacement"} if lengths else set())  # not to be read from another column
+    for index, (channel, column) in enumerate(zip(sheet.channels, columns, strict=True)):
         text = channel.name
         mapped = text in mapping
         seen.add(header[index - 1] if index else "")
-        column = parse_header(mapping[text]) if mapped else parse_header(channel.label, channel.unit)
         if text and text in seen:
             problem("appears twice in the header", text)
-        elif column is None or (column.quantity in asked and not mapped):
+        elif column is None or (column.quantity in known and not mapped):
             if column is None and not mapped and (reason := unit_error(channel.label, channel.unit)):
                 problem(reason, text, f"accepted are {_accepted(channel.label)}")
             layout.ignored += [text] if text else []
@@ -246,8 +267,9 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
                 remedy = f"correct one of them, or assign it by {_BY_NAME}"
                 problem(f"is in {column.unit} by its name, but in {unit} by its unit", text, remedy)
     for name in needed:
-        if name not in layout.places and not (name == "contraction" and "length" in layout.places):
-            wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
+        if name not in layout.places and not (name == "contraction" and {"length", "displacement"} & {*layout.places}):
+            others = f" (or {names('length')}), or displacement_mm"
+            wanted = names(name) + (others if name == "contraction" else "")
             remedy = f"name it {wanted}, or assign it by {_BY_NAME}"
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
     layout.suspect += [

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,7 @@ from mckibben.dataset.schema import (
     write_csv,
 )
 from mckibben.errors import DatasetError, RangeError
+from mckibben.notebook import draw
 from mckibben.units import bar, percent
 
 _BLOCK = 32768  # samples per block: 256 KiB of floats stay in a core's cache
@@ -235,6 +236,10 @@ class IsobaricDataset(MeasuredTable):
         if samples := self.table.sizes.get("sample"):
             parts.append(f"{samples} samples per point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
+
+    def plot(self) -> Any:
+        """Return a figure of the points, see `mckibben.report.isobaric`."""
+        return draw("isobaric", self)
 
     def select(self, mask: ArrayLike) -> Self:
         """Points where `mask` (booleans, one per point) is true, in their order."""

@@ -69,7 +69,7 @@ def check_points(
             *_clipped("force", force, 1.0, "N"),
             *_clipped("pressure", pressure, bar, "bar"),
             *_zeros(pressure, contraction, force),
-            *_copies(np.column_stack([pressure, contraction, force])),
+            *_copies(pressure, contraction, force),
         ):
             if impossible:
                 problems.append(problem)
@@ -119,22 +119,25 @@ def check_pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
 _MIXER = np.uint64(0x9E3779B97F4A7C15)  # odd: rows that differ get other numbers, but for rare collisions
 
 
-def _copies(rows: Floats) -> Iterator[tuple[Problem, bool]]:
+def _copies(*columns: Floats) -> Iterator[tuple[Problem, bool]]:
     """Consecutive rows that repeat earlier ones in the same order; equal points of one measurement do not count."""
-    words = np.ascontiguousarray(rows).view(np.uint64)
-    mixed = np.zeros(len(words), np.uint64)
-    for column in words.T:
+    words = [np.ascontiguousarray(column).view(np.uint64) for column in columns]
+    count = len(words[0])
+    mixed = np.zeros(count, np.uint64)
+    for column in words:
         mixed = (mixed ^ column ^ (column >> np.uint64(29))) * _MIXER
         mixed ^= mixed >> np.uint64(32)
     codes, _ = pd.factorize(mixed)  # numbered in the order in which they are seen first
     firsts = np.flatnonzero(np.diff(np.maximum.accumulate(codes), prepend=-1))
     earlier = firsts[codes]
-    copied = (earlier < np.arange(len(rows))) & (words[earlier] == words).all(axis=1)
+    copied = earlier < np.arange(count)
+    for column in words:
+        copied &= column[earlier] == column
     follows = np.flatnonzero(copied[1:] & copied[:-1] & (np.diff(earlier) == 1))  # and the row after each
     runs = np.split(follows, np.flatnonzero(np.diff(follows) > 1) + 1)
-    count = sum(run.size + 1 for run in runs if run.size + 1 >= _COPIED)
-    if count:
-        text = f"{count} of {len(rows)} rows repeat others in the same order: copies make intervals too narrow"
+    copies = sum(run.size + 1 for run in runs if run.size + 1 >= _COPIED)
+    if copies:
+        text = f"{copies} of {count} rows repeat others in the same order: copies make intervals too narrow"
         yield Problem(text, remedy="leave them out"), False
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -38,8 +38,11 @@ _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
 
 
-def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
-    """Table with unknown levels, directions, repeats and slack force estimated; `preprocessing` lists the estimates."""
+def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = None) -> xr.Dataset:
+    """Table with unknown levels, directions, repeats and slack force estimated; `preprocessing` lists the estimates.
+
+    `files` numbers the file of each point; no stroke extends across two.
+    """
     notes = []
     pressure, contraction = (table[name].to_numpy() for name in ("pressure", "contraction"))
     labels = group_pressures(pressure) if "set_pressure" not in table else None
@@ -54,7 +57,10 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
     levels = _levels(table)
     values, groups = np.unique(levels, return_inverse=True)
     grouped = 2 * len(values) <= len(levels)
-    if "direction" not in table and (found := passes(groups if grouped else 0 * groups, contraction)) is not None:
+    if (
+        "direction" not in table
+        and (found := passes(groups if grouped else 0 * groups, contraction, files)) is not None
+    ):
         direction, repeat = found
         table = table.assign(direction=("point", direction))
         each = ""
@@ -133,23 +139,27 @@ def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
 _LEAST_PART = 256  # rows looked at together, and then twice as many each time
 
 
-def passes(groups: Ints, contraction: Floats) -> tuple[NDArray[np.str_], Ints] | None:
+def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tuple[NDArray[np.str_], Ints] | None:
     """Direction and repeat of each point from reversals of the contraction per group; None without reversals."""
     direction, repeat = np.zeros(len(groups), "<U9"), np.zeros(len(groups), int)
     reversing = count = 0
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
-        runs = list(itertools.islice(_runs(contraction[rows]), len(groups) // _FEWEST + 1))  # more are too many
+        ends = np.flatnonzero(np.diff(files[rows])) + 1 if files is not None else []
+        found = ((one[part], word) for one in np.split(rows, ends) for part, word in _runs(contraction[one]))
+        runs = list(itertools.islice(found, len(groups) // _FEWEST + 1))  # more are too many
         reversing += len(runs) > 1
         count += len(runs)
         if len(groups) < _FEWEST * count:
             return None
-        for number, (part, word) in enumerate(runs):  # the directions alternate
-            direction[rows[part]], repeat[rows[part]] = word, number // 2
+        strokes = {"loading": 0, "unloading": 0}
+        for part, word in runs:
+            direction[part], repeat[part] = word, strokes[word]
+            strokes[word] += 1
     return (direction, repeat) if 2 * reversing > len(np.unique(groups)) else None
 
 
-def _runs(values: Floats) -> Iterator[tuple[slice, str]]:
+def _runs(values: Floats) -> Iterator[tuple[slice, Literal["loading", "unloading"]]]:
     """Parts in which the contraction rises (unloading) or falls (loading), ignoring noise."""
     threshold = _REVERSAL * np.ptp(values)
     if not threshold:

@@ -24,7 +24,14 @@ OnCorrupt = Literal["raise", "report"]
 Decimal = Literal["", ".", ","]
 """Decimal sign of texts; empty if the file determines it."""
 
+Displacement = Literal["", "shortening", "lengthening"]
+"""Direction of positive displacements; empty if unknown."""
+
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
+_SIGN_REMEDY = (
+    "give displacement='shortening' (command line: --displacement shortening) or 'lengthening', the direction in which "
+    "it is positive, and zero_length (command line: --zero-length), the length at 0, if it is not the initial length"
+)
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
 _LISTED = 10_000  # problems of an error
 _WARNED = 5  # omitted rows listed in a warning
@@ -60,8 +67,12 @@ class ColumnConverter:
         initial_length: float | None,
         needed: Sequence[str],
         decimal: str = "",
+        *,
+        displacement: str = "",
+        zero_length: float | None = None,
     ) -> None:
         self.sheet = sheet
+        self.displacement, self.zero_length = displacement, zero_length
         sheet.channels = [without_units(channel) for channel in sheet.channels]
         self.missing: list[Problem] = []
         self.mapping = mapping
@@ -110,7 +121,9 @@ class ColumnConverter:
     def columns(self, force_sign: int) -> dict[str, np.ndarray]:
         """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
-        self.lengths = data.get("length")
+        self.measured = {name: data[name] for name in ("length", "displacement") if name in data}
+        if (moved := data.pop("displacement", None)) is not None:
+            data["length"] = self._length(moved)
         if "force" in data:
             data["force"] *= force_sign
             self.force_sign = force_sign
@@ -164,14 +177,16 @@ class ColumnConverter:
         shown_rows = slice(None) if kept.all() else kept  # a slice copies nothing
         for name, (index, column) in self.places.items():
             channel = self.sheet.channels[index]
-            values = data.get(name, self.lengths if name == "length" else None)
+            values = data.get(name, self.measured.get(name))
             shown = remark = ""
             if values is not None and name not in WORDS:
                 shown = format_range(values[shown_rows] / (factor(column.unit) if column.unit else 1.0))
             if name == "force" and self.force_sign < 0:
                 remark = "sign reversed"
-            if name == "length" and "contraction" in data and self.initial_length:
+            if name in self.measured and self.initial_length:
                 remark = f"initial length {self.initial_length / mm:.5g} mm"
+            if name == "displacement" and self.zero_length:
+                remark += f", {self.displacement} is positive, 0 at {self.zero_length / mm:.5g} mm"
             origin = "columns" if channel.name in self.mapping else "header"
             if origin == "header" and parse_header(channel.label) is None:
                 origin = "file"
@@ -227,7 +242,9 @@ class ColumnConverter:
             kind=self.sheet.kind,
         )
         for problem in problems:
-            if problem.line in channel.missing:
+            if problem.line is None:
+                self.problems.append(problem)
+            elif problem.line in channel.missing:
                 self.missing.append(replace(problem, message="is marked as missing by the file"))
             else:
                 self.corrupt.append(problem)
@@ -277,6 +294,15 @@ class ColumnConverter:
         for row in np.flatnonzero(bad):
             self._problem(message.format(values[row]), self.lines[int(row)], name, remedy)
 
+    def _length(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Length at displacements [m]."""
+        if not self.displacement:
+            self._problem("may be positive for a shorter or for a longer muscle", None, "displacement", _SIGN_REMEDY)
+        self.zero_length = self.initial_length if self.zero_length is None else self.zero_length
+        if self.zero_length is None:  # `_contraction` reports it
+            return displacement
+        return self.zero_length + displacement * (1 if self.displacement == "lengthening" else -1)
+
     def _contraction(self, length: NDArray[np.float64]) -> NDArray[np.float64]:
         initial = self.initial_length
         if initial is None or not (np.isfinite(initial) and initial > 0):
@@ -285,9 +311,10 @@ class ColumnConverter:
             return length
         with np.errstate(over="ignore"):
             contraction = 1 - length / initial
-        for row in np.flatnonzero((np.abs(contraction) >= 1) & (length > 0)):
+        for row in np.flatnonzero((np.abs(contraction) >= 1) & ((length > 0) | ("displacement" in self.measured))):
             times = f"{length[row]:g} m is {length[row] / initial:.3g} times the initial length"
-            self._problem(times, self.lines[int(row)], "length", "check its unit and initial_length")
+            name = "displacement" if "displacement" in self.measured else "length"
+            self._problem(times, self.lines[int(row)], name, "check its unit and initial_length")
         return contraction
 
     def _compare(self, contraction: NDArray[np.float64], length: NDArray[np.float64]) -> None:

@@ -4,50 +4,56 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import xarray as xr
 
 from mckibben.component.checks import check_number
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.quantities import ColumnConverter, Decimal, OnCorrupt
+from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt
 from mckibben.dataset.recording import Recording
-from mckibben.dataset.schema import written_by_us
+from mckibben.dataset.schema import OF_FILE, written_by_us
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
 from mckibben.muscle import Specimen
 
 _NEEDED = ("pressure", "contraction", "force")
 
+FilePaths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+"""One file, or several files of one test in their order."""
+
 
 def read_dataset(
-    path: str | os.PathLike[str],
+    path: FilePaths,
     *,
     columns: Mapping[str, str] | None = None,
     initial_length: float | None = None,
+    displacement: Displacement = "",
+    zero_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
     force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
     decimal: Decimal = "",
 ) -> IsobaricDataset:
-    """Read the points of isobaric tests from a file.
+    """Read the points of isobaric tests from a file, or from several files of one test.
 
     A file named ``*.nc`` is NetCDF. Others are recognised by their first bytes: Excel (.xlsx), MATLAB (.mat), TDMS,
     HDF5, and text with a header and one row per point, delimited by comma, semicolon, tab or white space. Leading lines
     of a text may be comments; ``# key: value`` is read for `specimen`, `source`, `initial_length` and `slack_force`
     (both with a unit). Decimal commas are read unless the delimiter is a comma.
 
-    Required are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and
-    ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction`` (loading,
-    unloading or a synonym; 1 and -1 are refused, as their meaning differs), ``phase``, ``repeat``, ``time_*`` (s, ms or
-    min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` etc. are equivalent, as are
-    units in a row under the header or in the properties of a channel. Other columns are listed in the attribute
-    ``ignored_columns``.
+    Required are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and ``contraction_*``
+    (percent or ratio), ``length_*`` (mm, m or cm) or ``displacement_*`` (the same). Read where present: ``direction``
+    (loading, unloading or a synonym; 1 and -1 are refused, as their meaning differs), ``phase``, ``repeat``, ``time_*``
+    (s, ms or min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` etc. are
+    equivalent, as are units in a row under the header or in the properties of a channel. Other columns are listed in
+    the attribute ``ignored_columns``.
 
     If the file does not give them, pressure levels are estimated from gaps between the pressures, directions and
     repeats from reversals of the contraction in row order, and the force of the slack muscle from its noise; the
@@ -55,12 +61,18 @@ def read_dataset(
 
     Parameters
     ----------
+    path
+        File, or a list of files in the order of the test. Their rows are joined before pressure levels, directions and
+        offset are estimated; no stroke extends across two files.
     columns
         Header of the file to one of the names above: ``{"Druck [bar]": "pressure_bar"}``. In files with
         groups or structs: ``group/channel``, ``struct.field``, ``matrix(:,2)``, ``sheet/header``.
     initial_length
         Length of the deflated muscle [m]: required if the file has lengths but no contractions, inferred if it has
         both.
+    displacement, zero_length
+        Direction of positive displacements, "shortening" or "lengthening", required if the file has displacements in
+        place of lengths; and the length [m] at displacement 0, by default `initial_length`.
     specimen, slack_force
         Type of the muscle, and force [N] up to which it counts as slack. Default: from the file, or from the noise of
         the slack muscle, whose mean force is subtracted.
@@ -86,23 +98,71 @@ def read_dataset(
     McKibbenWarning
         If forces, pressures or contractions are unusual for a muscle, or rows are left out.
     """
-    _check_arguments(force_sign, decimal, initial_length=initial_length, slack_force=slack_force)
-    path = Path(path)
+    lengths = {"initial_length": initial_length, "zero_length": zero_length}
+    check_reading(force_sign, decimal, displacement, slack_force=slack_force, **lengths)
+    read = []
+    for one in _paths(path):
+        found = _read_points(
+            one,
+            columns={str(header).strip(): str(name) for header, name in (columns or {}).items()},
+            displacement=displacement,
+            specimen=specimen,
+            slack_force=slack_force,
+            force_sign=force_sign,
+            on_corrupt=on_corrupt,
+            decimal=decimal,
+            **lengths,
+        )
+        read.append(found)
+    parts, ours, slack_known = zip(*read, strict=True)
+    dataset, source = _joined(parts, path)
+    if all(ours):
+        return check_dataset(dataset, source, only_warn=True)
+    files = np.repeat(np.arange(len(parts)), list(map(len, parts)))
+    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=any(slack_known), files=files)), source)
+
+
+def _read_points(
+    path: Path,
+    *,
+    columns: dict[str, str],
+    initial_length: float | None,
+    displacement: str,
+    zero_length: float | None,
+    specimen: str,
+    slack_force: float | None,
+    force_sign: int,
+    on_corrupt: OnCorrupt,
+    decimal: str,
+) -> tuple[IsobaricDataset, bool, bool]:
+    """Points of a file as they are; whether this program wrote it, and whether its slack force is known."""
     if path.suffix.lower() == ".nc":
         given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-        found = _from_netcdf(IsobaricDataset, path, columns, force_sign, given)
-        return check_dataset(found, str(path), only_warn=True)
-    mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    file = ColumnConverter(read_table(path, mapping, decimal), mapping, initial_length, _NEEDED, decimal)
+        return _from_netcdf(IsobaricDataset, path, columns, force_sign, given), True, True
+    file = ColumnConverter(
+        read_table(path, columns, decimal),
+        columns,
+        initial_length,
+        _NEEDED,
+        decimal,
+        displacement=displacement,
+        zero_length=zero_length,
+    )
     attrs = file.attributes(path, specimen, slack_force)
-    slack_known = slack_force is not None or "slack_force" in file.sheet.comments
     data, found = file.settle(path, file.columns(force_sign), on_corrupt)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    ours = written_by_us(file.sheet.names, file.sheet.comments)
-    del file, data  # of a large file
-    if ours:
-        return check_dataset(dataset, str(path), only_warn=True)
-    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=slack_known)), str(path))
+    slack_known = slack_force is not None or "slack_force" in file.sheet.comments
+    return dataset, written_by_us(file.sheet.names, file.sheet.comments), slack_known
+
+
+def _paths(path: FilePaths) -> list[Path]:
+    """The files of a test."""
+    several = [path] if isinstance(path, str | os.PathLike) else path
+    if not isinstance(several, Sequence) or not several:
+        raise RangeError(
+            f"{path!r:.60} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
+        )
+    return [Path(one) for one in several]
 
 
 def check_dataset(
@@ -142,8 +202,55 @@ def _made(
     return kind(made.table.assign_attrs(found)) if found else made
 
 
-def _check_arguments(force_sign: int, decimal: str, **numbers: object) -> None:
-    """Raise `RangeError` for texts in place of numbers, and for an invalid sign."""
+def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
+    """Points or samples of several files as one dataset or recording, and its name for messages."""
+    names = [str(one) for one in _paths(path)]
+    if len(parts) == 1:
+        return parts[0], names[0]
+    source = f"{names[0]} and {len(names) - 1} more"
+    tables = [part.table for part in parts]
+    attrs = dict(tables[0].attrs)
+    for name in ("specimen", "initial_length"):
+        if len(values := list(dict.fromkeys(table.attrs.get(name) for table in tables))) > 1:
+            shown = " and ".join(str(value or "unknown") for value in values)
+            raise DatasetError(source, [Problem(f"differs between the files: {shown}", field=name, remedy="give it")])
+    attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
+    attrs["slack_force"] = max(table.attrs["slack_force"] for table in tables)
+    for name in (*OF_FILE, "preprocessing"):
+        texts = {one: table.attrs[name] for one, table in zip(names, tables, strict=True) if name in table.attrs}
+        attrs |= {name: "\n".join(f"{one}:\n{text}" for one, text in texts.items())} if texts else {}
+    columns = [name for name, variable in parts[0].schema.items() if len(variable.dims) == 1]
+    kept = [name for name in columns if all(name in table for table in tables)]
+    if lost := sorted({name for name in columns for table in tables if name in table} - {*kept}):
+        warnings.warn(f"{source}: not all files have {', '.join(lost)}: left out", McKibbenWarning, stacklevel=3)
+    tables = [table[kept] for table in tables]
+    dimension = next(iter(parts[0].schema.values())).dims[0]
+    joined = xr.concat(_one_after_another(tables) if "time" in kept else tables, dimension)
+    return type(parts[0])(joined.assign_attrs(attrs)), source
+
+
+_PAUSE = 20  # intervals between two files
+
+
+def _one_after_another(tables: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    """Tables whose clocks go on: the time of one that starts again is moved behind the one before."""
+    found: list[xr.Dataset] = []
+    for table in tables:
+        time = table["time"].to_numpy()
+        before = found[-1]["time"].to_numpy() if found else time[:0]
+        if len(before) and len(time) and time[0] <= before[-1]:
+            steps = np.diff(before)
+            pause = _PAUSE * float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+            table = table.assign(time=table["time"] - time[0] + before[-1] + pause)
+        found.append(table)
+    return found
+
+
+def check_reading(force_sign: int, decimal: str, displacement: str, **numbers: object) -> None:
+    """Raise `RangeError` for texts in place of numbers, and for an invalid sign or direction."""
+    if displacement not in ("", "shortening", "lengthening"):
+        remedy = "give 'shortening' or 'lengthening', the direction of positive displacements"
+        raise RangeError(f"displacement is {displacement!r}", field="displacement", value=displacement, remedy=remedy)
     if decimal not in ("", ".", ","):
         remedy = "give decimal='.' or decimal=',' (command line: --decimal)"
         raise RangeError(f"decimal is {decimal!r}", field="decimal", value=decimal, remedy=remedy)
@@ -172,10 +279,12 @@ _RATE_REMEDY = "give sample_rate (command line: --sample-rate '1000 Hz'), or a c
 
 
 def read_recording(
-    path: str | os.PathLike[str],
+    path: FilePaths,
     *,
     columns: Mapping[str, str] | None = None,
     initial_length: float | None = None,
+    displacement: Displacement = "",
+    zero_length: float | None = None,
     contraction: float | None = None,
     sample_rate: float | None = None,
     specimen: str = "",
@@ -186,8 +295,9 @@ def read_recording(
 ) -> Recording:
     """Read a raw recording from a file of any format of `read_dataset`, with its columns and arguments.
 
-    Required are pressure and force. The time is a column, or follows from `sample_rate` or the waveforms of a TDMS
-    file. A length is converted to a contraction. A file named ``*.nc`` was written by `Recording.to_netcdf`.
+    Of several files, the samples are joined: no plateau extends across two of them. Required are pressure and force.
+    The time is a column, or follows from `sample_rate` or the waveforms of a TDMS file. A length or displacement is
+    converted to a contraction. A file named ``*.nc`` was written by `Recording.to_netcdf`.
 
     Parameters
     ----------
@@ -203,9 +313,33 @@ def read_recording(
     DatasetError, RangeError
         As `read_dataset`, with the same warnings.
     """
-    ratios_and_rates = {"contraction": contraction, "sample_rate": sample_rate}
-    _check_arguments(force_sign, decimal, initial_length=initial_length, slack_force=slack_force, **ratios_and_rates)
-    path = Path(path)
+    numbers = {"contraction": contraction, "sample_rate": sample_rate, "slack_force": slack_force}
+    numbers |= {"initial_length": initial_length, "zero_length": zero_length}
+    check_reading(force_sign, decimal, displacement, **numbers)
+    arguments = {"columns": columns, "displacement": displacement, "specimen": specimen, "force_sign": force_sign}
+    parts = []
+    for one in _paths(path):
+        found = _read_samples(one, on_corrupt=on_corrupt, decimal=decimal, **arguments, **numbers)  # type: ignore[arg-type]
+        parts.append(found)
+    return _joined(parts, path)[0]
+
+
+def _read_samples(
+    path: Path,
+    *,
+    columns: Mapping[str, str] | None,
+    initial_length: float | None,
+    displacement: str,
+    zero_length: float | None,
+    contraction: float | None,
+    sample_rate: float | None,
+    specimen: str,
+    slack_force: float | None,
+    force_sign: int,
+    on_corrupt: OnCorrupt,
+    decimal: Decimal,
+) -> Recording:
+    """Recording of one file."""
     if path.suffix.lower() == ".nc":
         given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
         found = _from_netcdf(Recording, path, columns, force_sign, given)
@@ -216,11 +350,21 @@ def read_recording(
         return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     sheet = read_table(path, mapping, decimal)
-    file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"), decimal)
+    file = ColumnConverter(
+        sheet,
+        mapping,
+        initial_length,
+        ("pressure", "force"),
+        decimal,
+        displacement=displacement,
+        zero_length=zero_length,
+    )
     attrs = file.attributes(path, specimen, slack_force)
     data = {name: values for name, values in file.columns(force_sign).items() if name in _KEPT}
     file.ignored += [
-        sheet.channels[file.places[name][0]].name for name in file.places if name not in (*_KEPT, "length")
+        sheet.channels[file.places[name][0]].name
+        for name in file.places
+        if name not in (*_KEPT, "length", "displacement")
     ]
     if "time" not in data and "pressure" in data:
         step = sheet.interval if sample_rate is None else 1 / sample_rate if sample_rate > 0 else None

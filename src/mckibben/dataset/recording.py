@@ -29,6 +29,12 @@ from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dw
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 
+_FEW_USED = 0.1  # of the samples
+_CONTINUOUS = (
+    "if the length changes slowly all the time, fit the samples themselves: mk.read_dataset(path) (command line: "
+    "mckibben identify FILE)"
+)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(MeasuredTable):
@@ -203,13 +209,15 @@ class Recording(MeasuredTable):
                 value=dwell,
                 unit="s",
                 remedy=shorter
-                or "allow a larger pressure_tolerance or contraction_tolerance (command line: --pressure-tolerance, "
-                "--contraction-tolerance)"
-                + ("; for a ramp of the pressure use isometric() (command line: --isometric)" if fixed else ""),
+                or "allow a larger pressure_tolerance (command line: --pressure-tolerance) or contraction_tolerance "
+                "(command line: --contraction-tolerance); "
+                + ("for a ramp of the pressure use isometric() (command line: --isometric)" if fixed else _CONTINUOUS),
             )
         if shorter:
             account.notes.append(f"{len(first)} plateaus are steady for {dwell:g} s: {shorter}")
         samples = ends - begins
+        if samples.sum() < _FEW_USED * len(self):
+            account.notes.append(f"only {samples.sum() / len(self):.2g} of the samples are steady: {_CONTINUOUS}")
         owner = np.repeat(np.arange(len(first)), samples)
         at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
         account.assign_reason(at, "used")

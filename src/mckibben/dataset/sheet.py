@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import re
 from collections.abc import Sequence
@@ -89,13 +90,27 @@ class NumberText(str):
 
 
 def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
-    """Cells of a column as numbers if all are numeric, else as texts; an empty cell is an empty text."""
+    """Cells of a column as numbers if all are numeric, else as texts; an empty cell is an empty text.
+
+    Texts are shortened: a file of a few MB may refer to a long one in each of a million cells.
+    """
     if all(map(_is_number, cells)):
         try:
             return np.array(cells, dtype=np.float64)
         except OverflowError:  # an integer too large for a float
             pass
-    return ["" if cell is None else NumberText(cell) if _is_number(cell) else str(cell) for cell in cells]
+
+    @functools.cache
+    def shortened(text: str) -> str:  # with dots, so that it is not a number
+        return f"{text[:_LONGEST_TEXT]}..."
+
+    def as_text(cell: object) -> str:
+        if cell is None or _is_number(cell):
+            return "" if cell is None else NumberText(cell)
+        text = str(cell)
+        return text if len(text) <= _LONGEST_TEXT else shortened(text)
+
+    return list(map(as_text, cells))
 
 
 def _is_number(cell: object) -> bool:
@@ -115,6 +130,7 @@ def at_type_limit(values: np.ndarray) -> tuple[str, ...]:
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*(?:([.,])[0-9]*)?")
 _ONE_SIGN = re.compile(r"[+-]?([0-9]*)([.,])([0-9]*)([eEdD][+-]?[0-9]+)?")
 _FORTRAN = re.compile(r"(?<=[0-9.,])[dD](?=[+-]?[0-9])")
+_LONGEST_TEXT = 200  # characters of a cell of a workbook or another binary file
 _FEW = 10_000  # cells of a column whose problems are all listed
 _UNDECIDED = "?"
 _DIGITS = frozenset("0123456789+-eE \n")
@@ -161,7 +177,7 @@ def decimal_sign(
         for line, cell in zip(column.lines, column.cells, strict=True):
             if found is not None and found.line is not None and line >= found.line:
                 break
-            sign = evidence(cell)
+            sign = evidence(cell) if cell else ""
             if sign == _UNDECIDED and delimiter == "," and "." in cell:
                 sign = "."
             if sign == _UNDECIDED:
@@ -205,14 +221,17 @@ def read_numbers(
     may_be_empty: bool = False,
     kind: type[Problem] = Problem,
 ) -> tuple[NDArray[np.float64], list[Problem]]:
-    """Values of a column (NaN where there is no number), and a problem for each cell that is not a finite number."""
+    """Values of a column (NaN where there is no number), and a problem for each cell that is not a finite number.
+
+    Of a long column most of whose cells are not numbers, the first problems are listed, and one without a line.
+    """
     if isinstance(cells, np.ndarray):
         if np.isfinite(cells).all():
             return cells, []
-        wrong = ~np.isfinite(cells) & ~(np.isnan(cells) & may_be_empty)
+        refused = ~np.isfinite(cells) & ~(np.isnan(cells) & may_be_empty)
         found = [
             kind(f"{cells[at]:g} is not a finite number", line=lines[int(at)], field=field)
-            for at in np.flatnonzero(wrong)
+            for at in np.flatnonzero(refused)
         ]
         return np.where(np.isfinite(cells), cells, np.nan), found
     joined = "\n".join(cells)
@@ -226,9 +245,19 @@ def read_numbers(
             if len(values) == len(cells) and np.isfinite(values).all():
                 return values, []
     values = np.full(len(cells), np.nan)
-    problems: list[Problem] = []
+    wrong: list[int] = []
+    place = "line" if kind is Problem else "row"
     settled = decimal.given or (decimal.line is not None and not _only_groups(cells))
-    for index, (cell, line) in enumerate(zip(cells, lines, strict=True)):
+
+    def trimmed(cell: str) -> str:
+        text = _FORTRAN.sub("e", cell.strip().replace("\u2212", "-"))  # the exponent of 1.5D+02
+        return _without_thousands(text, decimal.sign, settled=settled)
+
+    for index, cell in enumerate(cells):
+        if not cell:
+            if not may_be_empty:
+                wrong.append(index)
+            continue
         if isinstance(cell, NumberText) and np.isfinite(float(cell)):
             values[index] = float(cell)
             continue
@@ -237,17 +266,22 @@ def read_numbers(
                 if math.isfinite(value := float(cell.replace(",", "."))):
                     values[index] = value
                     continue
-        text = _FORTRAN.sub("e", cell.strip().replace("\u2212", "-"))  # the exponent of 1.5D+02
-        text = _without_thousands(text, decimal.sign, settled=settled)
+        text = trimmed(cell)
         if not text and may_be_empty:
             continue
-        message, remedy = _wrong(text, decimal, "line" if kind is Problem else "row")
-        if message:
-            problems.append(kind(message, line=line, field=field, remedy=remedy))
-            if 2 * len(problems) > len(cells) > _FEW:
-                break  # the file is refused
+        if _wrong(text, decimal, place)[0]:
+            wrong.append(index)
+            if 2 * len(wrong) > len(cells) > _FEW:
+                break
         else:
             values[index] = float(text.replace(",", "."))
+    too_many = 2 * len(wrong) > len(cells) > _FEW
+    problems: list[Problem] = []
+    for index in wrong[:_FEW] if too_many else wrong:
+        message, remedy = _wrong(trimmed(cells[index]), decimal, place)
+        problems.append(kind(message, line=lines[index], field=field, remedy=remedy))
+    if too_many:
+        problems.append(Problem("more than half of its cells are not numbers: too many to leave out", field=field))
     return values, problems
 
 

@@ -151,7 +151,9 @@ class _JointQuantity(QuantityOfInterest):
             domain, name = muscle.specimen.domain, muscle.specimen.name
             for one in contraction:
                 domain.check_contraction(
-                    float(one), f"{name} (muscle {number}, {self})", "choose a smaller angle or a longer connector"
+                    float(one),
+                    f"{name} (muscle {number}, {self})",
+                    "choose a smaller angle, or other lengths of the joint",
                 )
             low, high = float(domain.pressure_min), float(domain.pressure_max)
             if not low <= pressure[0] <= high:

@@ -23,7 +23,12 @@ from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 
 _NUMBER = np.zeros(())
-_STATE_NAMES = {"pressures.0": "pressure1", "pressures.1": "pressure2"}
+_STATE_NAMES = {
+    "pressures.0": "pressure1",
+    "pressures.1": "pressure2",
+    "air.temperatures.0": "temperature1",
+    "air.temperatures.1": "temperature2",
+}
 _PLANT_UNITS = {
     "inputs.command1": "Pa",
     "inputs.command2": "Pa",
@@ -33,6 +38,8 @@ _PLANT_UNITS = {
     "state.pressures.0": "Pa",
     "state.pressures.1": "Pa",
     "state.air.reservoir": "Pa",
+    "state.air.temperatures.0": "K",
+    "state.air.temperatures.1": "K",
     "results.pressure1": "Pa",
     "results.pressure2": "Pa",
     "results.tension1": "N",

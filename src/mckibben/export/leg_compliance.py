@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from mckibben.leg import Leg, LegPlant, LegState
-from mckibben.leg.dynamics import Posture, Velocity, foot_mobility, frames, joint_mobility
+from mckibben.leg.dynamics import foot_mobility, joint_mobility, posture_of
 
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
 """Speeds [m/s], [rad/s] at which the restitution equals that of the plant."""
@@ -25,7 +25,7 @@ FRICTION_RATIO = 1000.0
 
 
 class Compliance(NamedTuple):
-    """Stiffness and damping, by the mobility, of a soft constraint."""
+    """Stiffness and damping of a soft constraint, multiplied by its mobility."""
 
     stiffness: float
     damping: float
@@ -44,19 +44,11 @@ class Compliance(NamedTuple):
 def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
     """Compliance of the "ground", of its "friction", and of the stops of each moving joint, by name."""
     leg, ground = plant.leg, plant.ground
-    zero = start.posture._replace(
-        x=jnp.zeros(()), z=jnp.zeros(()), pitch=jnp.zeros(()), angles=leg.held([0.0] * len(leg.joints))
-    )
+    zero = posture_of(leg, [0.0] * len(leg.joints))
     foot = _at_centre_of_last(leg)
-    body = float(jnp.trace(foot_mobility(foot, zero)))
-    found = {}
-    side = leg.side_swing
-    if side is not None and side.locked is None:
-        inertia, depth = _sideways(leg, zero)
-        body += depth**2 / inertia
-        found[side.name] = _stop(side, 1 / inertia)
-    body /= 3  # MuJoCo's mean over x, y and z
-    mass = 1 / float(foot_mobility(leg, start.posture)[1, 1])
+    body = float(jnp.trace(foot_mobility(foot, zero))) / 3  # MuJoCo's mean over x, y and z
+    normal = jnp.stack([jnp.asarray(one) for one in ground.normal])
+    mass, found = 1 / float(normal @ foot_mobility(leg, start.posture) @ normal), {}
     stiffness = float(ground.stiffness)
     damper = _damper(stiffness, float(ground.damping), mass, TOUCH_SPEED)
     found["ground"] = _scaled(stiffness, damper, body)
@@ -89,14 +81,3 @@ def _at_centre_of_last(leg: Leg) -> Leg:
     """The leg with its foot at the centre of mass of the last link."""
     last = dataclasses.replace(leg.links[-1], length=max(float(leg.links[-1].centre), 1e-12))
     return dataclasses.replace(leg, links=(*leg.links[:-1], last), foot_radius=0.0)
-
-
-def _sideways(leg: Leg, posture: Posture) -> tuple[float, float]:
-    """Inertia [kg*m^2] of the links about the forward axis through the hip; depth [m] of the last centre of mass."""
-    rest = posture._replace(angles=tuple(jnp.zeros(()) for _ in leg.joints))
-    inertia, z = 0.0, 0.0
-    velocity = Velocity(*rest)
-    for frame, link in zip(frames(leg, posture, velocity)[1:], leg.links, strict=True):
-        z = float(frame.point(link.centre)[1])
-        inertia += float(link.inertia) + float(link.mass) * z * z
-    return inertia, z

@@ -1,20 +1,16 @@
-"""A leg for MuJoCo, in its plane, or in space with a side-swing joint: MJCF, and the plugin for its muscles.
-
-In the plane, x is forwards and z is up: forward rotation is about -y. A side-swing joint rotates about x.
-"""
+"""A leg for MuJoCo: MJCF, and the plugin for its muscles. x is forwards, y to the left, and z up."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
-import jax.numpy as jnp
 
-from mckibben.actuator.base import held_states
+from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
@@ -34,10 +30,12 @@ from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, check_name, write_exported
 from mckibben.joint import RigidTendon, Tendon
 from mckibben.leg import LegJoint, LegPlant, LegScenario, LegState
+from mckibben.leg.dynamics import SLIDES, TURNS
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
+from mckibben.numerics.spatial import Vector, X, Z
 
-_LIGHT = 1e-9
+_LIGHT = 1e-12
 """Mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass."""
 
 
@@ -54,13 +52,13 @@ class LegModel(NamedTuple):
 class _Frame:
     """An MJCF body under construction: its contents, and its attachment to the parent body."""
 
-    def __init__(self, name: str, joint: LegJoint | None = None, origin: float = 0.0, side: bool = False) -> None:
-        self.name, self.joint, self.origin, self.side = name, joint, origin, side
+    def __init__(self, name: str, joint: LegJoint | None = None, origin: float = 0.0) -> None:
+        self.name, self.joint, self.origin = name, joint, origin
         self.inside: list[str] = []
 
     @property
     def rest(self) -> float:
-        """Angle [rad] to the parent body at joint angle 0, or at the locked angle; forwards, or to +y."""
+        """Angle [rad] from the parent body about the axis at joint angle 0, or at the locked angle."""
         joint = self.joint
         assert joint is not None
         return float(joint.link_angle) + joint.sign * float(joint.locked or 0.0)
@@ -68,15 +66,14 @@ class _Frame:
     def opened(self, limit: Compliance | None) -> str:
         """Opening text of the body, with its joint."""
         assert self.joint is not None
-        turned = f"{self.rest!r} 0 0" if self.side else f"0 {-self.rest!r} 0"
-        text = f'<body name={_name(self.name)} pos="0 0 {-self.origin!r}" euler="{turned}">'
+        axis, sign = self.joint.direction, self.joint.sign
+        turned = f"{_numbers(axis)} {self.rest!r}"
+        text = f'<body name={_name(self.name)} pos="0 0 {-self.origin!r}" axisangle="{turned}">'
         if self.joint.locked is None:
-            sign = self.joint.sign
-            axis = f"{sign} 0 0" if self.side else f"0 {-sign} 0"
-            limits = f"{float(self.joint.lower)!r} {float(self.joint.upper)!r}"
+            axis, limits = axis.scaled(sign), (self.joint.lower, self.joint.upper)
             assert limit is not None
             text += (
-                f'<joint name={_name(self.joint.name)} type="hinge" axis="{axis}" range="{limits}" '
+                f'<joint name={_name(self.joint.name)} type="hinge" axis="{_numbers(axis)}" range="{_numbers(limits)}" '
                 f'damping="{float(self.joint.damping)!r}" solreflimit="{limit.reference}" '
                 f'solimplimit="{limit.impedance}"/>'
             )
@@ -100,22 +97,19 @@ def leg_model(
     name: str = "leg",
     timestep: float = 2.5e-4,
     start: LegState | None = None,
-    side_pressures: tuple[float, float] = (3e5, 3e5),
 ) -> LegModel:
     """MJCF of a leg, and the functions of its muscles.
 
     Parameters
     ----------
     plant
-        The leg; with `Leg.side_swing` the model is spatial.
+        The leg.
     name
         Of the model and its plugin.
     timestep
         [s]
     start
         The keyframe "start". Default: all angles as close to 0 as possible, without pressure, the foot on the ground.
-    side_pressures
-        Gauge pressures [Pa] of the muscles of the side-swing joint at the start.
 
     Raises
     ------
@@ -124,27 +118,23 @@ def leg_model(
     """
     leg = plant.leg
     check_valve(plant.valve)
-    side = leg.side_swing
-    joints = [*leg.joints, *([] if side is None else [side])]
-    for joint in joints:
+    for joint in leg.joints:
         check_tendon(joint.muscles)
     if start is None:
         start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
     found = compliance(plant, start)
     bodies = _bodies(plant)
-    driven, left_out = _muscles(plant, joints, bodies)
-    module, functions = _functions(plant, name, driven, start, side_pressures)
+    driven, left_out = _muscles(plant, bodies)
+    module, functions = _functions(plant, name, driven, start)
     left_out += [
         f"ground: MuJoCo's contact has the stiffness, the friction, and the restitution at {TOUCH_SPEED:g} m/s; its "
         "damper acts from the first touch",
         f"stops of the joints: likewise, at {LIMIT_SPEED:g} rad/s",
     ]
-    if any(joint.friction is not None for joint in joints):
+    if any(joint.friction is not None for joint in leg.joints):
         left_out.append("friction of the joints")
     if not plant.has_ideal_io or plant.command_delay is not None:
         left_out.append("sensors, disturbances and command delay")
-    if side is not None:
-        left_out.append("inertia of the bodies in space: the planar inertia about each axis")
     xml = _mjcf(plant, module.name, timestep, bodies, driven, functions, found, start)
     return LegModel(xml, module, tuple(x.summary for x in functions), tuple(x.name for x in driven), tuple(left_out))
 
@@ -159,7 +149,7 @@ class LegScene(NamedTuple):
 def leg_scene(plant: LegPlant, start: LegState) -> LegScene:
     """A leg for display in MuJoCo, moved by its coordinates; without a plugin."""
     bodies = _bodies(plant)
-    driven, _ = _muscles(plant, [*plant.leg.joints, *filter(None, [plant.leg.side_swing])], bodies)
+    driven, _ = _muscles(plant, bodies)
     xml = _mjcf(plant, "leg", 1e-3, bodies, driven, [], compliance(plant, start), start)
     return LegScene(xml, {one.name: one.parts for one in driven if one.parts})
 
@@ -194,23 +184,27 @@ def _name(name: str) -> str:
     return quoteattr(name)
 
 
+def _numbers(values: Iterable[Any]) -> str:
+    """Text of numbers."""
+    return " ".join(repr(float(one)) for one in values)
+
+
 def _bodies(plant: LegPlant) -> list[_Frame]:
-    """Trunk, the body between the hips if there is a side-swing joint, and links, with their masses and shapes."""
+    """Trunk and links, with their masses and shapes."""
     leg = plant.leg
     trunk = _Frame("trunk")
-    trunk.inside.append(_inertial(leg.trunk.mass, leg.trunk.centre, leg.trunk.inertia))
+    trunk.inside.append(_inertial(leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias))
     found = [trunk]
-    if leg.side_swing is not None:
-        found.append(_Frame(leg.side_swing.name + " body", leg.side_swing, side=True))
-        found[-1].inside.append(_inertial(0.0, 0.0, 0.0))
     origin = 0.0
     for joint, link in zip(leg.joints, leg.links, strict=True):
         frame, length = _Frame(joint.name + " link", joint, origin), float(link.length)
+        axle = joint.direction.scaled(0.016)
         frame.inside += [
-            _inertial(link.mass, -link.centre, link.inertia),
-            f'<geom class="bone" fromto="0 0 0 0 0 {-length!r}"/>',
-            '<geom class="axle" fromto="0 -0.016 0 0 0.016 0"/>',
+            _inertial(link.mass, -link.centre, link.inertias),
+            f'<geom class="axle" fromto="{_numbers(-axle)} {_numbers(axle)}"/>',
         ]
+        if length:
+            frame.inside.append(f'<geom class="bone" fromto="0 0 0 0 0 {-length!r}"/>')
         found.append(frame)
         origin = length
     radius = float(leg.foot_radius) or 1e-4
@@ -218,12 +212,12 @@ def _bodies(plant: LegPlant) -> list[_Frame]:
     return found
 
 
-def _inertial(mass: Any, height: Any, inertia: Any) -> str:
-    mass, inertia = max(float(mass), _LIGHT), max(float(inertia), _LIGHT)
-    return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
+def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
+    mass, *inertias = (max(float(one), _LIGHT) for one in (mass, *inertias))
+    return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{_numbers(inertias)}"/>'
 
 
-def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> tuple[list[_Driven], list[str]]:
+def _muscles(plant: LegPlant, bodies: list[_Frame]) -> tuple[list[_Driven], list[str]]:
     """All muscles that MuJoCo can move, with their sites added to the bodies, and the omitted parts."""
     leg = plant.leg
     found, left_out = [], []
@@ -234,10 +228,9 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
         child = bodies[places[joint.name]]
         parent = bodies[places[joint.name] - 1]
         names = f"{path} fixed", f"{path} moving"
-        (x, z), there = anchors(joint, moved)
-        for frame, name, (across, up) in zip((parent, child), names, ((x, z - child.origin), there), strict=True):
-            position = f"0 {across!r} {up!r}" if child.side else f"{across!r} 0 {up!r}"
-            frame.inside.append(f'<site name={_name(name)} pos="{position}"/>')
+        fixed, moving = anchors(joint, moved)
+        for frame, name, place in zip((parent, child), names, (fixed - Z.scaled(child.origin), moving), strict=True):
+            frame.inside.append(f'<site name={_name(name)} pos="{_numbers(place)}"/>')
         return names
 
     def coupled(moved: Transmission, joint: LegJoint) -> tuple[str, float]:
@@ -246,7 +239,7 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
             return "", moved.coefficient * float(joint.locked)
         return f'<joint joint={_name(joint.name)} coef="{moved.coefficient!r}"/>', 0.0
 
-    for index, joint in enumerate(joints):
+    for index, joint in enumerate(leg.joints):
         pair = transmissions(joint.muscles.geometry)
         for number, moved in enumerate(pair):
             name = f"{joint.name}{number + 1}"
@@ -267,7 +260,6 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
             found.append(
                 _Driven(name, tendon, target, parts, _of_pair(index, number), _path(index, number, moved), own)
             )
-    biarticular = []
     for index, one in enumerate(leg.biarticular):
         both = [leg.joints[leg.index(name)] for name in (one.joint1, one.joint2)]
         moved = [path_transmission(0, *each) for each in zip((one.path1, one.path2), one.sides, strict=True)]
@@ -286,16 +278,23 @@ def _muscles(plant: LegPlant, joints: list[LegJoint], bodies: list[_Frame]) -> t
             raise cannot("path1", f"the paths of {one.name}", "give it a TwoBonePath or a Pulley over both joints")
         own = _of_biarticular(index)
         target = f"tendon={_name(one.name)}"
-        biarticular.append(_Driven(one.name, tendon, target, parts, own, _beyond(offset), one.muscle))
-    last = len(found) if leg.side_swing is None else -2  # the side-swing pair comes last
-    return [*found[:last], *biarticular, *found[last:]], left_out
+        found.append(_Driven(one.name, tendon, target, parts, own, _beyond(offset), one.muscle))
+    return found, left_out
 
 
-def anchors(joint: LegJoint, moved: Transmission) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Points (forwards, up) [m] of a straight path relative to a joint, on its parent body and on its hanging link."""
-    (x, z), (across, up) = ((joint.sign * x, y) for x, y in moved.points)
+def anchors(joint: LegJoint, moved: Transmission) -> tuple[Vector, Vector]:
+    """Points [m] of a straight path relative to a joint, in the axes of its parent body and of its hanging link.
+
+    The path is in the plane through the joint that its axis is normal to.
+    """
+    axis = joint.direction
+    across = Z.cross(axis) if axis.x or axis.y else X  # to where a hanging link swings
+    across = across.scaled(1 / math.sqrt(across.dot(across)))
+    up = axis.cross(across)
+    (x, z), (along, beyond) = ((joint.sign * x, y) for x, y in moved.points)
     sine, cosine = math.sin(float(joint.link_angle)), math.cos(float(joint.link_angle))
-    return (x, z), (across * cosine + up * sine, up * cosine - across * sine)
+    moving = along * cosine + beyond * sine, beyond * cosine - along * sine
+    return across.scaled(x) + up.scaled(z), across.scaled(moving[0]) + up.scaled(moving[1])
 
 
 def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
@@ -305,17 +304,9 @@ def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
     return f'<spatial name={_name(name)} class="muscle">{joined}</spatial>'
 
 
-def _pair_of(plant: LegPlant, index: int) -> Any:
-    """Muscles of a joint; the side-swing muscles come after all others."""
-    leg = plant.leg
-    joint = leg.joints[index] if index < len(leg.joints) else leg.side_swing
-    assert joint is not None
-    return joint.muscles
-
-
 def _of_pair(index: int, number: int) -> Callable[[LegPlant], tuple[Muscle, Tendon]]:
     def found(plant: LegPlant) -> tuple[Muscle, Tendon]:
-        pair = _pair_of(plant, index)
+        pair = plant.leg.joints[index].muscles
         return (pair.muscle1, pair.muscle2)[number], pair.tendon
 
     return found
@@ -328,7 +319,7 @@ def _of_biarticular(index: int) -> Callable[[LegPlant], tuple[Muscle, Tendon]]:
 def _path(index: int, number: int, moved: Transmission) -> Callable[[LegPlant, Any], Any]:
     if moved.tendon:
         return _beyond(float(moved.offset))
-    return lambda plant, angle: _pair_of(plant, index).geometry.path_lengths(angle)[number]
+    return lambda plant, angle: plant.leg.joints[index].muscles.geometry.path_lengths(angle)[number]
 
 
 def _beyond(offset: float) -> Callable[[LegPlant, Any], Any]:
@@ -336,22 +327,13 @@ def _beyond(offset: float) -> Callable[[LegPlant, Any], Any]:
 
 
 def _functions(
-    plant: LegPlant, name: str, driven: list[_Driven], start: LegState, side_pressures: tuple[float, float]
+    plant: LegPlant, name: str, driven: list[_Driven], start: LegState
 ) -> tuple[SourceModule, list[MuscleFunctions]]:
     """The module of the plugin, and its functions of each muscle."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
-    valves = held_states(start.air, len(start.pressures))
+    valves = [state_of_muscle(start.air, i) for i in range(len(start.pressures))]
     known = dict(zip(plant.leg.muscle_names, zip(start.muscles, start.pressures, valves, strict=True), strict=True))
-    side = plant.leg.side_swing
-    if side is not None:
-        paths = side.muscles.geometry.path_lengths(0.0)
-        pair = zip(side_pressures, paths, (side.muscles.muscle1, side.muscles.muscle2), strict=True)
-        for number, (pressure, path, muscle) in enumerate(pair, 1):
-            inside = jnp.asarray(float(pressure))
-            air = plant.valve.init(inside)
-            state = muscle.init_state(muscle.specimen.contraction_at(path))
-            known[f"{side.name}{number}"] = state, inside, air
     found = []
     for number, one in enumerate(driven, 1):
         found.append(MuscleFunctions(fixed, number, one.muscle, one.path, known[one.name], is_filter(plant.valve)))
@@ -359,23 +341,18 @@ def _functions(
     return module, found
 
 
-_TRUNK = {
-    "fixed": "",
-    "vertical": '<joint name="z" type="slide" axis="0 0 1"/>',
-    "planar": '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>',
-    "free": '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>'
-    '<joint name="pitch" type="hinge" axis="0 -1 0"/>',
-}
-"""Joints of the trunk for each degree of freedom."""
+def _trunk_joints(motions: Sequence[str]) -> str:
+    """Joints of the trunk for its translations and rotations."""
+    slides = {name: f'type="slide" axis="{_numbers(axis)}"' for name, axis in SLIDES.items()}
+    hinges = {name: f'type="hinge" axis="{_numbers(axis)}"' for name, axis in TURNS.items()}
+    return "".join(f'<joint name="{name}" {(slides | hinges)[name]}/>' for name in motions)
 
 
 def coordinates(plant: LegPlant, of: Any) -> list[Any]:
     """Posture or velocity of a leg, numbers or arrays of them, in the order of MuJoCo's joints."""
-    trunk = {"fixed": (), "vertical": (of.z,), "planar": (of.x, of.z), "free": (of.x, of.z, of.pitch)}
     leg = plant.leg
-    side = [0.0 * of.z] if leg.side_swing is not None and leg.side_swing.locked is None else []
     moving = [angle for angle, joint in zip(of.angles, leg.joints, strict=True) if joint.locked is None]
-    return [*trunk[leg.trunk.freedom], *side, *moving]
+    return [*(getattr(of, name) for name in leg.trunk.motions), *moving]
 
 
 def _mjcf(
@@ -397,7 +374,9 @@ def _mjcf(
         acts += list(made.activations)
     posture, velocity = (coordinates(plant, of) for of in (start.posture, start.velocity))
     fixed = leg.trunk.freedom == "fixed"
-    body = f'<body name="trunk" pos="0 0 {float(start.posture.z) if fixed else 0.0!r}">{_TRUNK[leg.trunk.freedom]}'
+    body = (
+        f'<body name="trunk" pos="0 0 {float(start.posture.z) if fixed else 0.0!r}">{_trunk_joints(leg.trunk.motions)}'
+    )
     top = max(_height(bodies[0]), 0.1)
     body += f'<geom class="bone" fromto="0 0 0 0 0 {top!r}"/><geom class="trunk" pos="0 0 {top + 0.03!r}"/>'
     body += "".join(bodies[0].inside)
@@ -429,7 +408,7 @@ def _mjcf(
   </asset>
   <worldbody>
     <light pos="-0.5 -1.0 3" dir="0.15 0.3 -1" diffuse="0.45 0.45 0.45" specular="0.2 0.2 0.2"/>
-    <geom name="floor" type="plane" size="4 4 0.1" material="floor"/>
+    <geom name="floor" type="plane" size="4 4 0.1" zaxis="{_numbers(plant.ground.normal)}" material="floor"/>
     {body}
   </worldbody>
   <contact>

@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 
 import mckibben
-from mckibben.actuator.base import held_states
+from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filter, plugin_files
@@ -173,8 +173,7 @@ def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState, f
     def muscle(plant: JointPlant) -> tuple[Muscle, Tendon]:
         return (plant.joint.muscle1, plant.joint.muscle2)[index], plant.joint.tendon
 
-    air = held_states(start.air, 2)[index]
-    begun = start.muscles[index], start.pressures[index], air
+    begun = start.muscles[index], start.pressures[index], state_of_muscle(start.air, index)
     return MuscleFunctions(fixed, index + 1, muscle, path, begun, filtered)
 
 

@@ -11,7 +11,7 @@ from mckibben.units import deg, dimensions
 
 NOMINAL = {"Pa": 1e5, "N": 100.0}
 """Nominal values by unit; others are 1."""
-_BASES = ("m", "kg", "s", "rad")
+_BASES = ("m", "kg", "s", "rad", "K")
 _SHOWN = {"rad": ("deg", 1 / deg), "rad/s": ("deg/s", 1 / deg), "Pa": ("bar", 1e-5), "m": ("mm", 1e3), "s": ("ms", 1e3)}
 _ATTRIBUTES = {  # causality, variability and initial of each kind
     "p": ("parameter", "tunable", "exact"),

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import mckibben
-from mckibben.actuator.base import AirState, AirVolume
+from mckibben.actuator.base import AirState, AirVolume, state_of_muscle
 from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.controller_files import filled
@@ -22,7 +22,10 @@ from mckibben.realtime.compiled_step import FlatTree
 
 
 class Activations(NamedTuple):
-    """Activations of an actuator: creep arms [N], valve state, and pressure [Pa] unless the valve is ideal."""
+    """Activations of an actuator: creep arms [N], valve state, and pressure [Pa] unless the valve is ideal.
+
+    The state of the valve is paired with the temperature [K] of the air; empty ones have no leaves.
+    """
 
     creep: Any
     valve: Any
@@ -62,7 +65,7 @@ class MuscleFunctions:
     muscle_of, path_of
         Functions for the plant's muscle with its tendon, and for its path [m] at MuJoCo's length.
     start
-        State, pressure [Pa], and state of the valve at the start.
+        State, pressure [Pa], and state of the valve with the temperature of the air at the start.
     filtered
         Whether the valve is a first-order lag without a limited rate, as MuJoCo's filter is.
     """
@@ -139,7 +142,7 @@ class MuscleFunctions:
         valve, command, velocity = plant.valve.for_muscle(self._number - 1), given["command"], given["velocity"]
         creep = muscle.state_rate(held, slope * velocity).creep
         if not valve.holds_pressure:
-            return self._layout.pack(Activations(creep, (), ()), jnp)
+            return self._layout.pack(Activations(creep, ((), ()), ()), jnp)
 
         def volumes() -> tuple[AirVolume, AirVolume]:
             def volume(length: Any) -> Any:
@@ -149,9 +152,12 @@ class MuscleFunctions:
             air = AirVolume(size + valve.attached_volume, growth * velocity)
             return air, air
 
-        states = AirState((state, state)) if jax.tree.leaves(state) else ()
+        inner, temperature = state
+        states: Any = ()
+        if jax.tree.leaves(state):
+            states = AirState((inner,) * 2, (), (temperature,) * 2 if jax.tree.leaves(temperature) else ())
         (changed, _), moved = valve.rates((pressure, pressure), states, (command, command), volumes)
-        rates = Activations(creep, moved.valves[0] if moved else (), changed)
+        rates = Activations(creep, state_of_muscle(moved, 0), changed)
         return self._layout.pack(rates, jnp)
 
     def _settled(self, parameters: Any, given: Any) -> dict[str, Any]:

@@ -2,12 +2,13 @@
 
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.creep import CreepFit, identify_creep
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
+from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import ResidualCorrelation, identify
 from mckibben.identification.friction_forms import FormComparison, FrictionForm, LackOfFit
 from mckibben.identification.hysteresis import HysteresisFit, SensorDrift, identify_hysteresis
 from mckibben.identification.intervals import ForceIntervals, Interval, IntervalEstimate
 from mckibben.identification.least_squares import design_matrix
+from mckibben.identification.outliers import find_outliers
 from mckibben.identification.posterior import Noise, Posterior, posterior
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
@@ -32,6 +33,7 @@ __all__ = [
     "LackOfFit",
     "LeaveOnePressureOut",
     "Noise",
+    "Outlier",
     "Posterior",
     "Profile",
     "RankedLaw",
@@ -41,6 +43,7 @@ __all__ = [
     "Validation",
     "bootstrap",
     "design_matrix",
+    "find_outliers",
     "hold_out",
     "identify",
     "identify_creep",

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
-from mckibben.errors import IdentificationError, printable
+from mckibben.errors import DomainWarning, IdentificationError, printable
 from mckibben.identification.intervals import (
     ForceIntervals,
     Interval,
     RobustErrors,
+    calibrated_interval,
     check_level,
     force_gradients,
     parameter_interval,
@@ -25,8 +29,12 @@ from mckibben.identification.intervals import (
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
 from mckibben.muscle import Domain, ForceLaw, forces
-from mckibben.notebook import html_table
-from mckibben.units import bar, factor, percent
+from mckibben.muscle.base import check_point
+from mckibben.notebook import draw, html_table
+from mckibben.units import bar, factor, percent, show
+
+if TYPE_CHECKING:
+    from mckibben.identification.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -54,6 +62,31 @@ class DatasetSummary:
         """Summary of the points used."""
         attrs = points.table.attrs
         return cls(printable(str(attrs["specimen"])), printable(str(attrs["source"])), tuple(points.pressures.tolist()))
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """Point that an identification leaves out.
+
+    Attributes
+    ----------
+    row
+        Number of the point in the dataset, from 1; of the plateaus, if it has samples.
+    pressure, contraction, force
+        Measured pressure [Pa], contraction [-] and force [N].
+    expected
+        Force [N] from the surface through all other points.
+    """
+
+    row: int
+    pressure: float
+    contraction: float
+    force: float
+    expected: float
+
+    def __str__(self) -> str:
+        where = f"{show(self.pressure, 'bar', 4)} and {self.contraction / percent:.4g} %"
+        return f"row {self.row}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
 
 
 def domain_of(points: IsobaricDataset) -> Domain:
@@ -112,11 +145,13 @@ class Fit:
     warnings, dataset
         Reasons not to rely on the results, and summary of the data.
     residuals
-        Shape (points_used,): measured minus fitted force [N] of the taut points; None if read from a file.
+        Shape (points_used,): measured minus fitted force [N]; None if read from a file without points.
     robust
         Cluster-robust standard errors, the basis of the intervals; None with too few groups, as a warning explains.
     regression
-        Points and least-squares solution; None if read from a file.
+        Points and least-squares solution; None if read from a file without points.
+    outliers
+        Points left out because they contradict the points around them.
     """
 
     law: ForceLaw
@@ -132,6 +167,7 @@ class Fit:
     residuals: Floats | None = None
     robust: RobustErrors | None = None
     regression: Regression | None = None
+    outliers: tuple[Outlier, ...] = ()
 
     @property
     def estimates(self) -> dict[str, float]:
@@ -149,6 +185,24 @@ class Fit:
         """Covariance with the robust standard errors, if available; 0 for parameters at a bound."""
         errors = np.array([self._errors(None)[0][name] for name in self.estimates])
         return np.nan_to_num(self.correlations * np.outer(errors, errors))
+
+    def predict(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
+        """Return the force [N] at contractions [-] and gauge pressures [Pa], never below 0; the arguments broadcast.
+
+        Warns outside the domain of the fit; `force_intervals` gives the uncertainty.
+        """
+        contraction, pressure = np.asarray(contraction), np.asarray(pressure)
+        check_point(contraction, pressure)
+        if text := self.law.domain.describe_outside(contraction, pressure):
+            warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=2)
+        return np.maximum(forces(self.law, contraction, pressure), 0.0)
+
+    def plot(self, data: IsobaricDataset | None = None) -> Any:
+        """Return a figure of points, fitted curves and residuals, see `mckibben.report.isobaric`.
+
+        Default: the points of the fit; `IdentificationError` if it was read from a file, which has none.
+        """
+        return draw("isobaric", self.require_regression().points if data is None else data, self)
 
     def intervals(self, level: float = 0.95, *, by: Grouping | None = None) -> dict[str, Interval]:
         """Confidence intervals by parameter, in SI.
@@ -175,37 +229,62 @@ class Fit:
     ) -> ForceIntervals:
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
-        The variance of the scatter about the law is constant, or proportional to 1 + c F^2 where the residuals grow
-        significantly (5 %) with the force F.
+        The prediction interval is calibrated on left-out pressures and inner contractions, and the confidence interval
+        contains the misfit of the law (`mckibben.identification.calibration`). The variance of the scatter about the
+        law is constant, or proportional to 1 + c F^2 where the residuals grow significantly (5 %) with the force F.
 
         Parameters
         ----------
         contraction, pressure
             Contraction [-] and pressure [Pa]; they broadcast.
-        level, by
+        level
             As for `intervals`.
+        by
+            Groups of points that may share an error; then both are t intervals for a law without misfit. Default:
+            strokes or pressures, misfit and calibration.
 
         Raises
         ------
         IdentificationError
-            As `intervals`; also if the fit was read from a file, which does not hold the points.
+            As `intervals`; also if the fit was read from a file without points.
         """
         check_level(level)
         regression = self.require_regression()
         contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
         value = forces(self.law, contraction, pressure)
         free = [regression.problem.names[i] for i in regression.free]
+        gradients = force_gradients(self.law, free, contraction, pressure)
         model = regression.error_model(by)
-        of_law = _, freedom = model.variance(force_gradients(self.law, free, contraction, pressure))
+        of_law = _, freedom = model.variance(gradients)
         square, residual_freedom = model.residual_variance
-        scatter = square * regression.relative_variance(value.ravel()), np.full_like(freedom, residual_freedom)
-        return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
+        relative = regression.relative_variance(value.ravel())
+        scatter = square * relative, np.full_like(freedom, residual_freedom)
+        if by is not None:
+            return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
+        variance, blocks = self.calibration.misfit
+        misfit = np.full_like(freedom, variance), np.full_like(freedom, blocks)
+        confidence = t_interval(level, value, [of_law, misfit])
+        quantile = self.calibration.quantile(level, np.broadcast_to(contraction, value.shape).ravel())
+        if quantile is None:
+            return ForceIntervals(confidence, t_interval(level, value, [of_law, scatter, misfit]))
+        model = regression.error_model(Grouping.POINT)
+        error = np.sqrt(model.variance(gradients)[0] + model.residual_variance[0] * relative)
+        prediction = calibrated_interval(level, value, error, quantile)
+        lower, upper = np.maximum(confidence.lower, prediction.lower), np.minimum(confidence.upper, prediction.upper)
+        return ForceIntervals(replace(confidence, lower=lower, upper=upper), prediction)
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """Errors at left-out pressures and contractions, by which the intervals of the force are calibrated."""
+        from mckibben.identification.calibration import Calibration
+
+        return Calibration.of(self.require_regression())
 
     def require_regression(self) -> Regression:
         """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""
         if self.regression is None:
             raise IdentificationError(
-                f"this fit of {type(self.law).__name__} was read from a file, which does not hold its points",
+                f"this fit of {type(self.law).__name__} was read from a file without its points",
                 remedy="identify it again from the data",
             )
         return self.regression
@@ -298,7 +377,7 @@ class Fit:
         return html_table(repr(self), header, rows, (self._error_note(), *self.warnings))
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write everything except the residuals to a file that `from_yaml` reads back exactly."""
+        """Write everything to a file that `from_yaml` reads back exactly, with the points if there are at most 5000."""
         from mckibben.identification.storage import write_fit
 
         write_fit(self, Path(path))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -14,8 +12,9 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of, off_levels
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
+from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
-from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth
+from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, prior_of, prior_rows
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
     Bools,
@@ -32,19 +31,24 @@ from mckibben.muscle import Domain, ExponentialLaw, ForceLaw
 from mckibben.units import percent, show
 
 _STRONG_CORRELATION = 0.999
-_NEW_LEVEL = 5e3  # Pa: a larger change of the pressure is a new level
 _FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
-_ISOLATED = 12.0  # median differences between successive residuals: a point farther from both neighbours is an outlier
-_FEW_OUTLIERS = 0.02  # share of the points: more cannot be isolated errors
-_FEWEST_STEPS = 20
 _CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
 
-def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
+def identify(
+    law_type: type[ForceLaw],
+    dataset: IsobaricDataset | None = None,
+    *,
+    domain: Domain | None = None,
+    robust: bool = True,
+) -> Fit:
     """Fit a force law to measured points by least squares.
 
     The fit is to the plateau means of the taut points: at a slack point the force is only known to be small. Shape
     parameters are searched on a grid over their range, then refined by variable projection.
+
+    Outliers are left out: single points that contradict the smooth surface through all others, at a probability of 1 %
+    of any in good data, by more than 0.5 % of the largest force. A warning names each by its row.
 
     Parameters
     ----------
@@ -52,6 +56,8 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         Class of the law, such as `ExponentialLaw`.
     domain
         Domain of the law. Default: the contractions and pressure levels of the points used.
+    robust
+        False to keep outliers.
 
     Raises
     ------
@@ -67,11 +73,16 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     (40.0, 1.07, 1.34)
     """
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
+        given = [
+            f"class {one.__name__}" if isinstance(one, type) else type(one).__name__ for one in (law_type, dataset)
+        ]
         raise IdentificationError(
-            f"identify takes a law class and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
+            f"identify takes the class of a law and a dataset, not {' and '.join(given)}",
             remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
         )
     means = dataset.plateau_means()
+    outliers = find_outliers(means) if robust else ()
+    means = without_outliers(means, outliers)
     taut = means.taut
     smooth = law_type in SMOOTH_LAWS
     _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
@@ -81,10 +92,10 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     refit, simpler = None, ""
     if smooth:
         eq2 = FitProblem.of(ExponentialLaw, points)
-        asked, start = law_type, solve(eq2, grid_search(eq2)).position
-        refit = cast(Refit, lambda kept: fit_smooth(asked, points, kept, start)[0])
-        solution, simpler = fit_smooth(law_type, points, np.ones(len(points), bool), start)
+        start = solve(eq2, grid_search(eq2)).position
+        solution, simpler = fit_smooth(_laws_from(law_type), points, np.ones(len(points), bool), start)
         law_type = solution.problem.law_type
+        refit = _smooth_refit(() if simpler else _laws_from(law_type), points, start)
     else:
         problem = FitProblem.of(law_type, points)
         solution = solve(problem, grid_search(problem))
@@ -112,7 +123,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
         warnings.append(f"{text}: the domain is the range of the measured pressures")
     warnings += _friction_warnings(points, residuals, grouping)
-    warnings += _outlier_warnings(points, residuals)
+    warnings += [f"left out, as it contradicts the points around it: {one}" for one in outliers]
     warnings += regression.warnings
     warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
     lopo, reason = _leave_one_pressure_out(regression)
@@ -131,7 +142,33 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         residuals=residuals,
         robust=None if grouping is Grouping.POINT else regression.robust_errors(grouping),
         regression=regression,
+        outliers=outliers,
     )
+
+
+def _laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
+    """Law with deviations, and the simpler ones that may take its place."""
+    return SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
+
+
+def _smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
+    return lambda kept: fit_smooth(laws, points, kept, start, compare=False)[0]
+
+
+def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools, scales: Floats | None) -> Regression:
+    """Regression of a law that was fitted to points; `scales` are those of the prior of a law with deviations."""
+    kind = type(law)
+    constants = {p.name: float(getattr(law, p.name)) for p in kind.constants}
+    problem, refit = dataclasses.replace(FitProblem.of(kind, points), constants=constants), None
+    values = np.array([float(getattr(law, p.name)) for p in kind.parameters()])
+    position = problem.cube.position(values[problem.linear :].tolist())
+    if scales is not None:
+        prior = prior_of(kind, float(points.levels.max()))
+        problem = dataclasses.replace(problem, prior=prior_rows(prior, scales))
+        refit = _smooth_refit(_laws_from(kind), points, position)
+    found = project(problem, position, values[: problem.linear])
+    solution = Solution(problem, values, position, found.cost, found.triangle, converged=True)
+    return Regression(points, problem, solution, at_bound, refit)
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:
@@ -236,32 +273,6 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
             f"independent from point to point, so {consequence}{remedy}"
         )
     return warnings
-
-
-def _outlier_warnings(points: IsobaricDataset, residuals: Floats) -> list[str]:
-    """Warnings of single points whose residual is far from the residuals of the points measured before and after.
-
-    Where the length reverses or the pressure changes, friction reverses too: only more than the loop width counts.
-    """
-    steps = np.diff(residuals)
-    scatter = float(np.median(np.abs(steps))) if len(steps) >= _FEWEST_STEPS else math.inf
-    before, after = steps[:-1], -steps[1:]
-    apart = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
-    moves, changes = np.diff(points.contraction), np.abs(np.diff(points.levels)) > _NEW_LEVEL
-    reverses = (moves[:-1] * moves[1:] <= 0) | changes[:-1] | changes[1:]
-    loop = max((np.ptp(means) for _, _, means in _gaps(points, residuals)), default=0.0)
-    apart[reverses & (apart <= loop)] = 0.0
-    found = np.flatnonzero(apart > _ISOLATED * scatter)
-    if not 0 < len(found) <= _FEW_OUTLIERS * len(residuals):
-        return []
-    worst = found[np.argmax(apart[found])]
-    pressure, contraction, force = (float(x[worst + 1]) for x in (points.pressure, points.contraction, points.force))
-    where = f"{show(force, 'N', 4)} at {show(pressure, 'bar', 4)} and {contraction / percent:.4g} %"
-    many = f"{len(found)} points are" if len(found) > 1 else "a point is"
-    return [
-        f"{many} far from the neighbouring measurements, the farthest by {apart[worst]:.3g} N: {where}; check the "
-        "file, as one wrong number can change the law"
-    ]
 
 
 _NO_CROSS_VALIDATION = "there is no cross-validation by pressure"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,10 @@ from mckibben.identification.loading_path import (
     clipped,
     loop_half_width,
 )
+from mckibben.identification.outliers import find_outliers
 from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
-from mckibben.notebook import html_table
+from mckibben.notebook import draw, html_table
 from mckibben.units import bar, mm, show
 
 
@@ -103,6 +105,10 @@ class HysteresisFit:
     def force(self) -> Floats:
         """Modelled force at each point [N], shape (points,)."""
         return self.tension + self.friction_force + self.offset
+
+    def plot(self, data: IsobaricDataset) -> Any:
+        """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
+        return draw("loops", data, self)
 
     def muscle(self, specimen: Specimen) -> Muscle:
         """Muscle with the law and its friction."""
@@ -233,6 +239,8 @@ def identify_hysteresis(
     taut = ~means.slack
     bases = DriftBasis.candidates(paths, means)[: None if drift else 1]
     used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
+    outliers = find_outliers(means)
+    used &= ~np.isin(np.arange(len(means)) + 1, [one.row for one in outliers])
     known = law if isinstance(law, ForceLaw) else None
     law_type = type(law) if isinstance(law, ForceLaw) else law
     levels = np.unique(means.levels[taut])
@@ -261,7 +269,7 @@ def identify_hysteresis(
             model = dataclasses.replace(model, template=identify(law_type, corrected).law)
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
-    warnings: list[str] = []
+    warnings = [f"left out, as it contradicts the points around it: {one}" for one in outliers]
     for name in _shapes_at_bound(model.template) & set(of_law):
         of_law = _without(of_law, name)
         warnings.append(f"{name} is held at the bound of its range: the law is probably misspecified")

@@ -38,7 +38,7 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class IntervalEstimate:
-    """Estimate of a quantity with its pointwise t interval; all arrays have the shape of `value`."""
+    """Estimate of a quantity with its pointwise interval; all arrays have the shape of `value`."""
 
     level: float
     value: Floats
@@ -50,9 +50,9 @@ class IntervalEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ForceIntervals:
-    """Intervals of the law's force (confidence) and of a further plateau mean on the same rig (prediction) [N].
+    """Intervals of the force at new pressures and contractions (confidence), and of a plateau mean there (prediction).
 
-    Neither contains the systematic error of a misspecified law: see the warnings and the residuals of the fit.
+    In N, for the same muscle and rig. Systematic errors of the rig are in neither.
     """
 
     confidence: IntervalEstimate
@@ -84,6 +84,14 @@ def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats,
     error = np.sqrt(total)
     half_width = t_quantile(level, freedom) * error
     return IntervalEstimate(level, value, error, freedom, value - half_width, value + half_width)
+
+
+def calibrated_interval(level: float, value: ArrayLike, error: Floats, quantile: Floats) -> IntervalEstimate:
+    """Interval of a calibrated half width in standard errors; its degrees of freedom are infinite."""
+    value = np.asarray(value, np.float64)
+    error, quantile = error.reshape(value.shape), quantile.reshape(value.shape)
+    half_width = quantile * error
+    return IntervalEstimate(level, value, error, np.full_like(value, np.inf), value - half_width, value + half_width)
 
 
 def parameter_interval(estimate: float, error: float, freedom: float, level: float) -> Interval:

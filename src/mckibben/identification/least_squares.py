@@ -112,6 +112,17 @@ class UnitCube:
             for p, x in zip(self.parameters, position, strict=True)
         ]
 
+    def position(self, values: Sequence[float]) -> Floats:
+        """Position of parameters [SI]: the inverse of `values`."""
+        return np.array(
+            [
+                math.log(x / p.lower) / math.log(p.upper / p.lower)
+                if p.lower > 0
+                else (x - p.lower) / (p.upper - p.lower)
+                for p, x in zip(self.parameters, values, strict=True)
+            ]
+        )
+
     def rates(self, position: Floats) -> Floats:
         """Derivative of each parameter with respect to its own coordinate."""
         return np.array(

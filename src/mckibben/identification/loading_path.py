@@ -23,6 +23,9 @@ _SIGNIFICANT = 3.0  # standard errors
 _SPEEDS = 1.3  # ratio of the upper to the lower quartile that distinguishes viscous from dry friction
 _CLIPPED = 0.25  # of the slack points at exactly the lowest force
 _REPEATED = 0.01  # of a step: a smaller move does not count
+_REPEATED_HERE = 0.2  # of both neighbouring moves: the same, with noise of the length
+_PAIRED = 0.5  # share of the points of a direction that were measured at positions of the other
+_NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
 _FAR = 1.0  # m: exceeds any presliding length
 _SLACK = 2  # fewest slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
@@ -131,7 +134,9 @@ class LoadingPaths:
         step = float(np.median(np.abs(moves[moved])))
         turns = np.zeros(len(length))
         for path in paths:
-            repeated = np.abs(np.diff(length[path])) < _REPEATED * step
+            size = np.abs(np.diff(length[path]))
+            beside = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
+            repeated = size < np.maximum(_REPEATED * step, _REPEATED_HERE * beside)
             turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
         return cls(place, counts, side, length, step, turns)
 
@@ -186,16 +191,26 @@ def clipped(means: IsobaricDataset) -> bool:
     return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, _CLIPPED * len(slack))
 
 
-def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
-    """Median half-difference [N] between the directions at the same pressure and contraction."""
-    keys = np.stack([means.levels.round(-2), means.contraction.round(5)], axis=1)
-    place = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-    loading = means.table["direction"].to_numpy() == "loading"
+def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools, tolerance: float) -> Floats:
+    """Force of loading minus that of unloading [N], at each level and contraction [-] within a tolerance."""
+    order = np.lexsort((means.contraction, means.levels.round(-2)))
+    apart = (np.diff(means.contraction[order]) > tolerance) | (np.diff(means.levels[order].round(-2)) != 0)
+    place = np.empty(len(order), np.int64)
+    place[order] = np.concatenate([[0], np.cumsum(apart)])
     sides = [taut & loading, taut & ~loading]
     counts = [np.bincount(place, side, place.max() + 1) for side in sides]
     both = (counts[0] > 0) & (counts[1] > 0)
     first, second = (np.bincount(place, side * means.force, place.max() + 1)[both] for side in sides)
-    gaps = first / counts[0][both] - second / counts[1][both]
+    return first / counts[0][both] - second / counts[1][both]
+
+
+def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
+    """Median half-difference [N] between the directions at the same pressure and contraction."""
+    loading = means.table["direction"].to_numpy() == "loading"
+    gaps = _gaps(means, taut, loading, 1e-5)
+    if len(gaps) < _PAIRED * min(np.count_nonzero(taut & loading), np.count_nonzero(taut & ~loading)):
+        moves = np.abs(np.diff(means.contraction))
+        gaps = _gaps(means, taut, loading, _NEAR * float(np.median(moves[moves > 0])))  # positions with noise
     if len(gaps) < 2:
         raise IdentificationError(
             f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -11,13 +12,14 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import Fit, unphysical
+from mckibben.identification.fit import Fit, Outlier, unphysical
 from mckibben.identification.fitting import (
     ResidualCorrelation,
     identify,
     residual_correlation,
     without_direction_means,
 )
+from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
     MOST_BLOCKS,
     CrossValidation,
@@ -116,12 +118,15 @@ class Ranking:
         Taut plateau means of all fits, and number of slack points left out.
     missing
         Reason why a kind of block is not available, by its name.
+    outliers
+        Points left out of all fits because they contradict the points around them.
     """
 
     entries: tuple[RankedLaw, ...]
     points: IsobaricDataset
     slack: int
     missing: dict[str, str]
+    outliers: tuple[Outlier, ...] = ()
 
     @property
     def best(self) -> RankedLaw:
@@ -211,7 +216,13 @@ def rank(
     >>> ranking
     <Ranking of 2 laws (0 refused) by cross-validation RMSE, best ExponentialLaw>
     """
+    if not isinstance(dataset, IsobaricDataset):
+        given = getattr(dataset, "__name__", type(dataset).__name__)
+        remedy = "write rank(read_dataset('rig.csv'), [ExponentialLaw, SmoothLaw])"
+        raise IdentificationError(f"rank takes a dataset first, not {given}", remedy=remedy)
     means = dataset.plateau_means()
+    outliers = find_outliers(means)
+    means = without_outliers(means, outliers)
     points = means.taut
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
@@ -224,7 +235,7 @@ def rank(
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)
-    return Ranking(tuple(entries), points, len(means) - len(points), missing)
+    return Ranking(tuple(entries), points, len(means) - len(points), missing, outliers)
 
 
 def _order(entry: RankedLaw) -> tuple[bool, int, float, float]:
@@ -260,7 +271,7 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
 
 def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> RankedLaw:
     try:
-        fit = identify(kind, means)
+        fit = identify(kind, means, robust=False)
     except IdentificationError as error:
         return RankedLaw(kind.__name__, refused=str(error))
     regression = fit.require_regression()
@@ -278,7 +289,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
             remarks.append(f"without {block} {error.reason}")
         else:
             residuals = without_direction_means(found.residuals, regression.points)
-            cross_validation[name] = CrossValidation(residuals, found.by_block)
+            cross_validation[name] = dataclasses.replace(found, residuals=residuals)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
     misspecified = bounds and regression.problem.prior is None  # deviations make a bound harmless
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []

@@ -31,16 +31,22 @@ from mckibben.identification.uncertainty import (
 from mckibben.units import percent
 
 MOST_BLOCKS = 200
-_QUANTILES = 8  # number of blocks if all pressures differ
-_IN_QUANTILE = 5  # points at least
+_BLOCKS = 8  # number of blocks of equal width if all pressures differ
+_IN_BLOCK = 5  # points at least, on average
 
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points outside all blocks."""
+    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points outside all blocks.
+
+    `law_variance` and `scatter_variance` [N^2] are those of the law's force and of a further point about it, which each
+    fit predicts at its block for independent errors.
+    """
 
     residuals: Floats = field(repr=False)
     by_block: Mapping[float | str, float]
+    law_variance: Floats = field(repr=False)
+    scatter_variance: Floats = field(repr=False)
 
     @property
     def rmse(self) -> float:
@@ -62,7 +68,7 @@ class NotIdentifiableError(Exception):
 
 
 def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
-    """Pressure level [Pa] of each point, or the median of its quantile; None and the reason if unavailable."""
+    """Pressure level [Pa] of each point, or the median of its block; None and the reason if unavailable."""
     levels = points.levels
     count = len(np.unique(levels))
     if count < 2:
@@ -71,16 +77,17 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
         return levels, ""
     if (groups := group_pressures(levels)) is not None and groups.any():
         return nominal_pressures(levels, groups)[0][groups], ""
-    blocks = min(len(points) // _IN_QUANTILE, _QUANTILES)
+    blocks = min(len(points) // _IN_BLOCK, _BLOCKS)
     if blocks < 2:
         return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"
-    edges = np.quantile(levels, np.linspace(0, 1, blocks + 1)[1:-1])
+    edges = np.linspace(levels.min(), levels.max(), blocks + 1)[1:-1]
     part = np.searchsorted(edges, levels, side="right")
-    return np.array([np.median(levels[part == each]) for each in range(blocks)])[part], ""
+    medians = {each: np.median(levels[part == each]) for each in np.unique(part).tolist()}
+    return np.array([medians[each] for each in part.tolist()]), ""
 
 
 _CONTRACTION_BLOCKS = 8
-_RESOLUTION = 1e-3  # closer contractions count as one
+RESOLUTION = 1e-3  # closer contractions count as one
 
 
 def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
@@ -88,7 +95,7 @@ def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
 
     A block is one contraction, or several neighbours if there are more than eight.
     """
-    rounded = np.round(points.contraction / _RESOLUTION).astype(int)
+    rounded = np.round(points.contraction / RESOLUTION).astype(int)
     values, number, counts = np.unique(rounded, return_inverse=True, return_counts=True)
     blocks = min(len(values), _CONTRACTION_BLOCKS)
     if blocks < len(values):
@@ -97,7 +104,7 @@ def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
     for block in range(1, blocks - 1):
         own = number == block
         if own.any():
-            low, high = rounded[own].min() * _RESOLUTION / percent, rounded[own].max() * _RESOLUTION / percent
+            low, high = rounded[own].min() * RESOLUTION / percent, rounded[own].max() * RESOLUTION / percent
             labels[own] = f"{low:.1f} %" if low == high else f"{low:.1f}..{high:.1f} %"
     return labels
 
@@ -111,7 +118,7 @@ def cross_validate(
 ) -> CrossValidation:
     """Predict each block from a fit of the law, shape included, to all other blocks."""
     blocks = np.asarray(blocks)
-    residuals = np.full(len(blocks), np.nan)
+    residuals, of_law, scatter = np.full((3, len(blocks)), np.nan)
     by_block: dict[float | str, float] = {}
     for block in np.unique(blocks).tolist():
         if block == "":
@@ -123,11 +130,22 @@ def cross_validate(
         if not (solution.converged and condition_number(solution.triangle[:, ~solution.at_bound]) < CONDITION_LIMIT):
             raise NotIdentifiableError(block, "the law is not determined")
         everything = solution.problem.subset(np.ones(len(blocks), bool))
-        residuals[out] = everything.columns_and_residuals(solution.values)[-1, : len(blocks)][out]
+        rows = everything.columns_and_residuals(solution.values)[:, : len(blocks)]
+        residuals[out] = rows[-1, out]
         if not np.isfinite(residuals[out]).all():
             raise NotIdentifiableError(block, "the law's force is undefined there")
         by_block[block] = float(np.sqrt(np.mean(residuals[out] ** 2)))
-    return CrossValidation(residuals, by_block)
+        of_law[out], scatter[out] = _variances(solution, rows[:-1, out].T)
+    return CrossValidation(residuals, by_block, of_law, scatter)
+
+
+def _variances(solution: Solution, gradients: Floats) -> tuple[Floats, float]:
+    """Variance [N^2] of the law's force for gradients of shape (m, parameters), and of a point about it."""
+    free = np.flatnonzero(~solution.at_bound)
+    errors, jacobian = solution.augmented
+    with np.errstate(divide="ignore", invalid="ignore"):  # as many parameters as points: unknown
+        model = IndependentErrors.of(jacobian[:, free], errors)
+    return model.variance(gradients[:, free])[0], model.residual_variance[0]
 
 
 _SENSITIVITY_POINTS = 100  # at which the uncertainty of the force is compared

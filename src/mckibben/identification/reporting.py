@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,6 +39,7 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
             }
             for name, value in fit.estimates.items()
         },
+        "outliers": [dataclasses.asdict(one) for one in fit.outliers],
         "warnings": list(fit.warnings),
     }
 

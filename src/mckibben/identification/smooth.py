@@ -1,25 +1,30 @@
-r"""Identification of `SmoothLaw`: selection and scales of the deviations by restricted maximum likelihood.
+r"""Identification of laws with smooth deviations from Eq. 2: scales by restricted maximum likelihood, and acceptance.
 
-The deviation :math:`s_j` has the prior :math:`N(0, (\gamma_j \sigma)^2 S^{-1})` with
-:math:`c^T S c = \int s''^2 dv`: it is smooth, and of unknown size. At the decay of Eq. 2 the restricted likelihood of
-the scales :math:`\gamma_j`, with :math:`\sigma` profiled and the parameters of Eq. 2 (its decay linearised) integrated
-out, follows from one QR factorisation. A scale is kept if it raises the log-likelihood by 1 or more (Akaike). With the
-scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
+The deviations have a Gaussian prior about zero, of scales that are estimated (`mckibben.identification.mixed_model`):
 
-The result is Eq. 2 itself unless the deviations lower both the corrected Akaike criterion (with effective parameters:
-few points support few) and the errors at left-out pressures, raise the errors at left-out inner contractions by at most
-a twentieth, both with the scales fixed, and are physical where Eq. 2 is.
+- `SmoothLaw`: :math:`s_j \sim N(0, (\gamma_j \sigma)^2 S^{-1})` with :math:`c^T S c = \int s''^2 dv`, and a scale
+  for each order in pressure. A scale is kept if it raises the log-likelihood by 1 or more (Akaike).
+- `GaussianProcessLaw`: a Gaussian process with a squared exponential kernel, whose amplitude and lengths over
+  contraction and pressure are estimated. Without 3 in the log-likelihood, it has no support.
+
+With the scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
+
+A law is accepted if the deviations lower the corrected Akaike criterion (with effective parameters: few points support
+few), predict left-out pressures and left-out inner contractions better than Eq. 2, and are physical where Eq. 2 is. For
+each block left out, Eq. 2 is fitted anew and the scales and the deviations are estimated anew. Of the accepted laws,
+the one with the smallest errors is the result, and Eq. 2 itself if there is none.
 
 References
 ----------
-D. Harville, "Maximum likelihood approaches to variance component estimation and to related problems", J. American
-Statistical Association 72 (1977) 320-338; C. Rasmussen and C. Williams, "Gaussian Processes for Machine Learning", MIT
-Press 2006, sections 2.7 and 5.4.2.
+C. Rasmussen and C. Williams, "Gaussian Processes for Machine Learning", MIT Press 2006, sections 2.7 and 5.4.2;
+A. Solin and S. Sarkka, Statistics and Computing 30 (2020) 419-446.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -29,62 +34,99 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification.fit import domain_of, unphysical
-from mckibben.identification.least_squares import FitProblem, Solution, solve
-from mckibben.identification.regression import contraction_blocks, pressure_blocks
-from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
-from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothAffineLaw, SmoothLaw
+from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
+from mckibben.identification.mixed_model import MixedModel
+from mckibben.identification.regression import RESOLUTION, contraction_blocks, pressure_blocks
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Bools, Floats, condition_number
+from mckibben.muscle import ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
+from mckibben.muscle.gaussian_process import ORDER
 from mckibben.muscle.smooth import DEGREE
 
-SMOOTH_LAWS = (SmoothLaw, SmoothAffineLaw)
+SMOOTH_LAWS = (GaussianProcessLaw, SmoothLaw, SmoothAffineLaw)
 """Laws of this method; each falls back to the following ones, and to Eq. 2."""
-_MARGIN = 1.0  # window beyond the contractions measured, in half ranges of them
-_STARTS = (0.0, 5.0)  # logarithm of the scales
-_BOUNDS = (-4.0, 14.0)  # at the lower one a deviation is negligible compared to the noise
-_GAIN = 1.0  # in the logarithm of the restricted likelihood, by scale
+_MARGIN = 1.0  # window beyond the points, in half ranges of them
+_GAIN = 1.0  # in the logarithm of the restricted likelihood, by hyperparameter
 _WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at left-out blocks, relative to Eq. 2
+_BETTER = 0.95  # largest error over both kinds, relative to Eq. 2: a smaller gain may be chance
+_NEGLIGIBLE = -20.0  # logarithm of a scale relative to the noise
+_FOLDS = 5  # largest number of blocks of each kind
+_CONTRACTIONS = 4  # that Eq. 2 needs; with as many, it is compared only over pressures
 _LEAST = 4  # points per parameter of Eq. 2
 _ROUNDING = 1e-9  # of the largest force
 
 
-def fit_smooth(law_type: type[ForceLaw], points: IsobaricDataset, kept: Bools, start: Floats) -> tuple[Solution, str]:
-    """Fit the law to the kept points, or a simpler law that they support better; also return the reason.
+@dataclass(frozen=True, eq=False)
+class Prior(abc.ABC):
+    """Prior of the deviations of a law: ``root @ coefficients``, divided by the scales, is standard normal."""
 
-    The search for Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
-    """
-    eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
-    base, used = solve(eq2, start), points.select(kept)
-    residuals, reach = base.residuals, float(np.ptp(used.contraction))
-    if len(used) < _LEAST * len(eq2.names) or not reach or np.abs(residuals).max() < _ROUNDING * used.force.max():
-        return base, "Eq. 2 is exact, or the points are too few"
-    middle = float(used.contraction.max() + used.contraction.min()) / 2
-    window = {"centre": middle, "half_width": (1 + _MARGIN) * reach / 2}
-    reason = ""
-    for kind in SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]:
-        problem = replace(eq2, law_type=kind, constants=window)
-        problem = replace(problem, prior=_prior(problem, base, used))
-        if problem.prior is None:
-            reason = "the points support no deviation"
-            continue
-        found = solve(problem, base.position)
-        reason = _objection(found, base, used)
-        if not reason:
-            return found, ""
-    return base, reason
+    root: Floats = field(repr=False)
+    starts: tuple[Floats, ...]
+    bounds: tuple[tuple[float, float], ...]  # at the lower ones a deviation is negligible compared to the noise
+
+    @abc.abstractmethod
+    def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
+        """Logarithm of the scale of each row of the root, relative to the noise, and its derivative."""
+
+    @abc.abstractmethod
+    def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
+        """Hyperparameters without those that the points do not support; None if the law has no support."""
+
+    def model(self, fixed: Floats, deviations: Floats, residuals: Floats) -> MixedModel:
+        """Mixed model of Eq. 2 and the deviations."""
+        return MixedModel(fixed, self.whitened(deviations), residuals, self.scales)
+
+    def whitened(self, deviations: Floats) -> Floats:
+        """Columns of independent coefficients."""
+        return np.asarray(np.linalg.solve(self.root.T, deviations.T).T, np.float64)
 
 
-def _prior(problem: FitProblem, base: Solution, used: IsobaricDataset) -> Floats | None:
-    """Rows of the prior; None if the points do not support the deviation of the highest order, or of any."""
-    of_eq2, shape, width = len(base.problem.names) - 1, len(base.position), DEGREE + 1
-    orders = (problem.linear - of_eq2) // width
-    values = np.concatenate([base.values[:of_eq2], np.zeros(orders * width), base.values[of_eq2:]])
-    columns = problem.response(values)[1]
-    root = np.kron(np.diag(float(used.levels.max()) ** np.arange(orders)), _roughness_root())
-    deviations = np.linalg.solve(root.T, columns[:, of_eq2 : problem.linear].T).T
-    scales = _scales(np.delete(columns, np.s_[of_eq2 : problem.linear], axis=1), deviations, base.residuals, orders)
-    if scales is None:
-        return None
-    rows = root / np.repeat(scales, width)[:, None]
-    return np.pad(rows, ((0, 0), (of_eq2, shape)))
+class OrderPrior(Prior):
+    """Smoothing spline over contraction for each order in pressure."""
+
+    @classmethod
+    def of(cls, orders: int, highest: float) -> OrderPrior:
+        """Prior for orders 0 to orders - 1 in pressure, up to the highest pressure [Pa]."""
+        root = np.asarray(np.kron(np.diag(highest ** np.arange(orders)), _roughness_root()), np.float64)
+        return cls(root, tuple(np.full(orders, start) for start in (0.0, 5.0)), ((-4.0, 14.0),) * orders)
+
+    def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
+        derivative = np.repeat(np.eye(len(hyperparameters)), DEGREE + 1, axis=0)
+        return derivative @ hyperparameters, derivative
+
+    def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
+        """None if the highest order is, or all are, unsupported."""
+        kept = np.zeros(len(found), bool)
+        for order in reversed(range(len(found))):
+            without = np.where(np.arange(len(found)) == order, self.bounds[order][0], found)
+            higher = model.cost(without)[0]
+            kept[order] = higher - cost >= _GAIN
+            if not kept[order]:
+                found, cost = without, higher
+        return found if kept[2:].all() and kept.any() else None
+
+
+class SurfacePrior(Prior):
+    """Squared exponential kernel, by its spectral density at the frequencies of the basis (Solin and Sarkka)."""
+
+    @classmethod
+    def of(cls) -> SurfacePrior:
+        """Hyperparameters: logarithms of the amplitude and of both lengths, in half ranges of the points."""
+        starts = ((3.0, 0.0, 0.0), (3.0, 1.0, 0.0), (0.0, 0.0, 0.0), (6.0, 1.0, 1.0))
+        return cls(np.eye(ORDER**2), tuple(map(np.array, starts)), ((-6.0, 14.0), (-1.5, 3.0), (-1.5, 3.0)))
+
+    def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
+        orders = np.stack(np.meshgrid(np.arange(ORDER), np.arange(ORDER), indexing="ij"), axis=-1).reshape(-1, 2)
+        squares = (np.pi / 2 / (1 + _MARGIN) * orders) ** 2 * np.exp(2 * hyperparameters[1:])
+        constant = 0.5 * np.log(2) * np.count_nonzero(orders == 0, axis=1)  # a constant has twice the norm of a cosine
+        logarithms = hyperparameters[0] + hyperparameters[1:].sum() / 2 - squares.sum(axis=1) / 4 - constant
+        derivative = np.column_stack([np.ones(len(orders)), 0.5 - squares / 2])
+        negligible = logarithms < _NEGLIGIBLE
+        return np.where(negligible, _NEGLIGIBLE, logarithms), np.where(negligible[:, None], 0.0, derivative)
+
+    def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
+        """None without a gain in the likelihood."""
+        gain = model.cost(np.array([self.bounds[0][0], 0.0, 0.0]))[0] - cost
+        return found if gain >= _GAIN * len(found) else None
 
 
 @cache
@@ -99,64 +141,180 @@ def _roughness_root() -> NDArray[Any]:
     return np.linalg.cholesky((np.array(curvature) * weights) @ np.array(curvature).T).T
 
 
-def _scales(fixed: Floats, deviations: NDArray[Any], residuals: Floats, orders: int) -> Floats | None:
-    """Scales of the deviations relative to the noise; None if the highest order is, or all are, unsupported."""
-    from scipy.optimize import minimize
+def prior_of(kind: type[ForceLaw], highest: float) -> Prior:
+    """Prior of a law with deviations, for a highest pressure level [Pa]."""
+    if kind is GaussianProcessLaw:
+        return SurfacePrior.of()
+    return OrderPrior.of((len(kind.parameters()) - len(ExponentialLaw.parameters())) // (DEGREE + 1), highest)
 
-    count, free = deviations.shape[1], len(residuals) - fixed.shape[1]
-    projected = tsqr_r(np.column_stack([fixed, deviations, residuals]))[fixed.shape[1] :, fixed.shape[1] :]
 
-    def objective(logarithms: Floats) -> tuple[float, Floats]:
-        scaled = projected * np.append(np.repeat(np.exp(logarithms), count // orders), 1.0)
-        factor = tsqr_r(np.concatenate([scaled, np.eye(count, count + 1)]))
-        sizes = np.abs(np.diag(factor))
-        inverse = np.linalg.inv(factor[:-1, :-1])
-        fitted = inverse @ factor[:-1, -1]
-        part = np.sum(inverse**2, axis=1) + free * (fitted / sizes[-1]) ** 2
-        slope = np.sum((1 - part).reshape(orders, -1), axis=1)
-        return float(np.sum(np.log(sizes[:-1])) + free * np.log(sizes[-1])), slope
+def prior_rows(prior: Prior, scales: Floats) -> Floats:
+    """Rows of a prior in a least-squares problem of all parameters, linear ones first."""
+    of_eq2 = len(ExponentialLaw.linear_parameters), len(ExponentialLaw.shape_parameters)
+    return np.pad(prior.root / scales[:, None], ((0, 0), of_eq2))
 
-    starts = [np.full(orders, start) for start in _STARTS]
-    options: dict[str, Any] = {"jac": True, "bounds": [_BOUNDS] * orders, "method": "TNC"}  # no BLAS, no threads
-    found = min((minimize(objective, start, **options) for start in starts), key=lambda one: one.fun)
-    logarithms, cost = found.x, float(found.fun)
-    supported = np.zeros(orders, bool)
-    for order in reversed(range(orders)):
-        without = np.where(np.arange(orders) == order, _BOUNDS[0], logarithms)
-        higher = objective(without)[0]
-        supported[order] = higher - cost >= _GAIN
-        if not supported[order]:
-            logarithms, cost = without, higher
-    return np.exp(logarithms) if supported[2:].all() and supported.any() else None
+
+def prior_scales(prior: Prior, rows: Floats) -> Floats:
+    """Scales of the rows: the inverse of `prior_rows`."""
+    return np.diag(prior.root) / np.diag(rows[:, len(ExponentialLaw.linear_parameters) :])
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Columns of the deviations of a law, around a fit of Eq. 2 to the kept points."""
+
+    problem: FitProblem = field(repr=False)
+    base: Solution = field(repr=False)
+    prior: Prior = field(repr=False)
+
+    @classmethod
+    def of(cls, kind: type[ForceLaw], points: IsobaricDataset, base: Solution) -> Deviations:
+        """Deviations in a window of twice the range of the kept points."""
+        used = points.select(base.problem.kept[: len(points)])
+        constants = dict(zip(("centre", "half_width"), _window(used.contraction), strict=True))
+        if kind is GaussianProcessLaw:
+            centre, half_width = _window(used.pressure)
+            constants |= {"pressure_centre": centre, "pressure_half_width": half_width}
+        prior = prior_of(kind, float(used.levels.max()))
+        return cls(replace(base.problem, law_type=kind, constants=constants), base, prior)
+
+    @property
+    def _inside(self) -> slice:
+        """Columns of the deviations among those of the law."""
+        return slice(len(ExponentialLaw.linear_parameters), self.problem.linear)
+
+    def columns(self, base: Solution) -> tuple[Floats, Floats, Floats]:
+        """Columns of Eq. 2 (its decay linearised) and of the deviations, and residuals, at all points of a fit."""
+        inside = self._inside
+        values = np.concatenate(
+            [base.values[: inside.start], np.zeros(len(self.prior.root)), base.values[inside.start :]]
+        )
+        residuals, columns = replace(self.problem, kept=base.problem.kept).response(values)
+        return np.delete(columns, np.s_[inside], axis=1), columns[:, inside], residuals
+
+    def fit(self, hyperparameters: Floats | None = None) -> tuple[Solution, Floats] | None:
+        """Solution and hyperparameters (from a guess, if there is one); None if the points do not support the law."""
+        model = self.prior.model(*self.columns(self.base))
+        starts = self.prior.starts if hyperparameters is None else (hyperparameters,)
+        found, cost = model.estimate(starts, self.prior.bounds)
+        if hyperparameters is None:
+            supported = self.prior.supported(model, found, cost)
+            if supported is None:
+                return None
+            found = supported
+        rows = prior_rows(self.prior, np.exp(self.prior.scales(found)[0]))
+        return solve(replace(self.problem, prior=rows), self.base.position), found
+
+    def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
+        """Errors [N] at blocks left out of the kept points, each predicted by a fit to all others."""
+        errors = np.full(len(self.base.residuals), np.nan)
+        for out, base in folds:
+            refit = replace(self, problem=replace(self.problem, kept=base.problem.kept), base=base).fit(hyperparameters)
+            if refit is not None and refit[0].converged:
+                errors[out] = replace(refit[0], problem=self.problem).residuals[out]
+        return errors
+
+
+_SURE = 5.7  # in the logarithm of the likelihood: 1 % of a chi-square of three degrees of freedom
+
+
+def surface(points: IsobaricDataset) -> tuple[MixedModel, Floats] | None:
+    """Eq. 2 with a Gaussian process, negligible if it is not significant, and its hyperparameters; None if too few."""
+    enough = len(points) >= _LEAST * len(ExponentialLaw.parameters())
+    if not (enough and np.ptp(points.contraction) and np.ptp(points.pressure)):
+        return None
+    eq2 = FitProblem.of(ExponentialLaw, points)
+    deviations = Deviations.of(GaussianProcessLaw, points, solve(eq2, grid_search(eq2)))
+    model = deviations.prior.model(*deviations.columns(deviations.base))
+    found, cost = model.estimate(deviations.prior.starts, deviations.prior.bounds)
+    negligible = np.array([deviations.prior.bounds[0][0], 0.0, 0.0])
+    return model, found if model.cost(negligible)[0] - cost >= _SURE else negligible
+
+
+def _window(values: Floats) -> tuple[float, float]:
+    """Centre and half width of a window around values."""
+    return float(values.max() + values.min()) / 2, (1 + _MARGIN) * float(np.ptp(values)) / 2
+
+
+def fit_smooth(
+    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats, *, compare: bool = True
+) -> tuple[Solution, str]:
+    """Fit the best of some laws to the kept points, or Eq. 2 if it is as good; then also return the reason.
+
+    Without comparison of the errors at left-out blocks, the first law that the points support is taken. The search for
+    Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
+    """
+    eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
+    base, used = solve(eq2, start), points.select(kept)
+    residuals, reach = base.residuals, float(np.ptp(used.contraction))
+    if len(used) < _LEAST * len(eq2.names) or not reach or np.abs(residuals).max() < _ROUNDING * used.force.max():
+        return base, "Eq. 2 is exact, or the points are too few"
+    folds = _folds(base, points, used) if kinds and compare else {}
+    theirs = {kind: _left_out(base, some) for kind, some in folds.items()}
+    best, best_score, reason = base, _BETTER, "the points support no deviation"
+    for kind in kinds:
+        if kind is GaussianProcessLaw and not np.ptp(used.pressure):
+            continue
+        deviations = Deviations.of(kind, points, base)
+        fitted = deviations.fit()
+        if fitted is None:
+            continue
+        found, hyperparameters = fitted
+        objection = _objection(found, base, used)
+        if not objection and not compare:
+            return found, ""
+        if not objection:
+            ours = {one: deviations.left_out(some, hyperparameters) for one, some in folds.items()}
+            ratios = {one: _ratio(ours[one], theirs[one]) for one in folds}
+            worse = [one for one, ratio in ratios.items() if ratio > _WORSE[one]]
+            score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0
+            if not worse and score < best_score:
+                best, best_score = found, score
+            objection = f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
+        reason = objection
+    return best, reason if best is base else ""
 
 
 def _objection(found: Solution, base: Solution, used: IsobaricDataset) -> str:
-    """Reason to prefer Eq. 2; empty if there is none."""
+    """Reason to prefer Eq. 2 without any refit; empty if there is none."""
     if not found.converged:
         return "the fit with deviations did not converge"
     if not found.aicc < base.aicc:
         return "Akaike's criterion is lower without deviations"
-    blocks = {"pressure": pressure_blocks(used)[0], "contraction": contraction_blocks(used)}
-    for kind, labels in blocks.items():
-        if labels is None:
-            continue
-        ours, theirs = (_left_out(one, labels) for one in (found, base))
-        both = np.isfinite(ours) & np.isfinite(theirs)
-        if np.linalg.norm(ours[both]) > _WORSE[kind] * np.linalg.norm(theirs[both]):
-            return f"with deviations the errors at left-out {kind}s are larger"
     domain = domain_of(used)
     wrong, before = (unphysical(one.problem.law(one.values), domain) for one in (found, base))
     return f"with deviations {wrong}" if wrong and not before else ""
 
 
-def _left_out(solution: Solution, labels: NDArray[Any]) -> Floats:
-    """Linearised leave-one-block-out residuals; NaN where the other blocks do not determine the fit."""
-    residuals, jacobian = solution.augmented
-    q = np.linalg.qr(jacobian)[0]
-    found = np.full(len(labels), np.nan)
-    for label in np.unique(labels):
-        own = np.flatnonzero(labels == label)
-        rest = np.eye(q.shape[1]) - q[own].T @ q[own]
-        if label != "" and np.linalg.eigvalsh(rest)[0] > _ROUNDING:
-            found[own] = residuals[own] + q[own] @ np.linalg.solve(rest, q[own].T @ residuals[own])
+def _folds(base: Solution, points: IsobaricDataset, used: IsobaricDataset) -> dict[str, list[tuple[Bools, Solution]]]:
+    """Blocks of pressure and of inner contraction among the kept points, each with Eq. 2 fitted to all others."""
+    kept = np.flatnonzero(base.problem.kept)
+    found: dict[str, list[tuple[Bools, Solution]]] = {}
+    levels, contractions = pressure_blocks(used)[0], contraction_blocks(used)
+    for kind, labels in (("pressure", np.empty(0) if levels is None else levels), ("contraction", contractions)):
+        blocks = [one for one in np.unique(labels).tolist() if one != ""]
+        fewest = _CONTRACTIONS + (kind == "contraction")
+        for first in range(min(len(blocks), _FOLDS)):
+            out = np.isin(labels, blocks[first::_FOLDS])
+            rest = np.array(base.problem.kept)
+            rest[kept[out]] = False
+            if len(np.unique(np.round(used.contraction[~out] / RESOLUTION))) < fewest:
+                continue
+            refit = solve(replace(base.problem, kept=rest), base.position)
+            if refit.converged and condition_number(refit.triangle[:, ~refit.at_bound]) < CONDITION_LIMIT:
+                found.setdefault(kind, []).append((out, refit))
     return found
+
+
+def _left_out(base: Solution, folds: Sequence[tuple[Bools, Solution]]) -> Floats:
+    """Errors [N] of Eq. 2 at the blocks left out."""
+    errors = np.full(len(base.residuals), np.nan)
+    for out, refit in folds:
+        errors[out] = replace(refit, problem=base.problem).residuals[out]
+    return errors
+
+
+def _ratio(ours: Floats, theirs: Floats) -> float:
+    """Error relative to that of Eq. 2; 1 where neither can be compared."""
+    both = np.isfinite(ours) & np.isfinite(theirs)
+    return float(np.linalg.norm(ours[both]) / np.linalg.norm(theirs[both])) if both.any() else 1.0

@@ -20,14 +20,20 @@ from mckibben.component.schema import declared_fields
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
+from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
+from mckibben.identification.fitting import restored_regression
 from mckibben.identification.intervals import RobustErrors
+from mckibben.identification.regression import Regression
+from mckibben.identification.smooth import prior_of, prior_scales
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import BoundedInt, factor, quantity, show
 
+_UNITS = {"pressure_unit": "Pa", "force_unit": "N", "contraction_unit": "1"}
+_COLUMNS = ("pressure", "contraction", "force", "set_pressure", "direction", "phase", "repeat")
 _HEAD = "# A force law identified by mckibben. Each number is followed by its unit; comments give published units.\n"
 
 
@@ -35,7 +41,10 @@ def write_fit(fit: Fit, path: Path) -> None:
     """Write a fit; the file appears complete or not at all."""
     law, domain, robust, lopo = type(fit.law), fit.law.domain, fit.robust, fit.leave_one_pressure_out
     parameters: dict[str, Any] = {}
-    comments: dict[tuple[str | int, ...], str] = {("correlations",): "in the order of the parameters"}
+    comments: dict[tuple[str | int, ...], str] = {
+        ("correlations",): "in the order of the parameters",
+        ("outliers",): "left out; in Pa, 1 and N",
+    }
     for p in law.parameters():
         row: dict[str, Any] = {
             "estimate": float(fit.estimates[p.name]),
@@ -73,6 +82,8 @@ def write_fit(fit: Fit, path: Path) -> None:
         if lopo
         else None,
         "correlations": [_floats(row) for row in fit.correlations],
+        "outliers": [dataclasses.asdict(one) for one in fit.outliers],
+        **_data(fit.regression),
         "warnings": list(fit.warnings),
         "dataset": {
             "specimen": fit.dataset.specimen,
@@ -84,6 +95,23 @@ def write_fit(fit: Fit, path: Path) -> None:
     text = _HEAD + to_text(data, comments, width=200)
     with atomic_write(path, overwrite=True) as sibling:
         sibling.write_bytes(sealed(text.encode()))
+
+
+_MOST_POINTS = 5000
+
+
+def _data(regression: Regression | None) -> dict[str, Any]:
+    """Points of a fit, from which its intervals follow; none if there are too many for a text file."""
+    if regression is None or len(regression.points) > _MOST_POINTS:
+        return {}
+    points, problem = regression.points, regression.problem
+    table = points.table
+    columns = {name: table[name].to_numpy().tolist() for name in _COLUMNS if name in table}
+    data: dict[str, Any] = {**_UNITS, "slack_force": float(table.attrs["slack_force"]), **columns}
+    if problem.prior is not None:
+        prior = prior_of(problem.law_type, float(points.levels.max()))
+        data["prior_scales"] = _floats(prior_scales(prior, problem.prior))
+    return {"data": data}
 
 
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
@@ -231,6 +259,49 @@ class _Dataset(ConfigModel):
     pressure_unit: _PressureUnit
 
 
+class _Outlier(ConfigModel):
+    row: Annotated[int, BoundedInt(1, 10**12)]
+    pressure: Annotated[float, Number()]
+    contraction: Annotated[float, Number()]
+    force: Annotated[float, Number()]
+    expected: Annotated[float, Number()]
+
+
+class _Data(ConfigModel):
+    """Points of a fit, one number of each column per point."""
+
+    pressure_unit: _PressureUnit
+    force_unit: Annotated[str, AfterValidator(lambda unit: _of_kind(unit, "N"))]
+    contraction_unit: Annotated[str, AfterValidator(lambda unit: _of_kind(unit, "1"))]
+    slack_force: Annotated[float, Number()] = 0.0
+    pressure: tuple[Annotated[float, Number()], ...]
+    contraction: tuple[Annotated[float, Number()], ...]
+    force: tuple[Annotated[float, Number()], ...]
+    set_pressure: tuple[Annotated[float, Number(nan=True)], ...] | None = None
+    direction: tuple[str, ...] | None = None
+    phase: tuple[str, ...] | None = None
+    repeat: tuple[int, ...] | None = None
+    prior_scales: tuple[Annotated[float, Number()], ...] | None = None
+
+    @model_validator(mode="after")
+    def _as_many_of_each(self) -> Any:
+        count = len(self.force)
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            if column is not None and len(column) != count:
+                fail_validation(f"{name} has {len(column)} numbers instead of {count}", "give one for each point")
+        return self
+
+    def points(self, specimen: str, source: str) -> IsobaricDataset:
+        columns = {name: getattr(self, name) for name in _COLUMNS if getattr(self, name) is not None}
+        for name, values in columns.items():
+            kind = "pressure" if name == "set_pressure" else name
+            if f"{kind}_unit" in _UNITS:
+                columns[name] = np.array(values) * factor(getattr(self, f"{kind}_unit"), _UNITS[f"{kind}_unit"])
+        slack = self.slack_force * factor(self.force_unit, "N")
+        return IsobaricDataset.of(**columns, specimen=specimen, source=source, slack_force=slack)
+
+
 class _LawFile(ConfigModel):
     """Law, parameters and domain; other keys are ignored."""
 
@@ -259,6 +330,8 @@ class _FitFile(_LawFile):
     correlations: tuple[tuple[Annotated[float, Number(nan=True)], ...], ...]
     warnings: tuple[str, ...]
     dataset: _Dataset
+    outliers: tuple[_Outlier, ...] = ()
+    data: _Data | None = None
 
     @field_validator("correlations", mode="after")
     @classmethod
@@ -287,6 +360,12 @@ class _FitFile(_LawFile):
                 {name: row.degrees_of_freedom for name, row in rows.items()},
             )
         pressures = tuple(pressure * factor(data.pressure_unit) for pressure in data.pressures)
+        regression = None
+        if self.data is not None:
+            points = self.data.points(data.specimen, data.source)
+            at_bound = np.isnan([row.si("standard_error") for row in rows.values()])
+            scales = None if self.data.prior_scales is None else np.array(self.data.prior_scales)
+            regression = restored_regression(law, points, at_bound, scales)
         return Fit(
             law=law,
             standard_errors={name: row.si("standard_error") for name, row in rows.items()},
@@ -298,7 +377,10 @@ class _FitFile(_LawFile):
             leave_one_pressure_out=unseen,
             warnings=self.warnings,
             dataset=DatasetSummary(data.specimen, data.source, pressures),
+            residuals=regression.solution.residuals if regression else None,
             robust=errors,
+            regression=regression,
+            outliers=tuple(Outlier(**dict(one)) for one in self.outliers),
         )
 
 

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-# Block size, small enough that OpenBLAS starts no threads, which in addition to XLA's cost 100 times the work.
+# Block size, small enough that OpenBLAS starts no threads: competing with XLA's, they take 100 times as long.
 _BLOCK = 6144
 
 
@@ -109,7 +109,7 @@ def _decompose(jacobian: Floats) -> tuple[Floats, ...]:
 
 
 _SINGULAR = 1e-10  # singular values of the null space, relative to the largest
-_DECISIVE = 1e-8  # of the information in a direction: if the other groups have less, one group alone determines it
+_DECISIVE = 1e-8  # share of the information in a direction: if all other groups have less, one group determines it
 
 Pairs = tuple[Floats, Floats]
 
@@ -293,7 +293,7 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
 
 
 def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
-    """Direction, else phase, of each point's pass; an unlabelled point takes the next label of its level."""
+    """Direction, or else phase, of each point's pass; an unlabelled point takes the next label of its level."""
     direction, phase = (
         points.table[name].to_numpy() if name in points.table else np.full(len(points), "", "<U9")
         for name in ("direction", "phase")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Num
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_positive, check_within
+from mckibben.component.checks import check_number, check_positive, check_within
 from mckibben.errors import RangeError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
@@ -19,6 +19,10 @@ from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import compiled_alone, computed_once
 from mckibben.numerics.elementary import floating
+from mckibben.units import deg
+
+SMALL_MOTION = 0.1 * deg
+"""Amplitude of the small-motion stiffness [rad], at which friction is mostly presliding."""
 
 MuscleStates = tuple[MuscleState, MuscleState]
 """Internal states of muscles 1 and 2."""
@@ -139,6 +143,19 @@ class AntagonisticJoint(Component):
     def has_friction(self) -> bool:
         """Whether a muscle has friction."""
         return self.muscle1.has_friction or self.muscle2.has_friction
+
+    @property
+    def remarks(self) -> list[str]:
+        """Remarks on extrapolated laws and on friction, in words, for tables and figures of stiffness."""
+        muscles = self.muscle1, self.muscle2
+        found = list(dict.fromkeys(muscle.extrapolation for muscle in muscles if muscle.extrapolation))
+        if self.has_friction:
+            names = " and ".join(dict.fromkeys(one.specimen.name for one in muscles if one.has_friction))
+            found.append(
+                f"{names} has friction, which the isobaric stiffness leaves out; the small-motion stiffness, of motion "
+                f"by {SMALL_MOTION / deg:g} deg, includes it"
+            )
+        return found
 
     @property
     def springs(self) -> tuple[bool, bool]:
@@ -276,27 +293,27 @@ class AntagonisticJoint(Component):
         angle: ArrayLike,
         pressures: Pressures,
         *,
-        polytropic_index: float = 1.0,
+        polytropic_index: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
         atmosphere: float = 101325.0,
         dead_volume: float = 0.0,
-    ) -> Float[Array, "..."]:
+    ) -> Num[Array, "..."]:
         """Return the stiffness [N*m/rad] with closed valves: p V^n is constant, n = 1 for slow, 1.4 for fast motion.
 
-        V is the muscle's volume plus a dead volume [m^3], such as tubing and fittings.
+        V is the muscle's volume plus a dead volume [m^3], such as tubing and fittings. The index may be one for each
+        muscle; a complex one, of air with a temperature (`muscle.air.effective_index`), gives K' + i K''.
         """
         pressure1, pressure2 = pressure_pair(pressures)
+        index1, index2 = polytropic_index if isinstance(polytropic_index, tuple) else (polytropic_index,) * 2
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)
 
-        def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike) -> Array:
+        def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike, index: Any) -> Array:
             """Derivative of one muscle's tension with respect to the angle, valve closed."""
             pressure = floating(pressure)
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = (
-                -polytropic_index * (pressure + atmosphere) * volume_slope / (volume + dead_volume)
-            )  # dp / d contraction
+            compression = -index * (pressure + atmosphere) * volume_slope / (volume + dead_volume)  # dp / d contraction
             pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
             isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
             by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)
@@ -304,8 +321,8 @@ class AntagonisticJoint(Component):
 
         (arm1, arm2), (arm_slope1, arm_slope2) = value_and_derivative(self.geometry.moment_arms, angle)
         tension1, tension2 = self.tensions(angle, pressures)
-        slope1 = tension_slope(self.muscle1, path1, path_slope1, pressure1)
-        slope2 = tension_slope(self.muscle2, path2, path_slope2, pressure2)
+        slope1 = tension_slope(self.muscle1, path1, path_slope1, pressure1, index1)
+        slope2 = tension_slope(self.muscle2, path2, path_slope2, pressure2, index2)
         return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
 
     def secant_stiffness(
@@ -448,7 +465,8 @@ class AntagonisticJoint(Component):
 
 
 def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> None:
-    """Warn of concrete states outside a muscle's domain."""
+    """Warn of concrete states outside a muscle's domain; `RangeError` for an angle that is text."""
+    check_number("joint", angle=angle)
     pressure1, pressure2 = pressure_pair(pressures)
     if not any(isinstance(value, Tracer) for value in (angle, pressure1, pressure2)):
         contraction1, contraction2 = joint.contractions(angle, pressures)

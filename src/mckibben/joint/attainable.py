@@ -115,20 +115,21 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
     low, high = float(found.lowest), float(found.highest)
     if not low <= high:
         contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
-        for muscle, contraction in zip((joint.muscle1, joint.muscle2), contractions, strict=True):
+        for number, (muscle, contraction) in enumerate(
+            zip((joint.muscle1, joint.muscle2), contractions, strict=True), 1
+        ):
             stretched = float(contraction) < float(muscle.domain.contraction_min)
+            change, other = joint.geometry.remedy(number, longer=not stretched), "a series spring"
             muscle.domain.check_contraction(
                 float(contraction),
-                muscle.specimen.name,
-                remedy="give the joint a series spring or a longer connector"
-                if stretched
-                else "give the joint a shorter connector or a longer muscle",
+                f"{muscle.specimen.name} (muscle {number})",
+                remedy=f"give the joint {change} or {other if stretched else 'a shorter muscle'}",
             )
         raise UnreachableError(
             f"no pressures and tensions within limits hold the joint {where}",
             value=angle,
             unit="rad",
-            remedy="choose a smaller angle or load, a longer connector or a series spring",
+            remedy="choose a smaller angle or load, other lengths of the geometry, or a series spring",
         )
     attainable = {"value": stiffness, "lower": low, "upper": high, "unit": "N*m/rad"}
     if low <= stiffness <= high:
@@ -142,7 +143,7 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
         f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",
         remedy="leave the stiffness out: with a return spring the angle determines it"
         if any(joint.springs)
-        else "choose a stiffness inside, or change the lengths of the connectors or muscles",
+        else "choose a stiffness inside, or change the lengths of the geometry or muscles",
         **attainable,
     )
 
@@ -284,11 +285,10 @@ def cocontraction_segment(
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     at_limits = (low[1] * arm2 - torque) / arm1, (high[1] * arm2 - torque) / arm1  # in order if both arms are positive
     first = jnp.maximum(low[0], jnp.minimum(*at_limits))
-    last = jnp.minimum(high[0], jnp.maximum(*at_limits))
+    last, high2 = jnp.minimum(high[0], jnp.maximum(*at_limits)), high[1]
     if any(joint.springs):
-        last = last + _ROUNDING * jnp.abs(last)  # its range is a single tension, possibly rounded twice
-        high = high[0] + _ROUNDING * jnp.abs(high[0]), high[1] + _ROUNDING * jnp.abs(high[1])
-    feasible = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
+        last, high2 = (x + _ROUNDING * jnp.abs(x) for x in (last, high[1]))  # a single tension, possibly rounded twice
+    feasible = (first <= last) & (low[1] <= high2)  # then low[0] <= high[0], too
     return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
 
 

@@ -40,6 +40,10 @@ class Geometry(Component):
     def path_lengths(self, angle: ArrayLike) -> Pair:
         """Return the length [m] of each muscle with its series spring at an angle [rad]."""
 
+    def remedy(self, number: int, *, longer: bool) -> str:
+        """Return the change of a field that makes the path of muscle 1 or 2 longer or shorter, in words."""
+        return f"other lengths of its {type(self).__name__}"
+
     def anchors(self, angle: ArrayLike) -> tuple[Ends | None, Ends | None]:
         """Return the ends of each muscle with its connectors; None if its path is unknown or not a straight line."""
         return None, None
@@ -108,6 +112,9 @@ class KneeGeometry(Geometry):
             jnp.sqrt(common - difference) - self.connector_length,
         )
 
+    def remedy(self, number: int, *, longer: bool) -> str:
+        return f"a {'shorter' if longer else 'longer'} connector_length"
+
     def anchors(self, angle: ArrayLike) -> tuple[Ends, Ends]:
         H, r = self.joint_length, self.joint_radius
         sine, cosine = sincos(angle)
@@ -135,6 +142,9 @@ class ScaledArms(Geometry):
     geometry: Geometry
     scale: Strength
     angle: Angle = 0.0
+
+    def remedy(self, number: int, *, longer: bool) -> str:
+        return self.geometry.remedy(number, longer=longer)
 
     @property
     def angle_range(self) -> tuple[float, float]:

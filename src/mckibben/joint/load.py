@@ -162,7 +162,7 @@ class PendulumLoad(Load):
     damping
         c [N*m*s/rad].
     hanging_angle
-        Angle [rad] at which the mass hangs below the axis; pi for one that stands above it at 0.
+        Angle [rad] at which the mass hangs below the axis; pi for a mass that is above the axis at angle 0.
     gravity
         g [m/s^2].
 
@@ -196,14 +196,14 @@ class PendulumLoad(Load):
 
 
 class GeneralLoad(Load):
-    """Any rigid load, by its inertia and its torque of gravity.
+    """Any rigid load, given by its inertia and its gravity torque.
 
     Parameters
     ----------
     inertia
         I [kg*m^2] about the axis.
     greatest_gravity_torque
-        G [N*m], the torque of gravity at a right angle from `hanging_angle`: mass times distance of the centre of mass
+        G [N*m], the gravity torque at a right angle from `hanging_angle`: mass times distance of the centre of mass
         times g. 0 for a vertical axis. ``gravity_torque`` in scenario files.
     damping, hanging_angle
         c [N*m*s/rad], and theta_h [rad], at which the centre of mass is below the axis.

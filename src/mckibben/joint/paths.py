@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from numbers import Real
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -38,6 +38,9 @@ _ROUGH = 0.05  # error of a table, relative to the range of its lengths or to it
 class MusclePath(Component):
     """Length of a muscle, with the elements in series, over the joint angle."""
 
+    adjusted_by: ClassVar[tuple[str, bool]] = ("", True)
+    """Field with which the length grows (True) or falls (False), for remedies; empty if there is none."""
+
     @abc.abstractmethod
     def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
         """Return the length [m] at an angle [rad] of muscle 1 (`side` 1) or 2 (-1)."""
@@ -62,6 +65,7 @@ class Pulley(MusclePath):
     """
 
     short_name = "pulley"
+    adjusted_by = ("rest_length", True)
 
     radius: MomentArm
     rest_length: Length
@@ -82,6 +86,7 @@ class Cam(MusclePath):
     """
 
     short_name = "cam"
+    adjusted_by = ("rest_length", True)
 
     arm: MomentArm
     rest_length: Length
@@ -107,6 +112,7 @@ class TwoBonePath(MusclePath):
     """
 
     short_name = "two_bone"
+    adjusted_by = ("connector_length", False)
 
     proximal_x: Coordinate
     proximal_y: Coordinate
@@ -280,6 +286,12 @@ class PairedPaths(Geometry):
     def angle_range(self) -> tuple[float, float]:
         (low1, high1), (low2, high2) = self.path1.angle_range, self.path2.angle_range
         return max(low1, low2), min(high1, high2)
+
+    def remedy(self, number: int, *, longer: bool) -> str:
+        name, grows = (self.path1, self.path2)[number - 1].adjusted_by
+        if not name:
+            return super().remedy(number, longer=longer)
+        return f"a {'longer' if longer == grows else 'shorter'} {name} of path{number}"
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
         return self.path1.length(angle, 1), self.path2.length(angle, -1)

@@ -1,6 +1,7 @@
 """The musculoskeletal leg: joints with pairs of muscles, biarticular muscles, ground contact; landing and jumping."""
 
 from mckibben.leg.control import (
+    CoupledControl,
     JointwiseControl,
     LegController,
     LegReference,
@@ -9,6 +10,7 @@ from mckibben.leg.control import (
     TimedReference,
 )
 from mckibben.leg.foot import FootStiffness, attainable_foot_stiffness, foot_stiffness
+from mckibben.leg.foot_pressures import FootPressures, foot_matrix, pressures_for_foot_stiffness
 from mckibben.leg.jumping import JumpStudy, study_jump
 from mckibben.leg.landing import LandingStudy, study_landing
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
@@ -19,6 +21,8 @@ from mckibben.leg.simulate import LegResult, leg_metrics, simulate_leg, simulate
 
 __all__ = [
     "BiarticularMuscle",
+    "CoupledControl",
+    "FootPressures",
     "FootStiffness",
     "Ground",
     "JointwiseControl",
@@ -41,8 +45,10 @@ __all__ = [
     "TimedReference",
     "Trunk",
     "attainable_foot_stiffness",
+    "foot_matrix",
     "foot_stiffness",
     "leg_metrics",
+    "pressures_for_foot_stiffness",
     "read_leg",
     "simulate_leg",
     "simulate_legs",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Sequence
 from numbers import Real
 from typing import Any, ClassVar, NamedTuple
@@ -13,13 +14,15 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.columns import Label
-from mckibben.control import Controller, Reference
+from mckibben.control import Controller, DecouplingControl, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
 from mckibben.errors import RangeError
-from mckibben.joint import Measurement
+from mckibben.joint import GeneralLoad, Measurement
+from mckibben.leg.dynamics import joint_equations
+from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegMeasurement
 from mckibben.numerics.elementary import exp
-from mckibben.units import Instant, PositiveTime, Pressure, ShortTime, Tension, ms
+from mckibben.units import Gravity, Instant, PositiveTime, Pressure, ShortTime, Tension, ms
 
 Scalar = Float[Array, ""]
 
@@ -283,3 +286,90 @@ class JointwiseControl(LegController):
 
 def _of_joint(measurement: LegMeasurement, index: int) -> Measurement:
     return Measurement(measurement.angles[index], measurement.pressures[2 * index : 2 * index + 2])  # type: ignore
+
+
+class CoupledControl(JointwiseControl):
+    r"""Jointwise control that compensates the torques between the joints by a model of the leg.
+
+    In each period the load in the model of each joint's controller is that of the leg at the measured angles and the
+    estimated velocities, with its trunk at rest and its foot in the air:
+
+    .. math:: \tau_i = M_{ii}\,\ddot q_i + c_i\,\dot q_i
+              + \Big[ \sum_{k \ne i} M_{ik}\,\ddot q_{r,k} + h_i(q, \dot q) - \tau_{b,i} \Big]
+
+    with the mass matrix M and the torques h of velocities and gravity, the accelerations of the other joints'
+    references after the lag of their feedback, and the torques of the biarticular muscles at their measured pressures.
+    The observers of the joints see what is left. Stiffness setpoints are those of a joint's own pair.
+
+    Parameters
+    ----------
+    controllers, reference, biarticular
+        As for `JointwiseControl`; the loads of the controllers are replaced.
+    leg
+        Model of the leg: masses, lengths, axes and damping; no joint is locked.
+    gravity
+        g [m/s^2].
+
+    References
+    ----------
+    J. Y. S. Luh, M. W. Walker and R. P. C. Paul, Resolved-acceleration control of mechanical manipulators, IEEE Trans.
+    Automatic Control 25, 1980 (computed torque).
+    """
+
+    leg: Leg = eqx.field(kw_only=True)
+    gravity: Gravity = eqx.field(kw_only=True, default=9.81)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if len(self.controllers) != len(self.leg.joints):
+            raise RangeError(
+                f"{len(self.controllers)} controllers for {len(self.leg.joints)} joints",
+                field="controllers",
+                value=len(self.controllers),
+                remedy="give one for each joint, from the trunk down",
+            )
+        for joint, one in zip(self.leg.joints, self.controllers, strict=True):
+            if not isinstance(one, DecouplingControl):
+                raise RangeError(
+                    f"{joint.name}: a {type(one).__name__} has no torque to add others to",
+                    field="controllers",
+                    value=type(one).__name__,
+                    remedy="give a DecouplingControl, or use JointwiseControl",
+                )
+            if joint.locked is not None:
+                remedy = "use JointwiseControl"
+                raise RangeError(f"{joint.name} is locked", field="leg", value=joint.name, remedy=remedy)
+
+    def init(self, measurement: LegMeasurement) -> Any:
+        zero = tuple(map(jnp.zeros_like, measurement.angles))
+        return JointwiseControl.init(self._loaded(measurement, zero, zero), measurement)
+
+    def step(
+        self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Array, ...]]:
+        estimates = [one.estimates for one in state[1]]
+        rates = tuple(one.motion.velocity for one in estimates)
+        lags = [one.feedback.lag for one in self.controllers]  # type: ignore[attr-defined]
+        planned = tuple(
+            one.reference.acceleration_after(lag + period, period) for one, lag in zip(estimates, lags, strict=True)
+        )
+        return JointwiseControl.step(self._loaded(measurement, rates, planned), state, time, measurement, period)
+
+    def _loaded(
+        self, measurement: LegMeasurement, rates: Sequence[Array], planned: Sequence[Array]
+    ) -> JointwiseControl:
+        """The controller with the loads of a motion, and accelerations [rad/s^2] of the others' references."""
+        angles = measurement.angles
+        made = joint_equations(self.leg, angles, rates, self.gravity)
+        others = list(made.bias)
+        units = self.leg.routed_muscles(angles)
+        for unit, pressure in list(zip(units, measurement.pressures, strict=True))[2 * len(angles) :]:
+            tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
+            for joint, slope in unit.slopes.items():
+                others[joint] = others[joint] + tension * slope
+        controllers = []
+        for i, (joint, one) in enumerate(zip(self.leg.joints, self.controllers, strict=True)):
+            torque = others[i] + sum(made.matrix[i][k] * planned[k] for k in range(len(angles)) if k != i)
+            load = GeneralLoad(made.matrix[i][i], -torque, joint.damping, angles[i] + jnp.pi / 2)  # type: ignore
+            controllers.append(dataclasses.replace(one, load=load))  # its gravity acts at a right angle: the torque
+        return dataclasses.replace(self, controllers=tuple(controllers))

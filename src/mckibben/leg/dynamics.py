@@ -1,12 +1,8 @@
-"""Dynamics of the planar leg by the articulated-body algorithm.
-
-R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008, ch. 7 and 9, in the plane: motions are (angular,
-forward, up), forces (moment, forward, up), both in world axes at the upper joint of each body. Angles are positive
-forwards.
-"""
+"""Motion of a leg: its trunk and links as a chain of bodies (`mckibben.plant.bodies`)."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,18 +11,31 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.leg.mechanism import Leg
-from mckibben.numerics.elementary import sincos
+from mckibben.numerics.compiled import compiled
+from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
+from mckibben.plant.bodies import MASSLESS, Body, Equations, Frame, Hinge, equations, frames_of
 
 Scalar = Float[Array, ""]
 
+SLIDES = {"x": X, "y": Y, "z": Z}
+"""Directions of the trunk's translations."""
+TURNS = {"yaw": Z, "pitch": -Y, "roll": X}
+"""Axes of the trunk's rotations, each in the axes after those before it."""
+
 
 class Posture(NamedTuple):
-    """Position of a leg: hip [m], pitch of the trunk [rad], and angles of the joints [rad]."""
+    """Position of a leg: hip [m], pitch of the trunk [rad], and angles of the joints [rad].
+
+    `y`, `yaw` and `roll` are those of a trunk that leaves the plane of walking, and None for others.
+    """
 
     x: Scalar
     z: Scalar
     pitch: Scalar
     angles: tuple[Scalar, ...]
+    y: Scalar | None = None
+    yaw: Scalar | None = None
+    roll: Scalar | None = None
 
 
 class Velocity(NamedTuple):
@@ -36,103 +45,101 @@ class Velocity(NamedTuple):
     z: Scalar
     pitch: Scalar
     angles: tuple[Scalar, ...]
-
-
-class Frame(NamedTuple):
-    """Upper joint of a body: sine and cosine of its angle from hanging down, rate, position and velocity."""
-
-    sine: Any
-    cosine: Any
-    rate: Any
-    x: Any
-    z: Any
-    vx: Any
-    vz: Any
-
-    def point(self, along: Any) -> tuple[Any, Any, Any, Any]:
-        """Return position and velocity of a point at a distance [m] along the body."""
-        dx, dz = along * self.sine, -along * self.cosine
-        return self.x + dx, self.z + dz, self.vx - self.rate * dz, self.vz + self.rate * dx
+    y: Scalar | None = None
+    yaw: Scalar | None = None
+    roll: Scalar | None = None
 
 
 class Contact(NamedTuple):
-    """Lowest point of the foot: position [m] and velocity [m/s]."""
+    """Point of the foot nearest to the ground: position [m], velocity [m/s], and arm from the last joint [m]."""
 
-    x: Any
-    z: Any
-    vx: Any
-    vz: Any
+    position: Vector
+    velocity: Vector
+    arm: Vector
+
+
+def posture_of(leg: Leg, angles: Sequence[ArrayLike], *, z: ArrayLike = 0.0) -> Posture:
+    """Return the posture of an upright trunk with the hip at a height [m], and locked joints at their place."""
+    zero = jnp.zeros(())
+    others = {name: zero for name in ("y", "yaw", "roll") if name in leg.trunk.motions}
+    return Posture(zero, jnp.asarray(z), zero, leg.held(angles), **others)
+
+
+def at_rest(posture: Posture) -> Velocity:
+    """Return the velocity of a leg at rest."""
+    return Velocity(*jax.tree.map(lambda one: jnp.zeros(()), posture))
+
+
+def _chain(leg: Leg, posture: Posture, velocity: Velocity) -> tuple[Frame, list[Hinge], list[Body]]:
+    """The base that slides with the hip, the hinges of trunk and joints, and the body on the base and on each hinge."""
+    turns = [name for name in leg.trunk.motions if name in TURNS]
+    hinges = [Hinge(TURNS[name], ZERO, getattr(posture, name), getattr(velocity, name)) for name in turns]
+    place = ZERO
+    for joint, link, at, moving in zip(leg.joints, leg.links, posture.angles, velocity.angles, strict=True):
+        angle = joint.link_angle + joint.sign * at
+        hinges.append(Hinge(joint.direction, place, angle, joint.sign * moving, joint.locked is None))
+        place = Vector(0.0, 0.0, -link.length)
+    trunk = Body(leg.trunk.mass, leg.trunk.centre, Vector(*leg.trunk.inertias))
+    links = (Body(link.mass, -link.centre, Vector(*link.inertias)) for link in leg.links)
+    position, speed = (Vector(of.x, 0.0 if of.y is None else of.y, of.z) for of in (posture, velocity))
+    return Frame(IDENTITY, ZERO, position, speed), hinges, [*([MASSLESS] * len(turns)), trunk, *links]
 
 
 def frames(leg: Leg, posture: Posture, velocity: Velocity) -> list[Frame]:
     """Return the frames of trunk and links; the trunk's is at the hip."""
-    pitch, rate = (posture.pitch, velocity.pitch) if leg.trunk.freedom == "free" else (jnp.zeros(()), jnp.zeros(()))
-    found = [Frame(*sincos(pitch), rate, posture.x, posture.z, velocity.x, velocity.z)]
-    angle, distance = pitch, 0.0
-    for joint, link, at, moving in zip(leg.joints, leg.links, posture.angles, velocity.angles, strict=True):
-        angle = angle + joint.link_angle + joint.sign * at
-        rate = rate + joint.sign * moving
-        found.append(Frame(*sincos(angle), rate, *found[-1].point(distance)))
-        distance = link.length
-    return found
+    base, hinges, _ = _chain(leg, posture, velocity)
+    return frames_of(base, hinges)[-1 - len(leg.joints) :]
 
 
-def contact(leg: Leg, found: Sequence[Frame]) -> Contact:
-    """Return the lowest point of the foot."""
-    x, z, vx, vz = found[-1].point(leg.links[-1].length)
-    return Contact(x, z - leg.foot_radius, vx + found[-1].rate * leg.foot_radius, vz)
-
-
-def centres(leg: Leg) -> list[tuple[Any, Any, Any]]:
-    """Return mass, distance of the centre of mass along the body, and inertia of trunk and links."""
-    trunk = leg.trunk
-    return [(trunk.mass, -trunk.centre, trunk.inertia), *((one.mass, one.centre, one.inertia) for one in leg.links)]
+def contact(leg: Leg, found: Sequence[Frame], normal: Vector = Z) -> Contact:
+    """Return the point of the foot that is nearest to a ground with a normal."""
+    last = found[-1]
+    arm = last.axes.z.scaled(-leg.links[-1].length) - normal.scaled(leg.foot_radius)
+    return Contact(last.position + arm, last.velocity + last.rate.cross(arm), arm)
 
 
 class BodyMotion(NamedTuple):
-    """Mechanical state in sums: energies [J], and height [m], speeds [m/s] of the centre of mass."""
+    """Mechanical state in sums: energies [J], and height [m], speeds [m/s] of the centre of mass.
+
+    `spin` is the angular momentum about the centre of mass [kg*m^2/s].
+    """
 
     kinetic: Scalar
     potential: Scalar
     height: Scalar
     forward_speed: Scalar
     upward_speed: Scalar
+    sideward_speed: Scalar
+    spin: Vector
 
 
 def motion(leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike) -> BodyMotion:
     """Return energies and the motion of the centre of mass; the potential energy of the height 0 is 0."""
-    kinetic = moment = forward = upward = jnp.zeros(())
-    for frame, (mass, along, inertia) in zip(frames(leg, posture, velocity), centres(leg), strict=True):
-        _, z, vx, vz = frame.point(along)
-        kinetic = kinetic + (mass * (vx * vx + vz * vz) + inertia * frame.rate * frame.rate) / 2
-        moment, forward, upward = moment + mass * z, forward + mass * vx, upward + mass * vz
+    base, hinges, bodies = _chain(leg, posture, velocity)
+    kinetic: Any = 0.0
+    moment = momentum = spin = ZERO
+    for frame, body in zip(frames_of(base, hinges), bodies, strict=True):
+        if body is MASSLESS:
+            continue
+        place, speed = frame.point(body.centre)
+        own = body.inertia_about_centre(frame.axes).apply(frame.rate)
+        kinetic = total(kinetic, product(0.5, total(product(body.mass, speed.dot(speed)), own.dot(frame.rate))))
+        moment, momentum = moment + place.scaled(body.mass), momentum + speed.scaled(body.mass)
+        spin = spin + own + place.cross(speed).scaled(body.mass)
     each = 1 / leg.total_mass
-    return BodyMotion(kinetic, moment * gravity, moment * each, forward * each, upward * each)
+    centre, speed = moment.scaled(each), momentum.scaled(each)
+    potential, spin = product(moment.z, gravity), spin - centre.cross(momentum)
+    found = BodyMotion(kinetic, potential, centre.z, speed.x, speed.z, speed.y, spin)
+    return jax.tree.map(jnp.asarray, found)
 
 
-class _Articulated(NamedTuple):
-    """Articulated inertia (symmetric) and bias force: moment, forward, up."""
-
-    a: Any
-    bx: Any
-    bz: Any
-    cxx: Any
-    cxz: Any
-    czz: Any
-    n: Any
-    fx: Any
-    fz: Any
-
-    def __add__(self, other: Any) -> _Articulated:
-        return _Articulated(*(one + two for one, two in zip(self, other, strict=True)))
-
-    def moved(self, dx: Any, dz: Any, rate: Any) -> _Articulated:
-        """The same at the upper joint of the body above, which turns at a rate, and is at -(dx, dz)."""
-        a, bx, bz, cxx, cxz, czz, n, fx, fz = self
-        ax, az = -rate * rate * dx, -rate * rate * dz  # centripetal acceleration
-        n, fx, fz = n + bx * ax + bz * az, fx + cxx * ax + cxz * az, fz + cxz * ax + czz * az
-        ex, ez = bx - dz * cxx + dx * cxz, bz - dz * cxz + dx * czz
-        return _Articulated(a + dx * (bz + ez) - dz * (bx + ex), ex, ez, cxx, cxz, czz, n + dx * fz - dz * fx, fx, fz)
+def _equations(
+    leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike, force: Vector = ZERO, normal: Vector = Z
+) -> Equations:
+    base, hinges, bodies = _chain(leg, posture, velocity)
+    found = frames_of(base, hinges)
+    slides = [SLIDES[name] for name in leg.trunk.motions if name in SLIDES]
+    return equations(slides, hinges, bodies, found, gravity, force, contact(leg, found, normal).arm)
 
 
 def acceleration(
@@ -140,98 +147,63 @@ def acceleration(
     posture: Posture,
     velocity: Velocity,
     torques: Sequence[ArrayLike],
-    force: tuple[Array, Array],
+    force: Vector,
     gravity: ArrayLike,
+    normal: Vector = Z,
 ) -> Velocity:
-    """Return the accelerations under torques [N*m] of the joints and a force [N] (forward, up) at the foot.
+    """Return the accelerations under torques [N*m] of the joints and a force [N] at the foot's point of contact.
 
     Locked joints, and motions that the trunk lacks, have an acceleration of 0.
     """
-    found = frames(leg, posture, velocity)
-    bodies = centres(leg)
-    joint_terms: list[Any] = []
-    point = contact(leg, found)
-    dx, dz = point.x - found[-1].x, point.z - found[-1].z
-    outer = _Articulated(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, dz * force[0] - dx * force[1], -force[0], -force[1])
-    for index in range(len(found) - 1, 0, -1):
-        frame, above = found[index], found[index - 1]
-        here = _rigid(frame, bodies[index], gravity) + outer
-        joint = leg.joints[index - 1]
-        if joint.locked is not None:
-            joint_terms.append(None)
-            outer = here.moved(frame.x - above.x, frame.z - above.z, above.rate)
-            continue
-        a, bx, bz, cxx, cxz, czz, n, fx, fz = here
-        inverse = 1 / a
-        surplus = joint.sign * torques[index - 1] - n
-        joint_terms.append((a, bx, bz, inverse, surplus))
-        gx, gz = bx * inverse, bz * inverse
-        torque = joint.sign * torques[index - 1]
-        rest = cxx - gx * bx, cxz - gx * bz, czz - gz * bz
-        here = _Articulated(0.0, 0.0, 0.0, *rest, torque, fx + gx * surplus, fz + gz * surplus)
-        outer = here.moved(frame.x - above.x, frame.z - above.z, above.rate)
-    angular, ax, az = first = _trunk_acceleration(leg.trunk.freedom, _rigid(found[0], bodies[0], gravity) + outer)
-    accelerations = []
-    for index, (joint, terms) in enumerate(zip(leg.joints, reversed(joint_terms), strict=True)):
-        frame, above = found[index + 1], found[index]
-        dx, dz = frame.x - above.x, frame.z - above.z
-        square = above.rate * above.rate
-        ax, az = ax - angular * dz - square * dx, az + angular * dx - square * dz
-        if terms is None:
-            accelerations.append(jnp.zeros(()))
-            continue
-        a, bx, bz, inverse, surplus = terms
-        relative = (surplus - (a * angular + bx * ax + bz * az)) * inverse
-        angular = angular + relative
-        accelerations.append(joint.sign * relative)
-    return Velocity(first[1], first[2], first[0], tuple(accelerations))
-
-
-def foot_mobility(leg: Leg, posture: Posture) -> Float[Array, "2 2"]:
-    """Return the acceleration of the foot per force on it [1/kg], forwards and up: its inverse apparent mass."""
+    made = _equations(leg, posture, velocity, gravity, force, normal)
+    driven = [joint.sign * torque for joint, torque in zip(leg.joints, torques, strict=True) if joint.locked is None]
+    rates = iter(made.accelerations([*[0.0] * len(leg.trunk.motions), *driven]))
+    of_trunk = {name: next(rates) for name in leg.trunk.motions}
+    of_joints = tuple(jnp.zeros(()) if joint.locked is not None else joint.sign * next(rates) for joint in leg.joints)
     zero = jnp.zeros(())
-    still = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
+    x, z, pitch = (of_trunk.pop(name, zero) for name in ("x", "z", "pitch"))
+    return Velocity(x, z, pitch, of_joints, **of_trunk)
+
+
+def joint_equations(leg: Leg, angles: Sequence[ArrayLike], rates: Sequence[ArrayLike], gravity: ArrayLike) -> Equations:
+    """Return the equations of motion of the joints that can move, with the trunk held; the matrix has full rows.
+
+    `bias` are the torques [N*m] of velocities and gravity.
+    """
+    held = dataclasses.replace(leg, trunk=dataclasses.replace(leg.trunk, freedom="fixed"))
+    posture = posture_of(held, angles)
+    velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, rates)))
+    made = _equations(held, posture, velocity, gravity)
+    signs = [joint.sign for joint in leg.joints if joint.locked is None]
+    order = range(len(signs))
+    rows = [[made.matrix[max(i, j)][min(i, j)] * (signs[i] * signs[j]) for j in order] for i in order]
+    return Equations(rows, [sign * bias for sign, bias in zip(signs, made.bias, strict=True)])
+
+
+def foot_mobility(leg: Leg, posture: Posture) -> Float[Array, "3 3"]:
+    """Return the acceleration of the foot per force on it [1/kg], forwards, to the left and up."""
+    still = at_rest(posture)
 
     def moved(force: Array) -> Array:
-        rates = acceleration(leg, posture, still, (0.0,) * len(leg.joints), (force[0], force[1]), 0.0)
+        rates = acceleration(leg, posture, still, (0.0,) * len(leg.joints), Vector(*force), 0.0)
         point = contact(leg, frames(leg, posture, rates))  # at rest, accelerations depend on forces as velocities do
-        return jnp.stack([point.vx, point.vz])
+        return jnp.stack([jnp.asarray(one, float) for one in point.velocity])
 
-    return jax.jacfwd(moved)(jnp.zeros(2))
+    return jax.jacfwd(moved)(jnp.zeros(3))
 
 
 def joint_mobility(leg: Leg, posture: Posture) -> Float[Array, "joints joints"]:
     """Return the accelerations of the joints per torque on them [1/(kg*m^2)]; 0 for locked joints."""
-    zero = jnp.zeros(())
-    still = Velocity(zero, zero, zero, tuple(zero for _ in leg.joints))
+    still = at_rest(posture)
 
     def moved(torques: Array) -> Array:
-        return jnp.stack(acceleration(leg, posture, still, tuple(torques), (zero, zero), 0.0).angles)
+        return jnp.stack(acceleration(leg, posture, still, tuple(torques), ZERO, 0.0).angles)
 
     return jax.jacfwd(moved)(jnp.zeros(len(leg.joints)))
 
 
-def _rigid(frame: Frame, body: tuple[Any, Any, Any], gravity: ArrayLike) -> _Articulated:
-    """Inertia and bias force of one body, with gravity."""
-    mass, along, inertia = body
-    rx, rz = along * frame.sine, -along * frame.cosine
-    square = frame.rate * frame.rate
-    forces = mass * gravity * rx, -mass * square * rx, mass * gravity - mass * square * rz
-    return _Articulated(inertia + mass * along * along, -mass * rz, mass * rx, mass, 0.0, mass, *forces)
-
-
-def _trunk_acceleration(freedom: str, base: _Articulated) -> tuple[Any, Any, Any]:
-    """Angular, forward and upward acceleration of the trunk, in the motions that it has."""
-    a, bx, bz, cxx, cxz, czz, n, fx, fz = base
-    zero = jnp.zeros(())
-    if freedom == "fixed":
-        return zero, zero, zero
-    if freedom == "vertical":
-        return zero, zero, -fz / czz
-    if freedom == "free":  # eliminates the rotation
-        inverse = 1 / a
-        gx, gz = bx * inverse, bz * inverse
-        cxx, cxz, czz, fx, fz = cxx - gx * bx, cxz - gx * bz, czz - gz * bz, fx - gx * n, fz - gz * n
-    inverse_determinant = 1 / (cxx * czz - cxz * cxz)
-    ax, az = (cxz * fz - czz * fx) * inverse_determinant, (cxz * fx - cxx * fz) * inverse_determinant
-    return (-(n + bx * ax + bz * az) / a if freedom == "free" else zero), ax, az
+@compiled
+def mobilities(leg: Leg, angles: tuple[ArrayLike, ...]) -> tuple[Array, Array]:
+    """Return the mobilities of the foot and of the joints at angles [rad]."""
+    posture = posture_of(leg, angles)
+    return foot_mobility(leg, posture), joint_mobility(leg, posture)

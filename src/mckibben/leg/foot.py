@@ -1,4 +1,4 @@
-"""Stiffness of the foot: the ellipse of a posture and of the stiffness of its joints."""
+"""Stiffness of the foot: the ellipse or ellipsoid of a posture and of the stiffness of its joints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.leg.dynamics import Posture, Velocity, frames
+from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.mechanism import Leg
 from mckibben.numerics.compiled import compiled
 
@@ -25,39 +25,57 @@ class FootStiffness(NamedTuple):
     Attributes
     ----------
     compliance
-        Displacement per force [m/N], shape (2, 2), forwards and up.
+        Displacement per force [m/N], shape (2, 2), forwards and up, or in space (3, 3), forwards, to the left and up.
     principal
-        Principal stiffness [N/m], the lower first; infinite where no movable joint yields.
-    direction
-        Angle [rad] of the axis of the lower one from the forward direction, -pi/2 to pi/2.
+        Principal stiffness [N/m], the lowest first; infinite where no movable joint yields.
+    axes
+        Directions of the principal stiffness as columns; they point forwards.
     """
 
     compliance: Floats
-    principal: tuple[float, float]
-    direction: float
+    principal: tuple[float, ...]
+    axes: Floats
+
+    @property
+    def direction(self) -> float:
+        """Angle [rad] of the softest axis from the forward direction, in the plane of walking, -pi/2 to pi/2."""
+        return float(np.arctan2(self.axes[-1, 0], self.axes[0, 0]))
 
     def ellipse(self, force: float = 1.0, points: int = 181) -> Floats:
-        """Return the displacements [m] that forces of one size [N] in all directions cause, shape (2, points)."""
+        """Return the displacements [m] by forces of one size [N] in the plane of walking, shape (2 or 3, points)."""
         angle = np.linspace(0, 2 * np.pi, points)
-        return self.compliance @ (force * np.stack([np.cos(angle), np.sin(angle)]))
+        return self.compliance[:, [0, -1]] @ (force * np.stack([np.cos(angle), np.sin(angle)]))
+
+
+def stiffness_of(compliance: NDArray[np.floating]) -> FootStiffness:
+    """Return the principal stiffness and axes of a compliance [m/N]."""
+    values, vectors = np.linalg.eigh(compliance)
+    values, axes = values[::-1], vectors[:, ::-1]
+    with np.errstate(divide="ignore"):
+        principal = 1 / np.where(values > 1e-15, values, 0.0)
+    own: Floats = np.asarray(compliance, np.float64)
+    return FootStiffness(own, tuple(principal.tolist()), axes * np.where(axes[0] < 0, -1.0, 1.0))
 
 
 def foot_stiffness(
-    leg: Leg, angles: Sequence[float], stiffness: Sequence[float], *, force: tuple[float, float] = (0.0, 0.0)
+    leg: Leg, angles: Sequence[float], stiffness: ArrayLike | Sequence[float], *, force: Sequence[float] | None = None
 ) -> FootStiffness:
     r"""Return the stiffness of the foot from that of the joints.
 
-    .. math:: C = J K_q^{-1} J^\top, \qquad K_q = \mathrm{diag}(K) - \frac{\partial}{\partial q} J^\top f
+    .. math:: C = J K_q^{-1} J^\top, \qquad K_q = K - \frac{\partial}{\partial q} J^\top f
 
     with the Jacobian J of the foot, and the force f of the ground on it: N. Hogan, "The mechanics of multi-joint
     posture and movement control", Biological Cybernetics 52 (1985).
 
     Parameters
     ----------
-    angles, stiffness
-        Angles [rad] and stiffness [N*m/rad] of the joints; locked ones do not yield.
+    angles
+        Angles [rad] of the joints.
+    stiffness
+        Stiffness [N*m/rad] of the joints, or their stiffness matrix, with the coupling by biarticular muscles; locked
+        joints do not yield.
     force
-        Force of the ground [N], forwards and up.
+        Force of the ground [N], forwards and up, or in space forwards, to the left and up. Default: none.
 
     Raises
     ------
@@ -69,35 +87,63 @@ def foot_stiffness(
     Along the leg, which is nearly stretched, the foot is 70 times as stiff as across:
 
     >>> from mckibben.leg import read_leg
-    >>> leg = read_leg("lei-leg")
+    >>> leg = read_leg("lei-leg-planar")
     >>> found = foot_stiffness(leg, (0.0, 0.0), (20.0, 15.0))
     >>> [round(one) for one in found.principal], round(found.direction, 3)
     ([28, 1988], -0.056)
+
+    In space it is softest to the side:
+
+    >>> found = foot_stiffness(read_leg("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
+    >>> [round(one) for one in found.principal], [round(abs(one), 3) for one in found.axes[:, 0].tolist()]
+    ([27, 28, 1988], [0.0, 1.0, 0.0])
     """
-    if len(angles) != len(leg.joints) or len(stiffness) != len(leg.joints):
+    given = np.asarray(stiffness, float)
+    count = len(leg.joints)
+    if len(angles) != count or given.shape not in ((count,), (count, count)):
         raise RangeError(
-            f"{len(angles)} angles and {len(stiffness)} values of stiffness for {len(leg.joints)} joints",
+            f"{len(angles)} angles and {given.shape[0]} values of stiffness for {count} joints",
             field="stiffness",
-            value=len(stiffness),
-            remedy="give one of each for each joint, from the hip down",
+            value=len(given),
+            remedy="give one of each for each joint, from the trunk down, or the stiffness matrix",
         )
-    jacobian, geometric = (np.asarray(one) for one in _jacobian(leg, tuple(angles), force))
-    free = np.array([joint.locked is None for joint in leg.joints])
-    joints = np.diag(np.asarray(stiffness, float)) - geometric
-    if free.any() and np.linalg.eigvalsh(joints[np.ix_(free, free)]).min() <= 0:
+    jacobian, geometric = foot_jacobian(leg, angles, force)
+    free = movable(leg)
+    joints = (np.diag(given) if given.ndim == 1 else given) - geometric
+    yielding = joints[np.ix_(free, free)]
+    if free.any() and np.linalg.eigvalsh((yielding + yielding.T) / 2).min() <= 0:
         raise RangeError(
             "the posture is not stable under the force",
             field="stiffness",
-            value=list(stiffness),
+            value=given.tolist(),
             remedy="give more stiffness, a straighter leg or less force",
         )
     moved = jacobian[:, free]
-    compliance = moved @ np.linalg.solve(joints[np.ix_(free, free)], moved.T) if free.any() else np.zeros((2, 2))
-    values, vectors = np.linalg.eigh(compliance)
-    soft = vectors[:, 1] * np.sign(vectors[0, 1] or 1.0)
-    with np.errstate(divide="ignore"):
-        principal = 1 / np.where(values > 1e-15, values, 0.0)[::-1]
-    return FootStiffness(compliance, (float(principal[0]), float(principal[1])), float(np.arctan2(soft[1], soft[0])))
+    compliance = moved @ np.linalg.solve(yielding, moved.T) if free.any() else np.zeros((len(moved), len(moved)))
+    return stiffness_of(compliance)
+
+
+def movable(leg: Leg) -> NDArray[np.bool_]:
+    """Return whether each joint can move."""
+    return np.array([joint.locked is None for joint in leg.joints])
+
+
+def foot_jacobian(leg: Leg, angles: Sequence[float], force: Sequence[float] | None = None) -> tuple[Floats, Floats]:
+    """Return the Jacobian [m/rad] of the foot, and the derivative [N*m/rad] of the torques by a force [N] on it.
+
+    The foot moves in the plane of walking, or in space. `RangeError` unless the force has one number per direction.
+    """
+    directions = 2 if leg.is_planar else 3
+    pushed = (0.0,) * directions if force is None else tuple(force)
+    if len(pushed) != directions:
+        raise RangeError(
+            f"a force with {len(pushed)} numbers",
+            field="force",
+            value=list(pushed),
+            remedy="give it forwards and up" if leg.is_planar else "give it forwards, to the left and up",
+        )
+    jacobian, geometric = _jacobian(leg, tuple(angles), pushed)
+    return np.asarray(jacobian), np.asarray(geometric)
 
 
 def attainable_foot_stiffness(
@@ -127,15 +173,14 @@ def attainable_foot_stiffness(
 
 @compiled
 def _jacobian(
-    leg: Leg, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ArrayLike]
-) -> tuple[Float[Array, "2 n"], Float[Array, "n n"]]:
+    leg: Leg, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ...]
+) -> tuple[Float[Array, "d n"], Float[Array, "n n"]]:
     """Jacobian of the foot, and the derivative of the torques that balance a force."""
-    zero = jnp.zeros(())
-    still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
 
     def foot(q: Array) -> Array:
-        at = frames(leg, Posture(zero, zero, zero, leg.held(tuple(q))), still)
-        return jnp.stack(at[-1].point(leg.links[-1].length)[:2])
+        posture = posture_of(leg, tuple(q))
+        place, _ = frames(leg, posture, at_rest(posture))[-1].point(-leg.links[-1].length)
+        return jnp.stack([place.x, place.z] if leg.is_planar else list(map(jnp.asarray, place)))
 
     q = jnp.stack([jnp.asarray(one) for one in angles])
     pushed = jnp.stack([jnp.asarray(one) for one in force])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
-from mckibben.leg.dynamics import Posture, Velocity, acceleration, contact, frames, motion
+from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.leg.landing import EDGES
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
@@ -25,6 +25,7 @@ from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.spatial import Z
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.simulation.engine import BatchFunction, dynamic_steps
 from mckibben.simulation.problem import sampling_times
@@ -47,7 +48,9 @@ class Jump:
     schedule
         Commands of the muscles.
     run
-        Time traces of the nominal jump (`simulate_leg`).
+        Time traces of the nominal jump (`simulate_leg`), with its `resolution`.
+    substeps
+        Integration steps per control period of the jumps of the draws.
     heights
         Heights [m] of the centre of mass at the apex above that of the standing leg of the same draw.
     rises
@@ -60,6 +63,7 @@ class Jump:
 
     schedule: PressureSchedule
     run: LegResult
+    substeps: int
     heights: Floats
     rises: Floats
     work: float
@@ -68,6 +72,8 @@ class Jump:
     def record(self) -> dict[str, Any]:
         """The results as plain data."""
         low, high = np.nanpercentile(self.heights[1:], EDGES)
+        resolution = self.run.resolution
+        assert resolution is not None
         return {
             "height_mm": float(self.heights[0] / mm),
             "height_interval_mm": [float(low / mm), float(high / mm)],
@@ -77,6 +83,11 @@ class Jump:
             "efficiency": self.work / self.air_energy if self.air_energy > 0 else None,
             "levels_bar": [[float(one) / bar for one in levels] for levels in self.schedule.levels],
             "switches_ms": [[float(one) / ms for one in times] for times in self.schedule.switches],
+            "integration": {
+                "substeps": self.substeps,
+                "error_estimate_rad": resolution.error if math.isfinite(resolution.error) else None,
+                "runs_chaotic": int(resolution.chaotic),
+            },
         }
 
 
@@ -157,13 +168,12 @@ def standing_torques(plant: LegPlant, angles: tuple[float, ...]) -> Floats:
 @compiled
 def _standing(plant: LegPlant, angles: tuple[ArrayLike, ...]) -> Array:
     leg = plant.leg
-    zero = jnp.zeros(())
-    posture = Posture(zero, zero, zero, leg.held(angles))
-    still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
+    posture = posture_of(leg, angles)
+    still = at_rest(posture)
     weight = leg.total_mass * plant.gravity
 
     def accelerations(torques: Array) -> Array:
-        found = acceleration(leg, posture, still, tuple(torques), (zero, weight), plant.gravity)
+        found = acceleration(leg, posture, still, tuple(torques), Z.scaled(weight), plant.gravity)
         return jnp.stack(found.angles)
 
     free = jnp.array([joint.locked is None for joint in leg.joints])
@@ -290,7 +300,7 @@ def study_jump(
             schedule = variables.schedule([0.5] * variables.size)
             nominal = simulate_leg(plant, schedule, start, duration=duration, **scenario.steps)
             assert nominal.resolution is not None
-            substeps = 4 if nominal.resolution.chaotic else max(nominal.resolution.substeps // 2, 1)
+            substeps = nominal.resolution.batch_substeps(plant.needed_substeps(angles, None, scenario.step))
         runs = JumpRuns(plant, start, variables, duration, scenario.step, substeps)
         # The constant jump is one of the timed ones.
         guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(pressures))])
@@ -340,18 +350,18 @@ def _jump(scenario: LegScenario, runs: JumpRuns, variables: Floats, drawn: LegPl
     stored = run["air_mass"][:, 0] @ (np.log(ratio) + 1 / ratio - 1) * ENERGY
     rises = table["take_off_speed"] ** 2 / (2 * runs.plant.gravity)
     heights = table["apex"] - standing
-    return Jump(schedule, run, heights, rises, float(table["muscle_work"][0]), inflow + float(stored))
+    work = float(table["muscle_work"][0])
+    return Jump(schedule, run, runs.substeps, heights, rises, work, inflow + float(stored))
 
 
 def _standing_heights(plant: LegPlant, drawn: LegPlant) -> tuple[Floats, float]:
     """Heights [m] of the centre of mass of each draw in the posture in which it is highest, and that of the hip."""
-    zero = jnp.zeros(())
 
     def heights(of: LegPlant, angles: Sequence[ArrayLike]) -> tuple[Array, Array]:
         """Heights of the centre of mass and of the hip above the foot."""
-        posture = Posture(zero, zero, zero, of.leg.held(angles))
-        still = Velocity(zero, zero, zero, tuple(zero for _ in angles))
-        depth = contact(of.leg, frames(of.leg, posture, still)).z
+        posture = posture_of(of.leg, angles)
+        still = at_rest(posture)
+        depth = contact(of.leg, frames(of.leg, posture, still)).position.z
         return motion(of.leg, posture, still, of.gravity).height - depth, -depth
 
     ranges = [np.linspace(joint.lower, joint.upper, _POSTURES) for joint in plant.leg.joints]

@@ -24,6 +24,7 @@ from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve
 from mckibben.plant.base import MOST_SUBSTEPS
+from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.simulation.table import Batch
 from mckibben.storage.files import explain_write_errors, file_lock
@@ -47,7 +48,8 @@ BEST_WITHIN = 0.02
 """The softest stiffness whose force on the trunk is within this part of the least one is the best."""
 ROWS = 4096
 """Landings of a block, which a journal keeps."""
-_BLOCK, _FORMAT, _VERSION = b"B", "mckibben landings", 2
+_BLOCK, _FORMAT, _VERSION = b"B", "mckibben landings", 3
+_COLUMNS = (*LegMetrics._fields, *STEP_COLUMNS)
 _SHUT = 1e-6  # of the conductance
 EDGES = (5.0, 95.0)
 """Percentiles of the draws that are an interval."""
@@ -62,7 +64,8 @@ class LandingStudy:
     scenario
         File of the leg.
     table
-        `LegMetrics` over ``valve``, ``drop`` [m], ``stiffness`` [N*m/rad] and ``draw``, of which 0 is nominal.
+        `LegMetrics`, ``substeps``, ``error_estimate`` [rad] and ``chaotic`` as in a `Batch`, over ``valve``, ``drop``
+        [m], ``stiffness`` [N*m/rad] and ``draw``, of which 0 is nominal.
     pressures
         Commands [Pa] for each stiffness, shape (stiffness, muscles).
     attainable
@@ -199,12 +202,20 @@ class LandingStudy:
             "pressures_bar": (self.pressures / bar).tolist(),
             "runs": int(table["peak_force"].size),
             "engine": table.attrs["engine"],
+            "integration": self._integration(),
             "landings": landings,
         }
 
     def bottoms_out(self) -> NDArray[np.bool_]:
         """Whether the joint whose stiffness varies meets a stop, shape (valve, drop, stiffness, draw)."""
         return self.table["stop_torque"].to_numpy() > 0
+
+    def describe(self) -> str:
+        """Integration error of all landings, as text."""
+        return integration_sentence(self._integration())
+
+    def _integration(self) -> dict[str, Any]:
+        return StepCounts(*(self.table[name].to_numpy() for name in STEP_COLUMNS)).summary()
 
     @property
     def _landing(self) -> Any:
@@ -318,10 +329,10 @@ def study_landing(
                         raise ScenarioError(source, [Problem("landings diverge", field="step", remedy=remedy)])
                     engines.add(found.engine)
                     of_joint = found.table.isel(joint=index)
-                    columns = {metric: of_joint[metric].to_numpy() for metric in LegMetrics._fields}
+                    columns = {name: of_joint[name].to_numpy() for name in _COLUMNS}
                     kept.keep(number, columns)
                 parts.append(columns)
-            tables.append({metric: np.concatenate([one[metric] for one in parts]) for metric in LegMetrics._fields})
+            tables.append({name: np.concatenate([one[name] for one in parts]) for name in _COLUMNS})
     shape = (len(valves), drops.size, stiffness.size, draws)
     table = _table(tables, shape, list(valves), drops, stiffness)
     table.attrs["engine"] = ", ".join(sorted(engines))
@@ -427,8 +438,7 @@ def _table(
 
     dims = ("valve", "drop", "stiffness", "draw")
     columns = {
-        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), attributes(name))
-        for name in LegMetrics._fields
+        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), attributes(name)) for name in _COLUMNS
     }
     coords = {
         "valve": valves,

@@ -1,4 +1,4 @@
-"""Planar leg: trunk, links in a chain, joints with pairs of muscles, and muscles over two joints."""
+"""Leg: trunk, links in a chain, joints with pairs of muscles, and muscles over two joints."""
 
 from __future__ import annotations
 
@@ -13,73 +13,24 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben import catalog
 from mckibben.component.base import Component
-from mckibben.component.checks import check_positive
 from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
+from mckibben.leg.bodies import Link, Trunk
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.spatial import Vector, unit_vector
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance
-from mckibben.units import Angle, Damping, Distance, Inertia, Length, PositiveMass, Quantity, StiffnessScale, deg
+from mckibben.units import Angle, Damping, Distance, Quantity, StiffnessScale, deg
 
+Direction = Annotated[float, Quantity("1", "1", -1, 1)]
 StopDamping = Annotated[float, Quantity("s/rad", "s/rad", 0, 1e3)]
 
 Scalar = Float[Array, ""]
 
-Freedom = Literal["fixed", "vertical", "planar", "free"]
-"""Motion of the trunk: none, up and down (a slider), in the plane without pitch (a boom), or unconstrained."""
-
 Action = Literal["lengthens", "shortens"]
 """Change of a muscle's path as the angle of a joint increases."""
-
-
-class Trunk(Component):
-    """Body above the hip.
-
-    Parameters
-    ----------
-    mass, inertia
-        Mass [kg], and inertia about the centre of mass [kg*m^2], which matters only for a free trunk.
-    centre
-        Height of the centre of mass above the hip [m].
-    freedom
-        "fixed", "vertical" (on a slider), "planar" (a boom: no pitch), or "free".
-    """
-
-    mass: PositiveMass
-    inertia: Inertia = 0.0
-    centre: Distance = 0.0
-    freedom: Freedom = eqx.field(static=True, default="vertical")
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        if self.freedom == "free":
-            check_positive("Trunk", "kg*m^2", inertia=self.inertia)
-
-
-class Link(Component):
-    """Rigid link between two joints, or of the foot.
-
-    Parameters
-    ----------
-    length
-        From its upper joint to the next one, or to the foot's point [m].
-    mass, inertia
-        Mass [kg], and inertia about its centre of mass [kg*m^2].
-    centre
-        Distance of the centre of mass from the upper joint, along the link [m].
-    """
-
-    length: Length
-    mass: PositiveMass
-    centre: Distance
-    inertia: Inertia
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        if all(isinstance(one, Real) for one in (self.mass, self.centre, self.inertia)):
-            check_positive("Link", "kg*m^2", inertia_about_joint=self.inertia + self.mass * self.centre**2)
 
 
 class LegJoint(Component):
@@ -94,7 +45,7 @@ class LegJoint(Component):
     link_angle
         Angle [rad] of the link from the line of the one above, at the angle 0 of the joint; positive forwards.
     forward
-        Whether the link swings forwards as the angle increases.
+        Whether the link swings forwards, or turns about `axis`, as the angle increases; otherwise the opposite.
     damping
         Viscous damping [N*m*s/rad].
     stop_stiffness, stop_damping
@@ -107,6 +58,10 @@ class LegJoint(Component):
         Friction of the joint itself. Default: none.
     disturbance
         External torque on the joint over time.
+    axis
+        Direction about which the link turns by `link_angle` and, if `forward`, by the angle (right-hand rule), in the
+        axes of the body above: x forwards, y to the left, z up along it. Default: (0, -1, 0), the forward swing. About
+        (1, 0, 0) the link swings to the left.
     """
 
     muscles: AntagonisticJoint
@@ -121,9 +76,17 @@ class LegJoint(Component):
     name: str = eqx.field(static=True, default="joint")
     friction: JointFriction | None = eqx.field(kw_only=True, default=None)
     disturbance: Disturbance = eqx.field(kw_only=True, default=NoDisturbance())
+    axis: tuple[Direction, ...] = eqx.field(kw_only=True, static=True, default=(0.0, -1.0, 0.0))
 
     def __check_init__(self) -> None:
         super().__check_init__()
+        if len(self.axis) != 3 or not any(self.axis):
+            raise RangeError(
+                f"{self.name}: the axis is {', '.join(f'{one:g}' for one in self.axis)}",
+                field="axis",
+                value=self.axis,
+                remedy="give a direction in space, such as [1, 0, 0] for a swing to the side",
+            )
         if not all(isinstance(one, Real) for one in (self.lower, self.upper)):
             return
         if not self.lower < self.upper:
@@ -149,8 +112,13 @@ class LegJoint(Component):
 
     @property
     def sign(self) -> int:
-        """1 where the link swings forwards as the angle increases, else -1."""
+        """1 where the link turns about its axis as the angle increases, else -1."""
         return 1 if self.forward else -1
+
+    @property
+    def direction(self) -> Vector:
+        """The axis as a unit vector."""
+        return unit_vector(self.axis)
 
 
 class BiarticularMuscle(Component):
@@ -205,10 +173,11 @@ class RoutedMuscle(NamedTuple):
 
 
 class Leg(Component):
-    """Planar leg: a trunk, and a chain of links, each on a joint with two muscles.
+    """Leg: a trunk, and a chain of links, each on a joint with two muscles.
 
-    The plane is that of walking: x forwards, z up. A link with the angle 0 hangs below the one above. All sequences
-    over joints begin at the hip; those over muscles have muscles 1 and 2 of each joint, then the biarticular ones.
+    x is forwards, y to the left, and z up. A link with the angle 0 hangs below the one above. All sequences over joints
+    begin at the trunk; those over muscles have muscles 1 and 2 of each joint, then the biarticular ones. A leg whose
+    joints all swing forwards moves in the plane of walking.
 
     Parameters
     ----------
@@ -218,15 +187,13 @@ class Leg(Component):
         Muscles over two joints.
     foot_radius
         Radius [m] of the foot, a sphere about the end of the last link.
-    side_swing
-        Joint between trunk and hip about the forward axis; only for models in space (MuJoCo), otherwise locked at 0.
 
     Examples
     --------
     >>> from mckibben.leg import read_leg
     >>> leg = read_leg("lei-leg")
     >>> leg.muscle_names, round(float(leg.total_mass), 2)
-    (('hip1', 'hip2', 'knee1', 'knee2'), 2.2)
+    (('side1', 'side2', 'hip1', 'hip2', 'knee1', 'knee2'), 2.2)
     """
 
     trunk: Trunk
@@ -234,7 +201,6 @@ class Leg(Component):
     joints: tuple[LegJoint, ...]
     biarticular: tuple[BiarticularMuscle, ...] = ()
     foot_radius: Distance = 0.0
-    side_swing: LegJoint | None = None
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -258,6 +224,10 @@ class Leg(Component):
                 value=len(self.joints),
                 remedy="give one joint for each link, the joint above it",
             )
+        if isinstance(self.links[-1].mass, Real) and self.links[-1].mass == 0:
+            raise RangeError(
+                "the last link has no mass", field="links", value=0.0, remedy="give mass and inertia of the last link"
+            )
         names = [joint.name for joint in self.joints]
         if len(set(self.muscle_names)) < len(self.muscle_names) or len(set(names)) < len(names):
             raise RangeError(
@@ -278,6 +248,12 @@ class Leg(Component):
 
     def __repr__(self) -> str:
         return f"Leg({', '.join(joint.name for joint in self.joints)}; {len(self.muscles)} muscles)"
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the leg moves in the plane of walking."""
+        across = any(one for joint in self.joints for one in (joint.direction.x, joint.direction.z))
+        return not across and "y" not in self.trunk.motions
 
     def posture_angles(self, named: Mapping[str, float]) -> tuple[float, ...]:
         """Return the angles [rad] of all joints: by name, else where a joint is locked, or as near 0 as it can be."""

@@ -13,29 +13,42 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirState, AirVolume
+from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
-from mckibben.errors import RangeError
+from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement, RigidTendon
-from mckibben.leg.dynamics import Contact, Posture, Velocity, acceleration, contact, foot_mobility, frames, motion
+from mckibben.leg.dynamics import (
+    Contact,
+    Posture,
+    Velocity,
+    acceleration,
+    at_rest,
+    contact,
+    frames,
+    mobilities,
+    motion,
+    posture_of,
+)
 from mckibben.leg.mechanism import Leg, RoutedMuscle
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
+from mckibben.numerics.spatial import Vector, Z, total
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
 from mckibben.plant.sensors import Disturbance
 from mckibben.units import Gravity, Quantity, Share, Speed, mm, show
 
+Slope = Annotated[float, Quantity("rad", "deg", -60, 60)]
 ContactDamping = Annotated[float, Quantity("s/m", "s/m", 0, 1e3)]
 ContactStiffness = Annotated[float, Quantity("N/m", "kN/m", 0, 1e6, open_lower=True)]
 
 Scalar = Float[Array, ""]
 
+_MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
 _ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
@@ -52,7 +65,7 @@ def compliant_force(depth: ArrayLike, rate: ArrayLike, stiffness: ArrayLike, dam
 
 
 class Ground(Component):
-    """Level ground at the height 0: a compliant contact with friction.
+    """Plane ground at the height 0 below the start: a compliant contact with friction.
 
     Parameters
     ----------
@@ -61,19 +74,35 @@ class Ground(Component):
     friction
         Coefficient of friction.
     slip_speed
-        Speed [m/s] v0 that regularises it: the force is -mu N v / sqrt(v^2 + v0^2).
+        Speed [m/s] v0 that regularises it: the force is -mu N v / sqrt(|v|^2 + v0^2), with the velocity v along the
+        ground.
+    slope, side_slope
+        Angles [rad] by which the ground rises forwards and to the left. Default: level.
     """
 
     stiffness: ContactStiffness = 20e3
     damping: ContactDamping = 0.5
     friction: Share = 0.8
     slip_speed: Speed = 100 * mm
+    slope: Slope | None = None
+    side_slope: Slope | None = None
 
-    def force(self, point: Contact) -> tuple[Array, Array]:
-        """Return the force [N] on the foot, forward and up."""
-        normal = compliant_force(-point.z, -point.vz, self.stiffness, self.damping)
-        slip = jnp.sqrt(point.vx * point.vx + self.slip_speed * self.slip_speed)
-        return -self.friction * normal * point.vx / slip, normal
+    @property
+    def normal(self) -> Vector:
+        """Unit vector up from the ground; that of level ground is known when traced."""
+        forward, left = (0.0 if one is None else -jnp.tan(one) for one in (self.slope, self.side_slope))
+        if self.slope is None and self.side_slope is None:
+            return Z
+        return Vector(forward, left, 1.0).scaled(1 / jnp.sqrt(1 + forward * forward + left * left))
+
+    def force(self, point: Contact) -> Vector:
+        """Return the force [N] on the foot: forwards, to the left, and up."""
+        normal = self.normal
+        speed = point.velocity.dot(normal)
+        pressed = compliant_force(-point.position.dot(normal), -speed, self.stiffness, self.damping)
+        along = point.velocity - normal.scaled(speed)
+        slip = jnp.sqrt(total(along.dot(along), self.slip_speed * self.slip_speed))
+        return normal.scaled(pressed) - along.scaled(self.friction * pressed / slip)
 
 
 class LegState(NamedTuple):
@@ -114,9 +143,12 @@ class LegSample(NamedTuple):
     """Sample of a run at the start of a control period; tuples are over joints or muscles."""
 
     x: Annotated[Scalar, Label("m", "position of the hip, forwards")]
+    y: Annotated[Scalar, Label("m", "position of the hip, to the left")]
     z: Annotated[Scalar, Label("m", "height of the hip")]
     speed: Annotated[Scalar, Label("m/s", "upward speed of the hip")]
     pitch: Annotated[Scalar, Label("rad", "pitch of the trunk")]
+    yaw: Annotated[Scalar, Label("rad", "yaw of the trunk")]
+    roll: Annotated[Scalar, Label("rad", "roll of the trunk")]
     angle: Annotated[tuple[Scalar, ...], Label("rad", "joint angle", along="joint")]
     velocity: Annotated[tuple[Scalar, ...], Label("rad/s", "angular velocity", along="joint")]
     pressure: Annotated[tuple[Scalar, ...], Label("Pa", "gauge pressure", along="muscle")]
@@ -124,6 +156,7 @@ class LegSample(NamedTuple):
     contraction: Annotated[tuple[Scalar, ...], Label("1", "contraction of the muscle", along="muscle")]
     stop_torque: Annotated[tuple[Scalar, ...], Label("N*m", "torque of the stops", along="joint")]
     ground_forward: Annotated[Scalar, Label("N", "force of the ground on the foot, forwards")]
+    ground_left: Annotated[Scalar, Label("N", "force of the ground on the foot, to the left")]
     ground_up: Annotated[Scalar, Label("N", "force of the ground on the foot, upwards")]
     mass_height: Annotated[Scalar, Label("m", "height of the centre of mass")]
     mass_speed: Annotated[Scalar, Label("m/s", "upward speed of the centre of mass")]
@@ -144,7 +177,7 @@ class LegForces(NamedTuple):
     path_rates: tuple[Array, ...]
     torques: tuple[Array, ...]
     stops: tuple[Array, ...]
-    ground: tuple[Array, Array]
+    ground: Vector
 
 
 class LegPlant(Plant):
@@ -195,7 +228,7 @@ class LegPlant(Plant):
     def sample(self, state: LegState, period: ArrayLike) -> tuple[LegState, LegMeasurement]:
         """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
         state, (angles, pressures) = super().sample(state, period)
-        return state, LegMeasurement(cast(Any, angles), pressures, self.ground_force(state)[1])
+        return state, LegMeasurement(cast(Any, angles), pressures, self.ground_force(state).z)
 
     def disturbing_torque(self, time: ArrayLike) -> tuple[Array, ...]:
         return tuple(floating(one.torque(time)) for one in self.disturbances)
@@ -204,41 +237,55 @@ class LegPlant(Plant):
         forces, volumes = self.forces(state), self.air_volumes(state)
         moving = motion(self.leg, state.posture, state.velocity, self.gravity)
         tensions = zip(forces.tensions, forces.path_rates, strict=True)
-        air = zip(state.pressures, volumes, strict=True)
+        contents = enumerate(zip(state.pressures, volumes, strict=True))
         inside = [
             muscle.domain.contains_contraction(one)
             for muscle, one in zip(self.leg.muscles, forces.contractions, strict=True)
         ]
+        zero = jnp.zeros_like(state.posture.x)
         return LegSample(
             x=state.posture.x,
+            y=zero if state.posture.y is None else state.posture.y,
             z=state.posture.z,
             speed=state.velocity.z,
             pitch=state.posture.pitch,
+            yaw=zero if state.posture.yaw is None else state.posture.yaw,
+            roll=zero if state.posture.roll is None else state.posture.roll,
             angle=state.posture.angles,
             velocity=state.velocity.angles,
             pressure=state.pressures,
             tension=forces.tensions,
             contraction=forces.contractions,
             stop_torque=forces.stops,
-            ground_forward=forces.ground[0],
-            ground_up=forces.ground[1],
+            ground_forward=forces.ground.x,
+            ground_left=forces.ground.y,
+            ground_up=forces.ground.z,
             mass_height=moving.height,
             mass_speed=moving.upward_speed,
             kinetic=moving.kinetic,
             muscle_power=-sum((tension * rate for tension, rate in tensions), start=jnp.zeros(())),
-            air_mass=tuple((pressure + ATMOSPHERE) * one.volume / ENERGY for pressure, one in air),
+            air_mass=tuple(
+                at_room_temperature((pressure + ATMOSPHERE) * one.volume / ENERGY, state.air, i)
+                for i, (pressure, one) in contents
+            ),
             outside=~functools.reduce(operator.and_, inside),
         )
 
     def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
         """Return the rates [1/s] of stops, ground, friction and air, those of the muscles aside."""
         leg, ground = self.leg, self.ground
-        mobility = np.asarray(_mobility(leg, angles))
-        bodies = [
-            (joint, link.inertia + link.mass * link.centre**2)
-            for joint, link in zip(leg.joints, leg.links, strict=True)
-            if joint.locked is None
+        mobility, of_joints = map(np.asarray, mobilities(leg, angles))
+        if not (np.abs(of_joints) < _MOST_MOBILE).all():  # NaN included
+            raise SimulationError(
+                "a joint turns links without inertia about its axis",
+                field="axial_inertia",
+                remedy="give the links an axial_inertia, or the joint another axis",
+            )
+        inertias = [
+            next(one for link in leg.links[index:] if (one := link.inertia_about_joint))  # massless links are carried
+            for index in range(len(leg.links))
         ]
+        bodies = [pair for pair in zip(leg.joints, inertias, strict=True) if pair[0].locked is None]
         stiffnesses = {
             "the ground": ground.stiffness * np.linalg.eigvalsh(mobility)[-1],
             "the stops": max((joint.stop_stiffness / inertia for joint, inertia in bodies), default=0.0),
@@ -247,8 +294,8 @@ class LegPlant(Plant):
             ),
         }
         rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
-        weight = float(leg.total_mass) * self.gravity
-        rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * mobility[0, 0]
+        weight, sideways = float(leg.total_mass) * self.gravity, np.linalg.eigvalsh(mobility[:2, :2])[-1]
+        rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
         if self.valve.holds_air:
             muscles = (muscle for muscle in leg.muscles if not isinstance(muscle.law, SpringLaw))
             volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
@@ -299,17 +346,17 @@ class LegPlant(Plant):
                 "a fixed trunk has no speed",
                 field="upward_speed",
                 value=start.upward_speed,
-                remedy="give the trunk the freedom vertical, planar or free",
+                remedy="give the trunk a freedom such as vertical",
             )
 
     def begin(self, start: LegStart) -> LegState:
         self.check_start(start)
         leg = self.leg
         held = tuple(map(floating, leg.held(start.angles)))
-        zero, speed = jnp.zeros(()), floating(start.upward_speed)
-        posture = Posture(zero, zero, zero, held)
-        velocity = Velocity(zero, speed, zero, tuple(zero for _ in held))
-        posture = posture._replace(z=floating(start.clearance) - contact(leg, frames(leg, posture, velocity)).z)
+        posture, normal = posture_of(leg, held), self.ground.normal
+        velocity = at_rest(posture)._replace(z=floating(start.upward_speed))
+        depth = contact(leg, frames(leg, posture, velocity), normal).position.dot(normal)
+        posture = posture._replace(z=(floating(start.clearance) - depth) / normal.z)
         inside = tuple(map(floating, start.pressures))
         muscles = (MuscleState((), ()),) * len(inside)
         return self.complete_state(LegState(posture, velocity, inside, muscles))
@@ -362,13 +409,16 @@ class LegPlant(Plant):
         ground = self.ground_force(state)
         return LegForces(tuple(tensions), tuple(contractions), tuple(path_rates), total, tuple(stops), ground)
 
-    def ground_force(self, state: LegState) -> tuple[Array, Array]:
-        """Return the force [N] of the ground on the foot, forward and up."""
-        return self.ground.force(contact(self.leg, frames(self.leg, state.posture, state.velocity)))
+    def ground_force(self, state: LegState) -> Vector:
+        """Return the force [N] of the ground on the foot: forwards, to the left, and up."""
+        found = frames(self.leg, state.posture, state.velocity)
+        return self.ground.force(contact(self.leg, found, self.ground.normal))
 
     def rate(self, state: LegState) -> Motion:
         forces, velocity = self.forces(state), state.velocity
-        moved = acceleration(self.leg, state.posture, velocity, forces.torques, forces.ground, self.gravity)
+        moved = acceleration(
+            self.leg, state.posture, velocity, forces.torques, forces.ground, self.gravity, self.ground.normal
+        )
         creep = tuple(
             muscle.state_rate(held, rate).creep
             for muscle, held, rate in zip(self.leg.muscles, state.muscles, forces.path_rates, strict=True)
@@ -411,12 +461,6 @@ class LegPlant(Plant):
         """Return the mechanical energy of the bodies [J]."""
         found = motion(self.leg, state.posture, state.velocity, self.gravity)
         return found.kinetic + found.potential
-
-
-@compiled
-def _mobility(leg: Leg, angles: tuple[ArrayLike, ...]) -> Array:
-    zero = jnp.zeros(())
-    return foot_mobility(leg, Posture(zero, zero, zero, leg.held(angles)))
 
 
 def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:

@@ -1,4 +1,4 @@
-"""Files of a leg: bodies, joints, muscles, valves, ground, and the studies of landing and jumping."""
+"""Files of a leg: bodies, joints, muscles, valves, ground, and the studies of landing, jumping and stiffness."""
 
 from __future__ import annotations
 
@@ -28,12 +28,14 @@ from mckibben.units import (
     PositiveTime,
     Pressure,
     Quantity,
+    SignedForce,
     Stiffness,
     bar,
     deg,
     mm,
 )
 
+FootStiffnessValue = Annotated[float, Quantity("N/m", "N/m", 0, 1e6, open_lower=True)]
 DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
 Spread = Annotated[float, Percent("1", "%", 0, 50)]
 
@@ -119,6 +121,30 @@ class JumpSettings(ConfigModel):
         return self
 
 
+class StiffnessSettings(ConfigModel):
+    """A stiffness of the foot at a posture, as its main axes.
+
+    Attributes
+    ----------
+    posture
+        Angles of the joints [rad].
+    principal
+        Stiffness [N/m] along the first axis, and across it, both in the plane of walking.
+    direction
+        Angle [rad] of the first axis from the forward direction.
+    sideways
+        Stiffness to the side [N/m], of a leg in space.
+    force
+        Force of the ground on the foot [N]: forwards and up, or in space forwards, to the left and up. Default: none.
+    """
+
+    posture: Angles = Field(default_factory=dict)
+    principal: tuple[FootStiffnessValue, FootStiffnessValue]
+    direction: Angle = 0.0
+    sideways: FootStiffnessValue | None = None
+    force: tuple[SignedForce, ...] | None = None
+
+
 class LegScenario(RunSettings):
     """Leg, valves, ground, and studies; `read` and `dumps` know the units.
 
@@ -143,6 +169,7 @@ class LegScenario(RunSettings):
     command_delay: CommandDelay | None = None
     landing: LandingSettings | None = None
     jump: JumpSettings | None = None
+    stiffness: StiffnessSettings | None = None
     uncertainty: DrawSettings = DrawSettings()
     step: PositiveTime = 0.25e-3
     accuracy: Accuracy = ACCURACY
@@ -163,17 +190,34 @@ class LegScenario(RunSettings):
             )
         return value
 
-    @field_validator("landing", "jump", mode="after")
+    @field_validator("stiffness", mode="after")
+    @classmethod
+    def _directions(cls, value: StiffnessSettings | None, info: ValidationInfo) -> StiffnessSettings | None:
+        leg = info.data.get("leg")
+        if value is None or leg is None:
+            return value
+        directions = 2 if leg.is_planar else 3
+        if (value.sideways is None) != leg.is_planar:
+            remedy = "leave sideways out" if leg.is_planar else "give sideways, the stiffness to the side"
+            fail_validation(f"the leg moves in {directions} directions", remedy)
+        if value.force is not None and len(value.force) != directions:
+            fail_validation(f"force has {len(value.force)} numbers", f"give {directions}")
+        return value
+
+    @field_validator("landing", "jump", "stiffness", mode="after")
     @classmethod
     def _joints_known(cls, value: Any, info: ValidationInfo) -> Any:
         leg = info.data.get("leg")
         if value is None or leg is None:
             return value
-        if leg.trunk.freedom == "fixed":
-            fail_validation("needs a trunk that can move", "give the trunk the freedom vertical, planar or free")
+        if leg.trunk.freedom == "fixed" and not isinstance(value, StiffnessSettings):
+            fail_validation("needs a trunk that can move", "give the trunk a freedom such as vertical")
         ranges = {joint.name: (joint.lower, joint.upper) for joint in leg.joints}
         locked = {joint.name: joint.locked for joint in leg.joints if joint.locked is not None}
-        angles = value.touchdown if isinstance(value, LandingSettings) else value.squat
+        if isinstance(value, LandingSettings):
+            angles = value.touchdown
+        else:
+            angles = value.squat if isinstance(value, JumpSettings) else value.posture
         for name in [*angles, *([value.joint] if isinstance(value, LandingSettings) else [])]:
             if name not in ranges:
                 fail_validation(f"there is no joint {quoted(name)}", suggest(name, list(ranges)))

@@ -7,6 +7,7 @@ from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
 from mckibben.muscle.exponential import ExponentialLaw, SarosiLaw
 from mckibben.muscle.friction import Friction, FrictionState, MaxwellSlip, NoFriction
+from mckibben.muscle.gaussian_process import GaussianProcessLaw
 from mckibben.muscle.martens_boblan import MartensBoblanLaw
 from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
 from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
@@ -33,6 +34,7 @@ __all__ = [
     "ForceLaw",
     "Friction",
     "FrictionState",
+    "GaussianProcessLaw",
     "HuntLaw",
     "MartensBoblanLaw",
     "MaxwellCreep",

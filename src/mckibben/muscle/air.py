@@ -1,4 +1,4 @@
-"""Air in a muscle: mass flow through a valve by ISO 6358, and the pressure by a polytropic change of state."""
+"""Air in a muscle: mass flow by ISO 6358, and the pressure by a polytropic change of state or an energy balance."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from types import SimpleNamespace
 from typing import Annotated, Any
 
 import jax.numpy as jnp
+import numpy as np
 
+from mckibben.component.checks import check_positive
+from mckibben.errors import RangeError
+from mckibben.muscle.base import ForceLaw
+from mckibben.numerics.calculus import derivative
 from mckibben.units import Quantity, bar
 
 CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
@@ -16,7 +21,7 @@ ATMOSPHERE = 1.01325e5
 """Atmospheric pressure [Pa, absolute]."""
 
 TEMPERATURE = 293.15
-"""Temperature of the room, the supply and the air in a muscle [K]."""
+"""Temperature of the room and the supply, and of polytropic air in a muscle [K]."""
 
 GAS_CONSTANT = 288.0
 """Gas constant of air at 65 % relative humidity [J/(kg*K)], from ISO 6358."""
@@ -30,11 +35,55 @@ ENERGY = GAS_CONSTANT * TEMPERATURE
 L_PER_S_BAR = 1e-3 / bar
 """A sonic conductance of 1 dm^3/(s*bar), the unit of data sheets, in m^3/(s*Pa)."""
 
+HEAT_CAPACITY_RATIO = 1.4
+"""Ratio kappa of the specific heat capacities of air."""
+
 LAMINAR = 0.999
 """Ratio of pressures above which the flow is proportional to their difference (ISO 6358)."""
 
 FLOATS = SimpleNamespace(maximum=max, minimum=min, sqrt=math.sqrt)
 """Arithmetic of Python floats for `mass_flow`, a hundred times faster than `jax.numpy` outside of compiled code."""
+
+
+def volume_terms(law: ForceLaw, initial_length: float, volume: float, degree: int = 4) -> tuple[float, ...]:
+    r"""Return coefficients [m^3] of the volume over the contraction, for `Specimen.volume_terms`, from a force law.
+
+    .. math:: V(\varepsilon) = V_0 + l_0 \int_0^\varepsilon \frac{\partial F}{\partial p}\,d\varepsilon
+
+    The virtual work of the air, F = -p dV/dl. For Chou's law (Eq. 1) this is the volume inside the braid; for others it
+    is an assumption, as their force per pressure includes losses in the bladder. The force per pressure at the middle
+    of the law's pressures is fitted by a polynomial over its contractions.
+
+    Parameters
+    ----------
+    initial_length, volume
+        l0 [m], and V0 [m^3], the volume of the air at contraction 0.
+    degree
+        Degree of the polynomial.
+
+    Raises
+    ------
+    RangeError
+        If a number is not positive, or the law's domain is not finite.
+
+    Examples
+    --------
+    >>> from mckibben import ChouLaw, catalog
+    >>> braid = catalog.specimen("DMSP-10-250")
+    >>> terms = volume_terms(ChouLaw.of(braid), braid.initial_length, float(braid.volume(0.0)))
+    >>> [round(1e6 * float(v), 2) for v in (np.polyval(terms[::-1], 0.2), braid.volume(0.2))]  # cm^3
+    [41.71, 41.71]
+    """
+    check_positive("volume_terms", "m", initial_length=initial_length)
+    check_positive("volume_terms", "m^3", volume=volume)
+    box = law.domain.intersection(law.formula_domain)
+    bounds = [float(one) for one in (box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max)]  # type: ignore[arg-type]
+    if not all(map(math.isfinite, bounds)):
+        raise RangeError(f"the domain of the law, {box.bounds()}, is not finite", remedy="give the law a domain")
+    contraction = np.linspace(min(bounds[0], 0.0), bounds[1], 201)
+    gain = np.asarray(derivative(lambda p: law.force(contraction, p), jnp.full(contraction.shape, np.mean(bounds[2:]))))
+    work = np.polynomial.Polynomial.fit(contraction, gain, degree - 1).convert().integ()
+    return tuple(float(one) for one in (work * initial_length + volume).coef)
 
 
 def flow_share(critical: Any, ratio: Any, xp: Any = jnp) -> Any:
@@ -116,3 +165,51 @@ def pressure_rate(index: Any, pressure: Any, flow: Any, volume: Any, volume_rate
     rate [m^3/s] at constant pressure.
     """
     return index * (ENERGY * flow - pressure * volume_rate) * (1 / volume)
+
+
+def flow_of_warm_air(flow: Any, temperature: Any) -> Any:
+    r"""Return a mass flow [kg/s] into a volume whose air has a temperature [K], from that of air at room temperature.
+
+    Where it leaves (negative), :math:`\dot m = \dot m_0 \sqrt{T_0 / T}`: ISO 6358, with the upstream temperature T.
+    """
+    return flow * jnp.where(flow < 0, jnp.sqrt(TEMPERATURE / temperature), 1.0)
+
+
+def heat_as_flow(conductance: Any, temperature: Any) -> Any:
+    """Return the inflow [kg/s] of air at room temperature that changes the pressure as the heat from the wall does.
+
+    The wall has room temperature and a conductance [W/K] to the air, whose temperature is given [K].
+    """
+    share = (HEAT_CAPACITY_RATIO - 1) / (HEAT_CAPACITY_RATIO * ENERGY)
+    return conductance * share * (TEMPERATURE - temperature)
+
+
+def effective_index(conductance: Any, pressure: Any, volume: Any, frequency: Any) -> Any:
+    r"""Return the complex polytropic index of small changes of a volume [m^3] at a frequency [Hz], behind a shut valve.
+
+    .. math::
+
+        n = -\frac{V}{p} \frac{\delta p}{\delta V} = \frac{1 + i \omega \kappa \tau}{1 + i \omega \tau},
+        \qquad \tau = \frac{p V}{(\kappa - 1) h A\, T_0}
+
+    at an absolute pressure [Pa], with the conductance h A [W/K] of the wall: 1 for slow motion, kappa for fast motion,
+    and a loss in between. The energy balance m c_v T' = h A (T0 - T) - p V', linearised.
+
+    >>> n = effective_index(0.5, 6e5, 24e-6, 1.0)
+    >>> round(float(n.real), 3), round(float(n.imag), 3)
+    (1.282, 0.183)
+    """
+    rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance / (pressure * volume)
+    circular = 2j * math.pi * frequency
+    return (rate + HEAT_CAPACITY_RATIO * circular) / (rate + circular)
+
+
+def temperature_rate(temperature: Any, pressure: Any, rate: Any, flow: Any, volume: Any, volume_rate: Any) -> Any:
+    r"""Return the rate [K/s] of the temperature [K] of air whose absolute pressure [Pa] changes at a rate [Pa/s].
+
+    .. math:: \dot T = \frac{T}{p V} (V \dot p + p \dot V - R T \dot m)
+
+    The ideal gas law p V = m R T, differentiated, with the mass inflow [kg/s], the volume [m^3] and its rate [m^3/s].
+    """
+    gained = volume * rate + pressure * volume_rate - GAS_CONSTANT * temperature * flow
+    return temperature * gained * (1 / (pressure * volume))

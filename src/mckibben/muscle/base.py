@@ -1,22 +1,25 @@
 """Interface of a force law, its numerical inverse in pressure, scaled laws, and the ideal braid (Eq. 1)."""
 
 import abc
+import sys
+import warnings
 from dataclasses import dataclass
 from numbers import Real
 from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_positive, check_within
+from mckibben.component.checks import check_positive, check_within, known_numbers
 from mckibben.component.classes import find_class
 from mckibben.component.extensions import is_foreign
-from mckibben.errors import RangeError, quoted
+from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, quoted
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
-from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm
+from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm, percent
 
 # No `from __future__ import annotations` here: equinox does not recognise an AbstractVar written as text.
 
@@ -115,6 +118,36 @@ class ForceLaw(Component):
         return derivative(lambda c: self.force(c, pressure), contraction)
 
 
+LEAST_PRESSURE = 1e3  # Pa: a lower maximum was given in bar or kPa
+_POSSIBLE = -0.5, 0.8  # contractions
+
+
+def check_point(contraction: ArrayLike, pressure: ArrayLike) -> None:
+    """Refuse texts, and warn of points that are impossible for any muscle, in a direct call of a law's force."""
+    if isinstance(contraction, Tracer) or isinstance(pressure, Tracer):
+        return
+    contractions, pressures = (
+        known_numbers("force", "contraction", contraction),
+        known_numbers("force", "pressure", pressure),
+    )
+    if (wrong := contractions[(contractions < _POSSIBLE[0]) | (contractions > _POSSIBLE[1])]).size:
+        text = (
+            f"a contraction of {wrong[0] / percent:.4g} % is impossible: contractions are ratios, such as 10 * percent"
+        )
+        warnings.warn(text, DomainWarning, stacklevel=user_level())
+    if 0 < (highest := pressures.max(initial=0.0)) < LEAST_PRESSURE:
+        text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
+
+
+def user_level() -> int:
+    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
+        level, frame = level + 1, frame.f_back
+    return level
+
+
 class PressureAffineLaw(ForceLaw):
     """Law affine in pressure, F = offset(contraction) + gain(contraction) p, with a closed-form inverse."""
 
@@ -123,6 +156,7 @@ class PressureAffineLaw(ForceLaw):
         """Return offset [N] and gain [N/Pa] of the force at a contraction [-]."""
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        check_point(contraction, pressure)
         offset, gain = self.pressure_terms(contraction)
         return offset + gain * pressure
 

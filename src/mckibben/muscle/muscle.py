@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import warnings
 from collections.abc import Callable
 from numbers import Real
@@ -18,14 +17,14 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Component
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
-from mckibben.muscle.base import ForceLaw, scaled_law
+from mckibben.muscle.base import LEAST_PRESSURE, ForceLaw, scaled_law, user_level
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled
-from mckibben.units import Strength
+from mckibben.units import Strength, bar
 
 
 class MuscleState(NamedTuple):
@@ -37,8 +36,6 @@ class MuscleState(NamedTuple):
 
 NO_STATE = MuscleState()
 
-LEAST_PRESSURE = 1e3  # Pa: a lower maximum was given in bar or kPa
-
 
 class Muscle(Component):
     """A specimen with its force law, friction and creep.
@@ -47,7 +44,8 @@ class Muscle(Component):
     and creep act only through an internal state (`MuscleState`); without it, `force` and all joint quantities follow
     from the law alone. `strength` multiplies all forces of the law (scatter among muscles, and ageing); `correction` is
     added to them. The law's domain replaces infinite bounds of the specimen's domain; the lowest pressure becomes 0
-    where the law's is higher. Raises `RangeError` if the domains of specimen and law do not overlap.
+    where the law's is higher. `extrapolate` applies the law at all pressures of the specimen, not only at those
+    of its data. Raises `RangeError` if the domains of specimen and law do not overlap.
     """
 
     specimen: Specimen
@@ -56,6 +54,7 @@ class Muscle(Component):
     creep: Creep = NoCreep()
     strength: Strength | None = eqx.field(kw_only=True, default=None)
     correction: ForceCorrection | None = eqx.field(kw_only=True, default=None)
+    extrapolate: bool = eqx.field(kw_only=True, static=True, default=False)
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -95,8 +94,24 @@ class Muscle(Component):
 
     @property
     def domain(self) -> Domain:
-        """Intersection of the domains of the specimen and the law."""
-        return self.specimen.domain.intersection(self.law.domain).intersection(self.law.formula_domain)
+        """Intersection of the domains of the specimen and the law; pressures of the specimen with `extrapolate`."""
+        measured = self.law.domain
+        if self.extrapolate:
+            measured = Domain(measured.contraction_min, measured.contraction_max)
+        return self.specimen.domain.intersection(measured).intersection(self.law.formula_domain)
+
+    @property
+    def extrapolation(self) -> str:
+        """Pressures of the domain at which the law was not measured, in words; empty if there are none."""
+        domain, law = self.domain, self.law.domain
+        bounds = domain.pressure_min, domain.pressure_max, law.pressure_min, law.pressure_max
+        if not self.extrapolate or not all(isinstance(bound, Real) for bound in bounds):
+            return ""
+        low, high, lowest, highest = (float(bound) / bar for bound in bounds)  # type: ignore[arg-type]
+        if low >= lowest and high <= highest:
+            return ""
+        shown = f"{lowest:g}..{highest:g} bar, where it was measured, to {low:g}..{high:g} bar"
+        return f"the law of {self.specimen.name} is extrapolated from {shown}"
 
     def check_pressure_limit(self) -> None:
         """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""
@@ -190,19 +205,11 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
     if 0 < highest < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
-        warnings.warn(text, McKibbenWarning, stacklevel=_user_level())
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]
     if found := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
         text = f"{'; '.join(found)}; the law is extrapolated there"
-        warnings.warn(text, DomainWarning, stacklevel=_user_level())
-
-
-def _user_level() -> int:
-    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
-        level, frame = level + 1, frame.f_back
-    return level
+        warnings.warn(text, DomainWarning, stacklevel=user_level())
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:

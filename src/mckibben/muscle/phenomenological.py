@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw
+from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw, check_point
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root
 from mckibben.units import Contraction, ForcePerPressure, Pressure, PressureScale, Quantity, SignedForce, kPa, percent
@@ -164,6 +164,7 @@ class HuntLaw(ForceLaw):
     formula_domain: ClassVar[Domain] = Domain(contraction_min=0.0)
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        check_point(contraction, pressure)
         contraction, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
         # Upper bound: below the force at the pole of the tangent and the force at the lowest tangent.
         to_pole = jnp.where(contraction == 0, jnp.inf, (self.largest - contraction / self._pole) / self.softening)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw, check_gain
+from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw, check_gain, check_point
 from mckibben.muscle.exponential import Decay, ExponentialLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
@@ -145,6 +145,7 @@ class SmoothLaw(_Deviations):
     linear_parameters = (*SmoothAffineLaw.linear_parameters, *_deviation(2))
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        check_point(contraction, pressure)
         offset, gain, curvature = self._quadratic(contraction)
         return offset + (gain + curvature * pressure) * pressure
 

@@ -7,7 +7,15 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import BRAID_PARAMETERS, ForceLaw, Parameter, PressureAffineLaw, braid_gain, pressure_for
+from mckibben.muscle.base import (
+    BRAID_PARAMETERS,
+    ForceLaw,
+    Parameter,
+    PressureAffineLaw,
+    braid_gain,
+    check_point,
+    pressure_for,
+)
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
 from mckibben.units import BraidAngle, Diameter, Factor, bar
@@ -89,6 +97,7 @@ class TonduLopezVariableLaw(ForceLaw):
     """p_1 [Pa]; the source has the pressure in bar."""
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        check_point(contraction, pressure)
         pressure = jnp.asarray(pressure)
         factor = self.end_rise * exp(-pressure / self.reference_pressure) + self.end_factor
         return pressure * braid_gain(self.braid_angle, self.initial_diameter, 1 - factor * jnp.asarray(contraction))

@@ -1,6 +1,6 @@
 """Reachability: static envelope, trackability, nearest feasible references and sizing of a joint."""
 
-from mckibben.reachability.envelope import HEADERS, Envelope, envelope, save_design, save_reference
+from mckibben.reachability.envelope import Envelope, envelope, save_design, save_reference
 from mckibben.reachability.feasible import FeasibleReference, Preserved, nearest_references
 from mckibben.reachability.lengths import design_lengths
 from mckibben.reachability.sizing import (
@@ -16,7 +16,6 @@ from mckibben.reachability.trackability import StiffnessBands, Trackability, che
 from mckibben.reachability.trajectory import ReferenceTrajectory, reference_trajectory
 
 __all__ = [
-    "HEADERS",
     "AttainableRange",
     "Design",
     "DesignTarget",

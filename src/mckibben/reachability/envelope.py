@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
 from mckibben.errors import ParameterError, RangeError, UnreachableError
-from mckibben.notebook import html_table
+from mckibben.muscle import Muscle
+from mckibben.notebook import draw, html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
 from mckibben.reachability.lengths import design_lengths
 from mckibben.reachability.sizing import Design
-from mckibben.reachability.static import StaticEnvelope, static_envelope
+from mckibben.reachability.static import StaticEnvelope, Values, static_envelope
 from mckibben.reachability.trackability import Trackability, TrackabilityChecker
 from mckibben.scenario import Scenario, Start, with_values
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
-
-HEADERS = ("angle", "gravity torque", "torque range", "stiffness range", "p1, p2 at lowest", "p1, p2 at highest")
-"""Columns of `Envelope.rows`."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,18 @@ class Envelope:
         return f"<Envelope of {self.scenario.name!r}: {self.verdict()}>"
 
     def _repr_html_(self) -> str:
-        return html_table(self.scenario.name, HEADERS, self.rows(), [self.verdict()])
+        return html_table(self.scenario.name, self.headers, self.rows(), [self.verdict(), *self.remarks()])
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """Columns of `rows`."""
+        small = ("small-motion stiffness",) if self.static.small_motion else ()
+        ends = "p1, p2 at lowest", "p1, p2 at highest"
+        return ("angle", "gravity torque", "torque range", "stiffness range", *small, *ends)
+
+    def plot(self) -> Any:
+        """Return a figure of attainable set and reference, see `mckibben.report.envelope`."""
+        return draw("envelope", self)
 
     def verdict(self) -> str:
         """Verdict on the reference, in words."""
@@ -59,22 +70,54 @@ class Envelope:
                 f"{static.angles[i] / deg:g} deg",
                 f"{_rounded(float(static.torque[i])):.3g} N*m",
                 f"{static.torque_range.lowest[i]:.3g}..{static.torque_range.highest[i]:.3g} N*m",
-                f"{static.stiffness.lowest[i]:.4g}..{static.stiffness.highest[i]:.4g} N*m/rad",
+                *(
+                    f"{each.lowest[i]:.4g}..{each.highest[i]:.4g} N*m/rad"
+                    for each in (static.stiffness, static.small_motion)
+                    if each is not None
+                ),
                 _pressures(static.pressures_at_lowest[:, i]),
                 _pressures(static.pressures_at_highest[:, i]),
             )
             for i in static.table_rows()
         ]
 
+    def remarks(self) -> list[str]:
+        """What limits the attainable stiffness, and what it leaves out, in words."""
+        return [*self._limits(), *self.scenario.joint.remarks] if self.static.exists else []
+
+    def _limits(self) -> list[str]:
+        """What limits the attainable stiffness at either end."""
+        static, joint = self.static, self.scenario.plant().supplied_joint
+        angles, found, extend = static.angles[static.inside], [], False
+        for end, pressures in (("lowest", static.pressures_at_lowest), ("highest", static.pressures_at_highest)):
+            here = pressures[:, static.inside]
+            tensions = joint.tensions(angles, (here[0], here[1]))
+            counts: Counter[str] = Counter()
+            given = zip((joint.muscle1, joint.muscle2), self.scenario.plant().muscles, here, tensions, strict=True)
+            for supplied, muscle, pressure, tension in given:
+                for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
+                    counts[reason] += int(holds.sum())
+            reasons = [reason for reason, count in counts.most_common() if count]
+            extend |= not joint.muscle1.extrapolate and any(_MEASURED in reason for reason in reasons)
+            found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
+        if extend:
+            found.append(
+                "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
+                "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
+            )
+        return found
+
     def records(self) -> dict[str, Any]:
         """The results as plain data; angles in deg, pressures in bar, all else in SI."""
         static, found = self.static, self.trackability
         trajectory, bands = found.trajectory, found.bands
         violation = bands.rate_limited.violation(trajectory.stiffness)
+        small = static.small_motion
         return {
             "scenario": self.scenario.name,
             "trackable": found.trackable,
             "verdict": self.verdict(),
+            "remarks": self.remarks(),
             "static_range_deg": [static.angle_min / deg, static.angle_max / deg],
             "smoothing_s": trajectory.smoothing if found.breakpoints.size else 0.0,
             "muscle_torque_Nm": [float(bands.torque.min()), float(bands.torque.max())],
@@ -86,6 +129,7 @@ class Envelope:
                     "gravity_torque_Nm": float(static.torque[i]),
                     "torque_range_Nm": [float(edge[i]) for edge in static.torque_range],
                     "stiffness": [float(edge[i]) for edge in static.stiffness],
+                    **({"small_motion": [float(edge[i]) for edge in small]} if small else {}),
                     "pressures_at_lowest_bar": (static.pressures_at_lowest[:, i] / bar).tolist(),
                     "pressures_at_highest_bar": (static.pressures_at_highest[:, i] / bar).tolist(),
                 }
@@ -107,6 +151,25 @@ class Envelope:
                 for motion in [near.trackability.trajectory]
             ],
         }
+
+
+_MEASURED = "measured pressure"
+_AT_LIMIT = 1.0  # Pa, N
+
+
+def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:
+    """What bounds a muscle, and where it does, at pressures [Pa] and tensions [N]."""
+    law, rated = muscle.law.domain, muscle.domain
+    low, high, top = float(rated.pressure_min), float(supplied.domain.pressure_max), float(rated.pressure_max)
+    least = f"the lowest {_MEASURED}" if low == law.pressure_min and low > 0 else "venting"
+    most = f"the highest {_MEASURED}" if top == law.pressure_max else "the rated pressure"
+    most = "the supply" if high < top else most
+    return {
+        f"{least} ({low / bar:.3g} bar)": pressure <= low + _AT_LIMIT,
+        f"{most} ({high / bar:.3g} bar)": pressure >= high - _AT_LIMIT,
+        f"the rated force ({muscle.specimen.force_limit:.4g} N)": tension >= muscle.specimen.force_limit - _AT_LIMIT,
+        "a muscle that becomes slack": (tension <= _AT_LIMIT) & (pressure > low + _AT_LIMIT),
+    }
 
 
 def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | None = None) -> Envelope:

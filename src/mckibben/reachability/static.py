@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
@@ -72,6 +74,9 @@ class StaticEnvelope:
         attainable.
     map_stiffness
         Attainable stiffness on that grid [N*m/rad].
+    small_motion
+        Stiffness of motion of 0.1 deg at the two ends of `stiffness`, with the muscles' friction [N*m/rad]; None
+        without friction.
     """
 
     angles: Values
@@ -85,6 +90,7 @@ class StaticEnvelope:
     map_angles: Values
     map_torques: Values
     map_stiffness: AttainableRange
+    small_motion: AttainableRange | None = None
 
     def __repr__(self) -> str:
         if not self.exists:
@@ -97,6 +103,11 @@ class StaticEnvelope:
     def exists(self) -> bool:
         """Whether the load can be held at any angle."""
         return self.angle_min <= self.angle_max
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Mask of the static angles, shape (angles,)."""
+        return (self.angles >= self.angle_min) & (self.angles <= self.angle_max)
 
     def table_rows(self) -> NDArray[np.int_]:
         """Indices of at most 11 round angles within the static range; empty if there is none."""
@@ -145,16 +156,22 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
         return np.where(infeasible, np.nan, np.stack([pressure1[index, each], pressure2[index, each]]))
 
     grid = _torque_grid(angles, limits, *((81, 33) if affine else (33, 17)))
+    ends = pressures(low), pressures(high)
+    small = None
+    if plant.joint.has_friction:
+        small = AttainableRange(
+            *(np.asarray(_small_motion_stiffness(plant.joint, angles, jnp.asarray(end))) for end in ends)
+        )
     return StaticEnvelope(
         angles,
         torque,
         AttainableRange(*limits),
         AttainableRange(stiffness[low, each], stiffness[high, each]),
-        pressures(low),
-        pressures(high),
+        *ends,
         *_contiguous_range(plant, angles, infeasible, about, points),
         *grid,
         AttainableRange(*(np.asarray(x) for x in _attainable_stiffness(plant, *grid))),
+        small,
     )
 
 
@@ -205,6 +222,11 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
         able &= (angle >= first) & (angle <= last)
     stiffness = jnp.where(able & segment.feasible, stiffness, jnp.nan)
     return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
+
+
+@compiled
+def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Array) -> Array:
+    return joint.secant_stiffness(angle, (pressures[0], pressures[1]), SMALL_MOTION)
 
 
 @compiled

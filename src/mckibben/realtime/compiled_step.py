@@ -172,7 +172,7 @@ class LimitCycleDetection:
         empty = Oscillation.empty(jnp.zeros(()))
         states = FlatTree.like(empty)
         self._memory: Any = states.pack(empty)
-        self._step = _compiled_detection(states)
+        self._step = flat_program(detect_flat, states.size, 5, static=(states,))
         self._inputs = np.array([0.0, 0.0, 0.0, period, resolution])
         self._step(self._memory, self._inputs)  # compiles it, if XLA does
 
@@ -184,14 +184,11 @@ class LimitCycleDetection:
         return LimitCycle(amplitude, period) if amplitude > 0 else None
 
 
-@functools.lru_cache(1)
-def _compiled_detection(states: FlatTree) -> Callable[..., Any]:
-    def step(memory: Array, inputs: Array) -> tuple[Array, Array]:
-        angle, desired, index, period, resolution = inputs
-        so_far = states.unpack(memory).after(angle, desired, index, resolution)
-        return states.pack(so_far, jnp), jnp.stack(so_far.limit_cycle(index + 1, period))
-
-    return compile_flat(step, states.size, 5)
+def detect_flat(states: FlatTree, memory: Array, inputs: Array) -> tuple[Array, Array]:
+    """The detector of limit cycles after one period, and amplitude and period of the cycle."""
+    angle, desired, index, period, resolution = inputs
+    so_far = states.unpack(memory).after(angle, desired, index, resolution)
+    return states.pack(so_far, jnp), jnp.stack(so_far.limit_cycle(index + 1, period))
 
 
 @compiled

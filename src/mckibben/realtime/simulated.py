@@ -63,8 +63,8 @@ PERFECT = Sensing(0.0, 0.0, 0.0)
 """Ideal sensors, as in a simulation."""
 
 
-class Ahead(NamedTuple):
-    """Period [s], packed state of the plant, commands of the valves from then on and noise of the next samples [Pa]."""
+class StartOfLoop(NamedTuple):
+    """Start of a compiled loop: period [s], packed state of the plant, valve commands, noise of the samples [Pa]."""
 
     period: float
     state: NDArray[np.float64]
@@ -76,7 +76,7 @@ class SimulatedJoint(Backend):
     """The plant of a scenario as a backend: angle and two pressures in, two valves out, in volts.
 
     Samples are taken at multiples of the sampling period [s], the first when it is opened. Signals reach the valves
-    when they are set, between two samples, or after the plant's delay of commands. Without a heartbeat the watchdog
+    when they are set, between two samples, or after the plant's command delay. Without a heartbeat the watchdog
     vents. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps, then spins.
 
     Parameters
@@ -246,18 +246,18 @@ class SimulatedJoint(Backend):
 
     @property
     def can_run_ahead(self) -> bool:
-        """Whether nothing but commands at its samples can happen: it is not paced, and has no faults and no delay."""
+        """Whether a compiled loop can replace it: it is not paced, and has neither faults nor a delay."""
         return not (self.paced or self._faults or self._delay or self._watchdog.has_expired)
 
-    def ahead(self, count: int) -> Ahead:
-        """Return its state right after a command, and the noise of the next samples."""
+    def ahead(self, count: int) -> StartOfLoop:
+        """Return its state directly after a command, and the noise of the next samples."""
         while len(self._noise) < count:
             self._noise = self._drawn() + self._noise  # the last ones are used first
         noise = np.array(self._noise[-count:])[::-1]
-        return Ahead(self._period, self._state, self._pending[-1][1] if self._pending else self._commands, noise)
+        return StartOfLoop(self._period, self._state, self._pending[-1][1] if self._pending else self._commands, noise)
 
     def moved_ahead(self, count: int, state: NDArray[np.float64], commands: tuple[float, float]) -> None:
-        """Take over the state after a number of samples, at the last of which the valves were set and it was awake."""
+        """Set the state after a number of samples; the valves were set and the watchdog was reset at the last one."""
         self._next += count
         self._now = self._at = (self._next - 1) * self._period
         self._state, self._commands = state, commands
@@ -266,7 +266,7 @@ class SimulatedJoint(Backend):
         self._watchdog.reset(self._now)
 
     def channels(self) -> tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, ...], ...]]:
-        """Return gain, offset, tare and converter's ends of sensors and valves; of valves also the rated pressures."""
+        """Return gain, offset, tare and converter range of each sensor and valve, and rated pressures of the valves."""
         sensors = zip(self._volts_of, _INPUTS, strict=True)
         valves = zip(self._wiring.valves, _OUTPUTS, self._rated, strict=True)
         return (
@@ -312,7 +312,7 @@ class SimulatedJoint(Backend):
             self._pending.append((max(deadline, self._at), (0.0, 0.0)))
 
     def _advance(self, until: float) -> None:
-        """Integrate the plant, each command from its time."""
+        """Integrate the plant; each command takes effect at its time."""
         while self._pending and self._pending[0][0] <= until:
             at, commands = self._pending.popleft()
             self._integrate(at)

@@ -210,7 +210,7 @@ def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
 
 def _over_angle(axes: Axes, found: Envelope) -> None:
     holds, motion = found.static, found.trackability.trajectory
-    inside = _inside(holds)
+    inside = holds.inside
     if inside.any():
         _band(axes, holds, color=_STATIC, label="attainable, static")
     else:
@@ -220,20 +220,19 @@ def _over_angle(axes: Axes, found: Envelope) -> None:
         moved, kind = near.trackability.trajectory, near.preserved
         axes.plot(moved.angle / deg, moved.stiffness, label=_NAMES[kind], zorder=4, **_LOOKS[kind])
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    _limits(axes, holds.stiffness.lowest[inside], holds.stiffness.highest[inside], motion.stiffness)
-
-
-def _inside(holds: StaticEnvelope) -> NDArray[np.bool_]:
-    """Static angles."""
-    return (holds.angles >= holds.angle_min) & (holds.angles <= holds.angle_max)
+    ends = [edge[inside] for band in (holds.stiffness, holds.small_motion) if band is not None for edge in band]
+    _limits(axes, *ends, motion.stiffness)
 
 
 def _band(axes: Axes, holds: StaticEnvelope, *, color: str, label: str) -> None:
-    inside = _inside(holds)
+    inside = holds.inside
     angles, low, high = holds.angles[inside] / deg, holds.stiffness.lowest[inside], holds.stiffness.highest[inside]
     draw_band(axes, angles, low, high, color=color, label=label)
     for edge in (low, high):
         axes.plot(angles, edge, color=BLUE, linewidth=0.8)
+    if holds.small_motion is not None:
+        for edge, label in zip(holds.small_motion, ("small motion, at both ends", "_nolegend_"), strict=True):
+            axes.plot(angles, edge[inside], color=BLUE, linewidth=0.9, linestyle=(0, (1, 1.2)), label=label)
 
 
 def _over_time(axes: Axes, found: Envelope) -> None:
@@ -292,10 +291,18 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 @styled
 def stiffness(found: StiffnessTests) -> Figure:
-    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates."""
+    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates.
+
+    For air with a temperature also K' and K'' with closed valves over the rate.
+    """
     varied = [name for name in found.tests if name not in (HELD, CLOSED)]
-    figure = blank(DOUBLE, 2.9)
-    first, *others = figure.subplots(1, 1 + len(varied))
+    panels = 1 + len(varied)
+    figure = blank(DOUBLE, 2.9 if found.closed_dynamic is None else 5.2)
+    grid = figure.add_gridspec(1 if found.closed_dynamic is None else 2, 2 * panels)
+    first, *others = (figure.add_subplot(grid[0, 2 * column : 2 * column + 2]) for column in range(panels))
+    if found.closed_dynamic is not None:
+        below = [figure.add_subplot(grid[1, part]) for part in (slice(panels), slice(panels, None))]
+        _closed_valves(below, found, found.closed_dynamic, panels)
     amplitudes = found.amplitudes / deg
     forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
     for name, secant, slope, color in forms:
@@ -332,13 +339,27 @@ def stiffness(found: StiffnessTests) -> Figure:
     return figure
 
 
+def _closed_valves(both: list[Axes], found: StiffnessTests, closed: np.ndarray, panels: int) -> None:
+    """Storage and loss part of the smallest motion over its rate, with closed valves: closed form and simulation."""
+    test = found.tests[CLOSED]
+    expected = closed + found.secant[0] - found.isobaric + 1j * found.tests[HELD].loss[:, 0]
+    rows = ((expected.real, test.stiffness, "storage K'"), (expected.imag, test.loss, "loss K''"))
+    for i, (axes, (form, simulated, name)) in enumerate(zip(both, rows, strict=True)):
+        axes.plot(test.frequency, form, color=VERMILLION, label="closed form")
+        look = {"color": VERMILLION, "linestyle": "", "marker": "o", "markersize": 4.5, "fillstyle": "none"}
+        axes.plot(test.frequency, simulated[:, 0], label="simulated", **look)
+        axes.set(xscale="log", xlabel="rate [Hz]", ylabel=_STIFFNESS)
+        plain_numbers(axes.xaxis)
+        letter(axes, panels + i, f"closed valves, {name}, {found.amplitudes[0] / deg:.2g} deg")
+
+
 @styled
 def design(found: Design, before: StaticEnvelope) -> Figure:
     """Attainable stiffness of a joint before and after sizing, and the design target."""
     figure = blank(DOUBLE, 3.2)
     axes = figure.subplots()
     _band(axes, found.envelope, color=_DYNAMIC, label="attainable after sizing")
-    inside = _inside(before)
+    inside = before.inside
     for edge in before.stiffness:
         label = "attainable before" if edge is before.stiffness.lowest else None
         axes.plot(before.angles[inside] / deg, edge[inside], color="#777777", linestyle=(0, (3, 1.5)), label=label)
@@ -348,7 +369,7 @@ def design(found: Design, before: StaticEnvelope) -> Figure:
     if found.target.torque_reserve:
         draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque margin")
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    reached = _inside(found.envelope)
+    reached = found.envelope.inside
     _limits(axes, *(edge[reached] for edge in found.envelope.stiffness), np.array([low, high]))
     lengths = (f"{name.replace('_', ' ')} {value * 1e3:.4g} mm" for name, value in found.lengths.items())
     letter(axes, 0, ", ".join(lengths))

@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mckibben import catalog
-from mckibben.leg.foot import attainable_foot_stiffness
+from mckibben.leg.dynamics import at_rest, frames, posture_of
+from mckibben.leg.foot import attainable_foot_stiffness, stiffness_of
 from mckibben.leg.landing import EDGES, LandingStudy
 from mckibben.report.figures import ReportFigure
 from mckibben.report.leg_player import leg_player
@@ -36,6 +37,7 @@ from mckibben.report.tables import Table
 from mckibben.units import bar, mm, ms
 
 if TYPE_CHECKING:
+    from mckibben.leg.foot_pressures import FootPressures
     from mckibben.leg.jumping import JumpStudy
     from mckibben.leg.mechanism import Leg
 
@@ -79,28 +81,35 @@ def landing_forces(study: LandingStudy) -> Figure:
 
 
 @styled
-def foot_ellipses(leg: Leg, angles: Sequence[float], *, force: float = 1.0) -> Figure:
-    """Posture of a leg, and displacements of its foot under a force [N] in all directions.
+def foot_ellipses(
+    leg: Leg, angles: Sequence[float], *, force: float = 1.0, found: FootPressures | None = None
+) -> Figure:
+    """Posture of a leg, and displacements of its foot under a force [N] in all directions of the plane of walking.
 
-    Grey: all attainable joint stiffness at zero torque; coloured: the softest and the stiffest joints.
+    Grey: all attainable joint stiffness at zero torque, without muscles over two joints; coloured: the softest and the
+    stiffest joints, or, of the pressures that are `found` for a stiffness of the foot, that and the wanted one.
     """
-    found = attainable_foot_stiffness(leg, angles, [0.0] * len(angles))
+    levels = 9 if leg.is_planar else 4
+    attainable = attainable_foot_stiffness(leg, angles, [0.0] * len(angles), levels=levels)
+    shown = {"softest joints": attainable[0], "stiffest joints": attainable[-1]}
+    if found is not None:
+        shown = {"attained": found.stiffness, "wanted": stiffness_of(np.linalg.inv(found.wanted))}
     figure = blank(DOUBLE * 0.8, 3.0)
     posture_axes, axes = figure.subplots(1, 2, width_ratios=(1, 1.6))
-    chain = np.cumsum([joint.link_angle + joint.sign * at for joint, at in zip(leg.joints, angles, strict=True)])
-    lengths = np.array([float(link.length) for link in leg.links])
-    x = np.concatenate([[0.0], np.cumsum(lengths * np.sin(chain))]) / mm
-    z = np.concatenate([[0.0], -np.cumsum(lengths * np.cos(chain))]) / mm
+    posture = posture_of(leg, angles)
+    links = frames(leg, posture, at_rest(posture))[1:]
+    points = [*(link.position for link in links), links[-1].point(-leg.links[-1].length)[0]]
+    x, z = (np.array([float(point[i]) for point in points]) / mm for i in (0, 2))
     posture_axes.plot(x, z, "o-", color=BLACK, linewidth=3)
     for joint, at_x, at_z in zip(leg.joints, x, z, strict=False):
         posture_axes.annotate(joint.name, (at_x, at_z), xytext=(8, 0), textcoords="offset points", va="center")
     posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")
     posture_axes.margins(x=0.6, y=0.1)
     letter(posture_axes, 0, "posture")
-    for one in found:
-        axes.plot(*(one.ellipse(force) / mm), color=BAND, linewidth=0.8, zorder=1)
-    for name, one, colour in (("softest", found[0], VERMILLION), ("stiffest", found[-1], BLUE)):
-        axes.plot(*(one.ellipse(force) / mm), color=colour, label=f"{name} joints")
+    for one in attainable:
+        axes.plot(*(one.ellipse(force)[[0, -1]] / mm), color=BAND, linewidth=0.8, zorder=1)
+    for (name, one), colour in zip(shown.items(), (VERMILLION, BLUE), strict=True):
+        axes.plot(*(one.ellipse(force)[[0, -1]] / mm), color=colour, label=name)
     axes.set(xlabel="forwards [mm]", ylabel="up [mm]")
     axes.legend(loc="upper right")
     low, high = axes.get_ylim()
@@ -200,12 +209,13 @@ def _published(study: JumpStudy) -> Table:
         rows.append((found["title"], found["jump"], found["of_height"], found["actuators"], found["differs"]))
     height, length = study.timed.heights[0] / mm, study.leg_length / mm
     leg = study.scenario.leg
+    place = "in the plane" if leg.is_planar else "in space"
     ours = (
         f"{height:.0f} mm, centre of mass",
         f"{height / length * 100:.0f} % of the leg",
         f"{len(leg.muscles)} muscles",
     )
-    rows.append(("this leg, timed pressures", *ours, f"simulated, in the plane, trunk: {leg.trunk.freedom}"))
+    rows.append(("this leg, timed pressures", *ours, f"simulated, {place}, trunk: {leg.trunk.freedom}"))
     return Table("Comparison with published jumps", head, rows)
 
 

@@ -20,7 +20,7 @@ from mckibben.errors import ExportError
 from mckibben.export.leg_mjcf import coordinates, leg_scene
 from mckibben.export.mujoco import import_mujoco
 from mckibben.report.animation import animation_format, write_frames
-from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, posture_of, skeleton
+from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, run_posture, skeleton
 from mckibben.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, styled
 from mckibben.units import bar, deg, ms
 
@@ -91,8 +91,9 @@ def _pictures(plant: LegPlant, run: xr.Dataset, chosen: NDArray[np.int_]) -> NDA
     scene = leg_scene(plant, plant.init_state(*_start(run)))
     rows = [(sites, shapes[name]) for name, parts in scene.parts.items() for sites in [parts[place_of(plant, name)]]]
     colours = [SLACK + one.filling[:, None] * (FULL - SLACK) for _, one in rows]
-    posture = posture_of(at)
-    force = np.stack([at["ground_forward"], at["ground_up"]], -1) * _ARROW / (float(run["ground_up"].max()) or 1.0)
+    posture = run_posture(plant, at)
+    force = np.stack([at[f"ground_{name}"] for name in ("forward", "left", "up")], -1)
+    force *= _ARROW / (float(run["ground_up"].max()) or 1.0)
     top = float(run["z"].max()) + 0.47
     points = skeleton(plant, at)
     left, right = float(points[..., 0].min()), float(points[..., 0].max())

@@ -78,7 +78,7 @@ class _Painter:
         """The force on the foot, from the point where it acts."""
         if np.linalg.norm(force) > 0.02:
             start = point + np.array([0.0, -0.06, 0.005])
-            self._between("ARROW", 0.014, start, start + 2 * np.array([force[0], 0, force[1]]), _ARROW)  # drawn at half
+            self._between("ARROW", 0.014, start, start + 2 * np.asarray(force), _ARROW)  # drawn at half
 
 
 if __name__ == "__main__":

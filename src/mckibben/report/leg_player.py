@@ -1,4 +1,4 @@
-"""Player of runs of a leg in a page: the planar leg with its muscles and the force of the ground, from inline data."""
+"""Player of runs of a leg in a page: its side view with its muscles and the force of the ground, from inline data."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mckibben.leg import LegPlant, LegResult
 
 _FRAMES = 240
+_SIDE_VIEW = [0, 2]  # forwards, up
 _SCALE = 1e4
 """Numbers are stored as integers: lengths in 0.1 mm."""
 
@@ -63,7 +64,8 @@ def _run(title: str, plant: LegPlant, run: xr.Dataset, force: float, pressure: f
     """Data of a run: one row of integers per frame, with points, paths, shapes and force."""
     chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, _FRAMES).round().astype(int))
     at = run.isel(time=chosen)
-    points, paths, shapes = skeleton(plant, at), straight_paths(plant, at), muscle_shapes(plant, at, pressure)
+    points, shapes = skeleton(plant, at)[..., _SIDE_VIEW], muscle_shapes(plant, at, pressure)
+    paths = {name: [part[..., _SIDE_VIEW] for part in parts] for name, parts in straight_paths(plant, at).items()}
     columns = [points.reshape(len(chosen), -1)]
     for name, parts in paths.items():
         columns += [part.reshape(len(chosen), -1) for part in parts]

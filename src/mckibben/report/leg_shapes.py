@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
@@ -13,7 +12,9 @@ from numpy.typing import NDArray
 from mckibben.export.leg_mjcf import anchors
 from mckibben.export.mjcf import Transmission, path_transmission, transmissions
 from mckibben.joint.mechanism import specimen_size
-from mckibben.leg.dynamics import Posture, Velocity, frames
+from mckibben.leg.dynamics import Posture, at_rest, frames
+from mckibben.numerics.spatial import Vector
+from mckibben.plant.bodies import Frame
 from mckibben.report.drawing import SLENDER
 from mckibben.report.style import VERMILLION
 
@@ -36,19 +37,11 @@ class Shape(NamedTuple):
 
 
 def muscle_shapes(plant: LegPlant, run: xr.Dataset, largest: float) -> dict[str, Shape]:
-    """Shapes of the muscles in a run by name, at a `largest` pressure [Pa]; side-swing muscles are slack."""
-    found = {
+    """Shapes of the muscles in a run by name, at a `largest` pressure [Pa]."""
+    return {
         name: _shape(muscle, run["contraction"].sel(muscle=name), run["pressure"].sel(muscle=name) / largest)
         for name, muscle in zip(plant.leg.muscle_names, plant.leg.muscles, strict=True)
     }
-    side = plant.leg.side_swing
-    if side is not None:
-        paths = side.muscles.geometry.path_lengths(0.0)
-        pair = zip((side.muscles.muscle1, side.muscles.muscle2), paths, strict=True)
-        for number, (muscle, path) in enumerate(pair, 1):
-            contraction = np.full(run.sizes["time"], float(muscle.specimen.contraction_at(path)))
-            found[f"{side.name}{number}"] = _shape(muscle, contraction, np.zeros_like(contraction))
-    return found
 
 
 def _shape(muscle: Muscle, contraction: Any, filling: Any) -> Shape:
@@ -65,42 +58,45 @@ def place_of(plant: LegPlant, name: str) -> int:
     return 0
 
 
-def posture_of(run: xr.Dataset) -> Posture:
+def run_posture(plant: LegPlant, run: xr.Dataset) -> Posture:
     """Postures of a run, as arrays over time."""
-    x, z, pitch = (run[name].to_numpy() for name in ("x", "z", "pitch"))
-    return Posture(x, z, pitch, tuple(run["angle"].to_numpy()))  # type: ignore[arg-type]
+    x, z, pitch, angles = (run[name].to_numpy() for name in ("x", "z", "pitch", "angle"))
+    others = {name: run[name].to_numpy() for name in ("y", "yaw", "roll") if name in plant.leg.trunk.motions}
+    return Posture(x, z, pitch, tuple(angles), **others)  # type: ignore[arg-type]
 
 
-def _frames(plant: LegPlant, run: xr.Dataset) -> list[Any]:
+def _frames(plant: LegPlant, run: xr.Dataset) -> list[Frame]:
     """Frames of trunk and links over time."""
-    posture = posture_of(run)
-    rest = Velocity(*jax.tree.map(jnp.zeros_like, posture))
-    return frames(plant.leg, posture, rest)
+    posture = run_posture(plant, run)
+    return frames(plant.leg, posture, at_rest(posture))
+
+
+def _over_time(points: Sequence[Vector], run: xr.Dataset) -> NDArray[np.float64]:
+    """Points as an array, (time, point, 3) [m]."""
+    times = run["z"].to_numpy()
+    return np.array([np.broadcast_arrays(*point, times)[:3] for point in points]).transpose(2, 0, 1)
 
 
 def skeleton(plant: LegPlant, run: xr.Dataset) -> NDArray[np.float64]:
-    """Positions (forwards, up) [m] of the top of the trunk, the joints, and the foot over time: (time, point, 2)."""
+    """Positions [m] of the top of the trunk, the joints, and the foot over time: (time, point, 3)."""
     found, leg = _frames(plant, run), plant.leg
     top = max([0.1, *(point[1] for moved in transmissions(leg.joints[0].muscles.geometry) for point in moved.points)])
-    points = [found[0].point(-top)[:2], *((frame.x, frame.z) for frame in found[1:])]
-    points.append(found[-1].point(leg.links[-1].length)[:2])
-    return np.array([np.broadcast_arrays(*point, run["z"].to_numpy())[:2] for point in points]).transpose(2, 0, 1)
+    points = [found[0].point(top)[0], *(frame.position for frame in found[1:])]
+    return _over_time([*points, found[-1].point(-leg.links[-1].length)[0]], run)
 
 
 def straight_paths(plant: LegPlant, run: xr.Dataset) -> dict[str, list[NDArray[np.float64]]]:
-    """Ends of the straight parts of each muscle over time, (time, end, 2) [m]; other muscles are omitted."""
+    """Ends of the straight parts of each muscle over time, (time, end, 3) [m]; other muscles are omitted."""
     leg, found = plant.leg, _frames(plant, run)
 
     def ends(joint: LegJoint, moved: Transmission) -> NDArray[np.float64]:
         index = leg.index(joint.name)
         above, below = found[index : index + 2]
-        (x, up), (across, beneath) = anchors(joint, moved)
-        fixed = below.x + x * above.cosine - up * above.sine, below.z + x * above.sine + up * above.cosine
-        moving = (
-            below.x + across * below.cosine - beneath * below.sine,
-            below.z + across * below.sine + beneath * below.cosine,
+        fixed, moving = anchors(joint, moved)
+        return _over_time(
+            [below.position + above.axes.apply(fixed), below.position + below.axes.apply(moving)],
+            run,
         )
-        return np.array([fixed, moving]).transpose(2, 0, 1)
 
     paths: dict[str, list[NDArray[np.float64]]] = {}
     for joint in leg.joints:

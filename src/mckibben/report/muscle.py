@@ -110,6 +110,9 @@ def law_comparison(
 
 def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
     """Points of an isobaric dataset; with a fit (to these or other points), also its curves and residuals."""
+    if not hasattr(dataset, "plateau_means"):
+        remedy = "write isobaric(dataset, fit), or fit.plot()"
+        raise RangeError(f"isobaric draws a dataset, not a {type(dataset).__name__}", remedy=remedy)
     return measured_muscles({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
 
 

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from mckibben.simulation import Margins, Result
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
-_BAND = "attainable stiffness"
+_BAND = "attainable at the desired angle"
+_SMALL = "small_motion_stiffness"
 
 
 @styled
@@ -126,6 +127,11 @@ def _stiffness(axes: Axes, runs: Mapping[str, Result], looks: Mapping[str, dict[
     draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
     for name, result in runs.items():
         axes.plot(first.times, result["stiffness"], label=name, **looks[name])
+        if _SMALL in result.columns:
+            look = {**looks[name], "linestyle": (0, (1, 1.2)), "linewidth": 1.0}
+            small = result[_SMALL]  # often far above the other curves, so that the label has its range
+            span = f"{np.nanmin(small):.3g} to {np.nanmax(small):.3g} N·m/rad"
+            axes.plot(first.times, small, label=f"{name}, small motion: {span}", **look)
     axes.plot(first.times, first["desired_stiffness"], label="desired", **DESIRED)
     axes.set(ylabel=STIFFNESS)
 
@@ -154,6 +160,9 @@ def _bounded(curves: list[NDArray[np.float64]]) -> bool:
 
 
 def _same_reference(results: Mapping[str, Result]) -> None:
+    if not isinstance(results, Mapping):
+        remedy = "write tracking({'PID': result}), or result.plot()"
+        raise RangeError(f"tracking draws results by name, not a {type(results).__name__}", remedy=remedy)
     if not results:
         raise RangeError("there is no result to draw", remedy="give at least one, by name")
     first = next(iter(results.values()))

@@ -55,7 +55,7 @@ class Backend(abc.ABC):
     rate: float
     """Sampling rate of each input [Hz]."""
     patience: float
-    """Timeout of the watchdog [s], by the clock of the rig; until it is reopened."""
+    """Timeout of the watchdog [s], by the clock of the rig; an expired watchdog stays expired until it is reopened."""
 
     @property
     @abc.abstractmethod
@@ -209,12 +209,12 @@ class Watchdog:
         self.has_expired, self._reset_at = False, now
 
     def reset(self, now: float) -> None:
-        """Take a heartbeat at a time [s]; no effect once it has expired."""
+        """Register a heartbeat at a time [s]; no effect once it has expired."""
         if not self.has_expired:
             self._reset_at = now
 
     def expires(self, now: float) -> bool:
-        """Whether it expires just now [s]: True once."""
+        """Whether it has expired since the previous call, by a time [s]: True once."""
         if self.has_expired or not now > self.deadline:
             return False
         self.has_expired = True

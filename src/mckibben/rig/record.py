@@ -101,7 +101,7 @@ def read_record(folder: str | os.PathLike[str]) -> RigRecord:
     header, columns = header_of(folder)
     rows: list[dict[str, np.ndarray]] = []
     events: list[Event] = []
-    for one in passages(folder):
+    for one in entries(folder):
         if isinstance(one, Event):
             events.append(one)
         else:
@@ -125,7 +125,7 @@ def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Colu
     return content["header"], columns
 
 
-def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
+def entries(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
     """Rows and events of a record in order; warns of rows lost in damaged parts, and raises an error for other gaps."""
     expected, damaged = 0, False
     for path in segments(Path(folder)):
@@ -136,8 +136,8 @@ def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
             known, damaged = reader.damaged, damaged or lost > 0
             if gap < 0 or (gap and not damaged):
                 message = f"{gap} rows are missing before row {record.number}" if gap > 0 else f"{-gap} rows repeat"
-                raise DatasetError(str(path), [Problem(message, remedy="the file was changed, or one is missing")])
-            if gap or (lost and record.kind != HEADER):  # of the header there are two
+                raise DatasetError(str(path), [Problem(message, remedy="a file was changed, or is missing")])
+            if gap or (lost and record.kind != HEADER):  # the header is stored twice
                 what = f"rows {expected} to {record.number - 1}" if gap else f"{lost} chunk(s) before row {expected}"
                 _warn_of_damage(path, f"{what} are lost")
                 expected = record.number
@@ -163,26 +163,26 @@ def rows_in(folder: str | os.PathLike[str]) -> int:
 
 
 def segments(folder: Path) -> list[Path]:
-    """The files of a record in their order; none where there is no folder."""
+    """The files of a record in order; none if the folder does not exist."""
     return sorted(folder.glob("record-*.chunks"))
 
 
 def _rows(folder: str | os.PathLike[str]) -> Iterator[Rows]:
-    return (one for one in passages(folder) if isinstance(one, Rows))
+    return (one for one in entries(folder) if isinstance(one, Rows))
 
 
 POINT, PLACE = "point", "place"
-"""The kinds of event: a point of the data was taken; a point that only found a boundary was taken."""
+"""Kinds of events: a point of the dataset was measured; a point was measured that only served to find a boundary."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A plateau that was recorded whole."""
+    """A plateau whose samples were all recorded."""
 
     number: int  # of all plateaus of the test, from 0
     first: int  # row of its first sample
     rows: int  # from its first to its last sample
-    every: int  # every such row is a sample: the card may be faster than the protocol requires
+    every: int  # rows per sample: the card may be faster than the protocol requires
     samples: int
     time: float  # of the first sample, by the clock of the record [s]
     pulses: int  # of the motor, from where the muscle was mounted
@@ -192,7 +192,7 @@ class Point:
     set_pressure: float  # [Pa]
     direction: str
     phase: str
-    repeat: int  # number of the innermost one
+    repeat: int  # number of the innermost repetition
     keep: bool  # whether it is a point of the dataset
 
     def to_json(self) -> dict[str, Any]:
@@ -217,7 +217,7 @@ def points(events: Iterable[Event]) -> list[Point]:
 
 def recorded_points(folder: str | os.PathLike[str]) -> list[Point]:
     """The points of a record, in the order of their numbers, each once."""
-    return points(one for one in passages(folder) if isinstance(one, Event))
+    return points(one for one in entries(folder) if isinstance(one, Event))
 
 
 def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> IsobaricDataset:
@@ -237,7 +237,7 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     if not complete.all():
         lost = [point.number for point, whole in zip(kept, complete, strict=True) if not whole]
         if not complete.any():
-            raise DatasetError(str(folder), [Problem("contains samples of no point", remedy="record again")])
+            raise DatasetError(str(folder), [Problem("contains no complete point", remedy="record again")])
         warnings.warn(
             f"{folder}: samples of the points {', '.join(map(str, lost))} are missing; they are left out",
             McKibbenWarning,
@@ -270,7 +270,7 @@ def _fill(folder: str | os.PathLike[str], kept: Sequence[Point], into: dict[str,
     """Copy the samples of each point from the rows of the record."""
     order = sorted(range(len(kept)), key=lambda index: kept[index].first)
     waiting = 0
-    for one in passages(folder):
+    for one in entries(folder):
         if not isinstance(one, Rows):
             continue
         end = one.first + len(one.columns["time"])
@@ -279,7 +279,7 @@ def _fill(folder: str | os.PathLike[str], kept: Sequence[Point], into: dict[str,
             if point.first >= end:
                 break
             wanted = range(point.first, point.first + point.rows, point.every)
-            # those of the point's samples that are in this chunk
+            # the point's samples in this chunk
             begin = max(0, -(-(one.first - point.first) // point.every))
             stop = min(point.samples, -(-(end - point.first) // point.every))
             if stop > begin:

@@ -36,7 +36,7 @@ class Progress(NamedTuple):
 
 
 class ProgressCallback(Protocol):
-    """Callback for the progress, once a cycle."""
+    """Callback for the progress, called once per cycle."""
 
     def __call__(self, progress: Progress) -> None: ...
 
@@ -83,7 +83,7 @@ class RigSession:
         self.vent_and_wait()
 
     def acquire(self, count: int, plateau: int) -> PlateauSamples:
-        """Take the samples of a plateau, all of them recorded."""
+        """Take and record the samples of a plateau."""
         sums: NDArray[np.float64] = np.zeros(len(self._names))
         begun, left, self._points = None, count, plateau
         while left:
@@ -184,7 +184,7 @@ class RigSession:
         def in_time(latest: BlockMeans) -> None:
             if latest.time > since + self.bench.limits.settling:
                 raise StoppedError(
-                    f"{latest.pressure / bar:.3g} bar are left {latest.time - since:.3g} s after venting",
+                    f"{latest.pressure / bar:.3g} bar remain {latest.time - since:.3g} s after venting",
                     value=latest.pressure,
                     unit="Pa",
                     remedy="shut the supply by hand, and check the valve; if it is empty, tare its sensor",
@@ -197,7 +197,7 @@ class RigSession:
         self.backend.set_valves([float(self.bench.calibrations["valve"].volts(max(pressure, 0.0)))])
 
     def _settle(self, near: Callable[[BlockMeans], bool], in_time: Callable[[BlockMeans], None]) -> None:
-        """Wait until the pressure was near its setpoint for the time `steady`; `in_time` raises after too long."""
+        """Wait until the pressure has been near its setpoint for the time `steady`; `in_time` checks the deadline."""
         steady = 0.0
         while steady < self.bench.steady - 1e-9:
             before = self.now
@@ -259,11 +259,11 @@ class RigSession:
         if isinstance(error, KeyboardInterrupt) and self._stop_flag.signal:  # a second signal
             error = self._stop_flag.error()
         reason = str(error) if isinstance(error, McKibbenError) else f"{type(error).__name__}: {error}".rstrip(": ")
-        said: list[str] = []
+        reported: list[str] = []
         bench = self.bench
-        self._note(lambda: self.recorder.event(STOPPED, reason, error=type(error).__name__), said)
+        self._note(lambda: self.recorder.event(STOPPED, reason, error=type(error).__name__), reported)
         found = self.monitor.observe_venting(
-            lambda block: self._note(lambda: self._record(block, 1, -1), said),
+            lambda block: self._note(lambda: self._record(block, 1, -1), reported),
             threshold=bench.vented,
             duration=_OBSERVED,
             samples=bench.samples_per_cycle,
@@ -278,17 +278,17 @@ class RigSession:
         data: dict[str, float] = {} if found.pressure is None else {"pressure": found.pressure}
         if found.pulses is not None:
             data["pulses"] = found.pulses + self._origin
-        self._note(lambda: self.recorder.event(VENTED, vented, **data), said)
-        self._note(self.recorder.flush, said)
-        text = "; ".join([f"stopped: {reason}", vented, *(text for text in said if text not in reason)])
+        self._note(lambda: self.recorder.event(VENTED, vented, **data), reported)
+        self._note(self.recorder.flush, reported)
+        text = "; ".join([f"stopped: {reason}", vented, *(text for text in reported if text not in reason)])
         if isinstance(error, SignalledError):
             return SignalledError(text, signal=error.signal)
         return StoppedError(text)
 
-    def _note(self, do: Callable[[], object], said: list[str]) -> None:
+    def _note(self, do: Callable[[], object], reported: list[str]) -> None:
         """Write to the record; a failure must not prevent venting, and is reported once."""
         try:
             do()
         except Exception as error:
-            if str(error) not in said:
-                said.append(str(error))
+            if str(error) not in reported:
+                reported.append(str(error))

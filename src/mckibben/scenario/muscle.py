@@ -15,7 +15,12 @@ _HEAD = """\
 # A muscle identified by mckibben, for scenarios and protocols: `muscle: muscle.yaml`, or with changes
 # `muscle: {from: muscle.yaml, strength: 0.9}`. The specimen may also have initial_diameter and braid_angle (for the use
 # of air, a simulated rig and Chou's law), rated_force (no limit without it), and a domain, such as
-# `domain: {contraction_max: 25 %, pressure_max: 8 bar}`; without one, 0 bar and the range of the law's points limit it.
+# `domain: {contraction_max: 25 %, pressure_max: 8 bar}`, its limits; without one, they are 0 bar and the law's points.
+# The law is used at the pressures of its points; with `extrapolate: true` of the muscle, up to the limits of the
+# specimen. The stiffness beyond the points is then a guess, and results say so.
+"""
+_VOLUME = """\
+# The volume is assumed: from that at contraction 0 and the law's work per pressure, mckibben.muscle.air.volume_terms.
 """
 
 
@@ -24,7 +29,14 @@ def read_specimen(path: str | os.PathLike[str]) -> Specimen:
     return read_component(Specimen, Path(path), key="specimen")
 
 
-def muscle_text(law: str, *, specimen: str, initial_length: float | None, friction: MaxwellSlip | None = None) -> str:
+def muscle_text(
+    law: str,
+    *,
+    specimen: str,
+    initial_length: float | None,
+    friction: MaxwellSlip | None = None,
+    volume_terms: tuple[float, ...] | None = None,
+) -> str:
     """Return the text of a muscle's file; empty if neither the catalog nor the data give the initial length [m]."""
     name = specimen or "my muscle"
     known = catalog.specimen(name) if name in catalog.names("specimens") else None
@@ -34,5 +46,13 @@ def muscle_text(law: str, *, specimen: str, initial_length: float | None, fricti
     if known is None or initial_length not in (None, float(known.initial_length)):
         length = write(Specimen(name, initial_length or 0.0))["initial_length"]
         section = {"name" if known is None else "from": name, "initial_length": length}
+    if volume_terms is not None:
+        terms = write(Specimen(name, initial_length or 1.0, volume_terms=volume_terms))["volume_terms"]
+        section = {"from": section} if isinstance(section, str) else section
+        section |= {"volume_terms": terms}
     data = {"specimen": section, "law": law}
-    return _HEAD + to_text(data if friction is None else {**data, "friction": write(friction)})
+    return (
+        _HEAD
+        + (_VOLUME if volume_terms else "")
+        + to_text(data if friction is None else {**data, "friction": write(friction)})
+    )

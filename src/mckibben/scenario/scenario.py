@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +21,15 @@ from mckibben.component.schema import Part, independent, inherit, write
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
-from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, ScenarioError
+from mckibben.errors import (
+    FileError,
+    McKibbenError,
+    McKibbenWarning,
+    Problem,
+    ReachabilityWarning,
+    ScenarioError,
+    closest,
+)
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import (
     Actuator,
@@ -32,7 +42,7 @@ from mckibben.plant import (
     PlantState,
     Sensors,
 )
-from mckibben.simulation import ACCURACY, AtRest, CheckedRun, checked_run, needed_substeps
+from mckibben.simulation import ACCURACY, AtRest, CheckedRun, Result, checked_run, needed_substeps
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
@@ -51,7 +61,7 @@ ReferencePart = Annotated[Reference, Part(Reference)]
 class RunSettings(DocumentModel):
     """Base of documents with a plant and the timing of its runs.
 
-    The key `packages` has the installed packages of user-defined classes, with the versions that wrote the text.
+    The key `packages` lists the installed packages of user-defined classes, with the versions that wrote the text.
     """
 
     @model_validator(mode="before")
@@ -67,7 +77,7 @@ class RunSettings(DocumentModel):
     @classmethod
     def _steps_once(cls, value: Any) -> Any:
         both = isinstance(value, dict) and value.get("substeps") is not None and value.get("accuracy") is not None
-        if both and value["accuracy"] != ACCURACY:  # the default, as a number, is that of another scenario's fields
+        if both and value["accuracy"] != ACCURACY:  # copies have the default
             fail_validation("has an accuracy and substeps, which both set the integration steps", "give one of them")
         return value
 
@@ -132,6 +142,8 @@ def model_scope(plant: Any) -> dict[str, Any]:
 class Scenario(RunSettings):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
+    `simulate`, `envelope`, `tune`, `compare` and `export` forward to the functions of these names.
+
     Its parts are the objects that are simulated: read from a file, or made in Python. Parts of a controller's
     model that its file does not give are taken from the plant (`control`). Scenarios compare by value.
 
@@ -147,7 +159,7 @@ class Scenario(RunSettings):
     start
         The initial equilibrium.
     duration, control_period
-        [s]; the first is a whole number of the second.
+        [s]; the duration is an integer multiple of the control period.
     accuracy
         Accuracy of the angle [rad], for which the number of integration steps is chosen.
     substeps
@@ -195,6 +207,13 @@ class Scenario(RunSettings):
         usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
         return {key: one for key, one in written.items() if usual.get(key) != one}
 
+    def __getattr__(self, name: str) -> Any:
+        public = [one for one in dir(Scenario) if not one.startswith("_") and not hasattr(ConfigModel, one)]
+        meant = "simulate" if name in ("run", "plot", "result") else closest(name, public)
+        if name.startswith("_") or not meant:
+            return super().__getattr__(name)  # type: ignore[misc]  # defined by pydantic
+        raise AttributeError(f"a Scenario has no {name!r}; did you mean {meant}()?", name=name, obj=self)
+
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
 
@@ -208,8 +227,40 @@ class Scenario(RunSettings):
         return inherit(self.controller, model_scope(self))
 
     def with_fixed_model(self) -> Scenario:
-        """Return the scenario with a model of the controller that does not follow changes of the plant."""
+        """Return the scenario with a controller whose model does not follow changes of the plant."""
         return self.model_copy(update={"controller": independent(self.control())})
+
+    def simulate(self) -> Result:
+        """Run the scenario, see `mckibben.simulate`; warns if its reference is not statically feasible."""
+        result, feasibility = run_scenario(self)
+        if not feasibility.feasible:
+            warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=2)
+        return result
+
+    def envelope(self, **options: Any) -> Any:
+        """Return attainable set and trackability, see `mckibben.reachability.envelope`."""
+        return _above("reachability").envelope(self, **options)
+
+    def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:
+        """Tune gains or other parameters, see `mckibben.tune`. Default: all gains, with the cost of `mckibben tune`."""
+        return _above("study.tune").tune(self, over, cost, **options)
+
+    def compare(self, controllers: Mapping[str, Controller], *, folder: Path | None = None, **settings: Any) -> Any:
+        """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
+
+        `settings` are attributes of a `mckibben.study.benchmark.Suite`; see `mckibben.study.benchmark.compare`.
+        """
+        benchmark = _above("study.benchmark")
+        return benchmark.compare(benchmark.Suite.of(self, controllers, **settings), folder=folder)
+
+    def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
+        """Write controller or plant for another program, see `mckibben.export.export`."""
+        return _above("export").export(self, target, out, **options)
+
+    def with_extrapolation(self) -> Scenario:
+        """Return the scenario with force laws applied at all pressures of their specimens (`Muscle.extrapolate`)."""
+        muscles = {name: replace(getattr(self.joint, name), extrapolate=True) for name in ("muscle1", "muscle2")}
+        return self.model_copy(update={"joint": replace(self.joint, **muscles)})
 
     def reference(self) -> Reference:
         """Return angle and stiffness references over time."""
@@ -235,8 +286,13 @@ class Scenario(RunSettings):
         )
 
 
+def _above(name: str) -> Any:
+    """A package above this one, for methods that forward to it; imported when one is called."""
+    return importlib.import_module(f"mckibben.{name}")
+
+
 def initial_state(scenario: Scenario) -> AtRest:
-    """Return the initial state of a scenario, at rest; of a batch with one value per run."""
+    """Return the initial state of a scenario, at rest; for a batch, with one value per run."""
     stiffness = scenario.start.stiffness
     return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
 

@@ -82,6 +82,13 @@ class Resolution(NamedTuple):
         """Whether the two solutions agree; true as well for a given number of steps."""
         return math.isnan(self.unresolved_from)
 
+    def batch_substeps(self, first: int) -> int:
+        """Integration steps with which many runs like this one reach the accuracy; `first` are the fewest possible.
+
+        Half of those of this run, which are twice as many as it needs; if it is chaotic, four times the fewest.
+        """
+        return 2**_FALLBACK_DOUBLINGS * first if self.chaotic else max(self.substeps // 2, 1)
+
     def with_rounding(self, exact: ArrayLike, rounded: ArrayLike) -> Resolution:
         """With the error of an angle in 32 bits, if it is larger."""
         apart = np.abs(np.asarray(exact) - np.asarray(rounded, float))
@@ -225,8 +232,7 @@ def resolution_of(refined: Refinement, accuracy: float) -> Resolution:
 
 def nominal_substeps(refined: Refinement, accuracy: float) -> int:
     """Integration steps per control period of one run that reach the accuracy; 4 or more if the run is chaotic."""
-    found = resolution_of(refined, accuracy)
-    return 2**_FALLBACK_DOUBLINGS * refined.first if found.chaotic else found.substeps // 2
+    return resolution_of(refined, accuracy).batch_substeps(refined.first)
 
 
 class StepCounts(NamedTuple):
@@ -255,6 +261,24 @@ class StepCounts(NamedTuple):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Columns of a table of runs."""
         return {"substeps": self.substeps, "error_estimate": self.error, "chaotic": self.chaotic.astype(np.int8)}
+
+    def summary(self) -> dict[str, Any]:
+        """Largest number of steps, largest estimated error, and number of chaotic runs, as plain data."""
+        errors = self.error[np.isfinite(self.error)]
+        return {
+            "substeps": int(self.substeps.max()),
+            "error_estimate_rad": float(errors.max()) if errors.size else None,
+            "runs_chaotic": int(self.chaotic.sum()),
+        }
+
+
+def integration_sentence(summary: Mapping[str, Any]) -> str:
+    """Sentence on the integration error, from `StepCounts.summary`."""
+    error, chaotic = summary["error_estimate_rad"], summary["runs_chaotic"]
+    known = "not estimated" if error is None else f"estimated at no more than {error:.1e} rad"
+    some = f"; {chaotic} runs were found to be chaotic: their metrics hold as statistics only" if chaotic else ""
+    steps = "1 integration step" if summary["substeps"] == 1 else f"up to {summary['substeps']} integration steps"
+    return f"integration error of the angle {known} ({steps} per control period){some}"
 
 
 def refine_blocks(

@@ -84,9 +84,9 @@ class _ConstantCommands(Controller):
 
 
 def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -> JointPlant:
-    """Return a plant whose valves are closed; n and the dead volume stay those of its valves.
+    """Return a plant whose valves are closed; n, dead volume and wall stay those of its valves.
 
-    Raises `RangeError` where these differ between the muscles.
+    With a given n, the air has no temperature. Raises `RangeError` where these differ between the muscles.
     """
     for muscle in (plant.joint.muscle1, plant.joint.muscle2):
         muscle.specimen.check_volume("the stiffness with closed valves")
@@ -94,13 +94,15 @@ def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -
     known: Any = [plant.valve.for_muscle(i) if plant.valve.holds_air else shut for i in (0, 1)]
     index = [one.polytropic_index if polytropic_index is None else polytropic_index for one in known]
     dead = [one.dead_volume for one in known]
-    if not (np.array_equal(index[0], index[1]) and np.array_equal(dead[0], dead[1])):
+    wall = [one.wall_conductance if polytropic_index is None else None for one in known]
+    pairs: Any = (index, dead, wall)
+    if not all(np.array_equal(one, other) for one, other in pairs):
         raise RangeError(
-            "the closed valves of the muscles have different polytropic indices or dead volumes",
+            "the closed valves of the muscles have different polytropic indices, dead volumes or wall conductances",
             field="valve",
             remedy="give both the same",
         )
-    closed = dataclasses.replace(shut, polytropic_index=index[0], dead_volume=dead[0])
+    closed = dataclasses.replace(shut, polytropic_index=index[0], dead_volume=dead[0], wall_conductance=wall[0])
     return dataclasses.replace(plant, valve=closed)
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
+from mckibben.actuator.base import at_room_temperature
 from mckibben.component.columns import Label, labelled
 from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
@@ -95,7 +96,7 @@ def trajectory(
     muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
     dead = [plant.valve.for_muscle(i).dead_volume for i in (0, 1)]
     air1, air2 = (
-        (m.specimen.volume(contraction) + dead[i]) * (pressure + atm) / atm
+        at_room_temperature((m.specimen.volume(contraction) + dead[i]) * (pressure + atm) / atm, state.air, i)
         if m.specimen.has_volume
         else jnp.full_like(stiffness, jnp.nan)
         for i, (m, contraction, pressure) in enumerate(muscles)

@@ -15,6 +15,10 @@ from jaxtyping import Array, ArrayLike
 from mckibben.codegen.native import NativeFunction
 from mckibben.component.columns import Label, attributes, declare
 from mckibben.errors import FileError, Problem
+from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint, MuscleStates
+from mckibben.joint.geometry import Pressures
+from mckibben.muscle import Domain
+from mckibben.notebook import draw
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction, compute_with
@@ -46,6 +50,7 @@ declare(
         "highest_stiffness": Label("N*m/rad", "highest attainable stiffness at the desired angle"),
         "friction_torque": Label("N*m", "torque of the muscles' friction"),
         "joint_friction_torque": Label("N*m", "torque of the joint's own friction"),
+        "small_motion_stiffness": Label("N*m/rad", "stiffness of motion by 0.1 deg, with the muscles' friction"),
         "creep_torque": Label("N*m", "torque of the muscles' creep"),
     },
 )
@@ -75,6 +80,32 @@ def compute_trajectory(
     return jax.tree.map(np.asarray, found)
 
 
+_friction_torque = compiled(AntagonisticJoint.friction_torque)
+_creep_torque = compiled(AntagonisticJoint.creep_torque)
+
+
+@compiled
+def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> Array:
+    return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
+
+
+def joint_columns(
+    joint: AntagonisticJoint, angle: Array, velocity: Array, pressures: Pressures, muscles: MuscleStates
+) -> list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]]:
+    """Columns of friction and creep, by name, each computed when it is first asked for."""
+    forces = {
+        "friction_torque": lambda: _friction_torque(joint, angle, velocity, pressures, muscles),
+        "creep_torque": lambda: _creep_torque(joint, angle, pressures, muscles),
+        "small_motion_stiffness": lambda: _small_motion_stiffness(joint, angle, pressures),
+    }
+    return [((name,), lambda name=name, one=one: {name: one()}) for name, one in forces.items()]
+
+
+def domains_of(plant: JointPlant) -> tuple[Domain, ...]:
+    """Domains of both muscles, as numbers."""
+    return tuple(jax.tree.map(float, muscle.domain) for muscle in plant.muscles)
+
+
 def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 0.0) -> Metrics:
     """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
     change = last_change(moved.desired_stiffness, np)
@@ -98,8 +129,9 @@ class Result(RunResult):
     Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
     ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
     `scenario` the text of the scenario, or empty, `engine` the one that computed it, "native" or "xla", or empty,
-    `resolution` the integration steps per control period with the estimated error of the angle, None if unknown, and
-    `angle_resolution` the step of the sensor of the angle [rad], 0 for none.
+    `resolution` the integration steps per control period with the estimated error of the angle, None if unknown,
+    `angle_resolution` the step of the sensor of the angle [rad], 0 for none, and `domains` those of the two muscles,
+    empty if unknown.
     """
 
     kind = Metrics
@@ -113,9 +145,11 @@ class Result(RunResult):
         engine: str = "",
         resolution: Resolution | None = None,
         angle_resolution: float = 0.0,
+        domains: tuple[Domain, ...] = (),
     ) -> None:
         super().__init__(columns, control_period, scenario, engine, resolution)
         self.angle_resolution = angle_resolution
+        self.domains = domains
         if outcome is not None:
             self.outcome = outcome
 
@@ -151,6 +185,10 @@ class Result(RunResult):
         ]
         return f"<Result: {self.duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}>"
 
+    def plot(self, name: str = "run") -> Any:
+        """Return time traces of the run, see `mckibben.report.tracking`."""
+        return draw("tracking", {name: self})
+
     def describe(self) -> str:
         """The outcome as a sentence, with the time saturated, slack or outside the domain."""
         columns, sentence, times = self.columns, self.outcome.value, self.times
@@ -167,7 +205,7 @@ class Result(RunResult):
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
             for what, mask in (
-                (_outside(columns), columns["outside_domain"]),
+                (self._outside(), columns["outside_domain"]),
                 (f"above the rated force (up to {peak:.4g} N)", columns["overloaded"]),
                 ("saturated", columns["saturated"]),
                 ("slack", columns["slack"]),
@@ -176,8 +214,25 @@ class Result(RunResult):
         ]
         return f"{sentence} ({'; '.join(spans)})" if spans else sentence
 
+    def _outside(self) -> str:
+        """Quantities that left the domain, by how much, and the domain."""
+        furthest, pressures = float(self["excursion"].max()), (self["pressure1"], self["pressure2"])
+        parts = [f"contraction by up to {furthest / percent:.3g} %"] if furthest > 0 else []
+        limits = [(float(one.pressure_min), float(one.pressure_max)) for one in self.domains]
+        beyond = [
+            max(low - float(p.min()), float(p.max()) - high) for p, (low, high) in zip(pressures, limits, strict=False)
+        ]
+        if max(beyond, default=0.0) > 1e-3:
+            parts.append(f"pressure by up to {max(beyond) / bar:.3g} bar")
+        elif not parts:
+            parts.append(f"pressure {np.min(pressures) / bar:.3g}..{np.max(pressures) / bar:.3g} bar")
+        known = " or ".join(dict.fromkeys(one.bounds() for one in self.domains))
+        return f"outside the domain ({' and '.join(parts)}{f'; it is {known}' if known else ''})"
+
     def _attributes(self) -> dict[str, Any]:
-        return super()._attributes() | {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
+        found = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
+        domains = [float(bound) for one in self.domains for bound in vars(one).values()]
+        return super()._attributes() | found | ({"domains": np.array(domains)} if domains else {})
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write to a NetCDF file, atomically and with a checksum."""
@@ -217,18 +272,9 @@ class Result(RunResult):
         scenario, engine = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
         resolution = Resolution.of(table.attrs)
         angle_resolution = float(table.attrs.get("angle_resolution", 0.0))  # files of earlier versions have none
-        return cls(values, float(period), Outcome[outcome], scenario, engine, resolution, angle_resolution)
-
-
-def _outside(columns: Mapping[str, np.ndarray]) -> str:
-    furthest = float(columns["excursion"].max())
-    pressures = np.concatenate([columns["pressure1"], columns["pressure2"]]) / bar
-    how_far = (
-        f"contraction by up to {furthest / percent:.3g} %"
-        if furthest > 0
-        else f"pressure {pressures.min():.3g}..{pressures.max():.3g} bar"
-    )
-    return f"outside the domain ({how_far})"
+        bounds = np.reshape(table.attrs.get("domains", ()), (-1, 4)).tolist()
+        domains = tuple(Domain(*each) for each in bounds)
+        return cls(values, float(period), Outcome[outcome], scenario, engine, resolution, angle_resolution, domains)
 
 
 def _outcome(columns: Mapping[str, np.ndarray], oscillates: Callable[[], bool]) -> Outcome:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -18,7 +18,6 @@ from mckibben.codegen.native import NativeFunction
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
-from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
@@ -47,7 +46,7 @@ from mckibben.simulation.problem import (
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import BAND, Result, compute_trajectory
+from mckibben.simulation.result import BAND, Result, compute_trajectory, domains_of, joint_columns
 from mckibben.simulation.table import Columns
 from mckibben.units import deg
 
@@ -161,7 +160,7 @@ def _band(
 def time_span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
     """Return the share of a run in which a mask is true, and the times [s] of its ends, as text."""
     where, share = np.flatnonzero(mask), mask.mean()
-    text = f"{share:.0%}" if share >= 0.005 else "under 1%"
+    text = f"{share:.0%}" if share > 0.005 else "under 1%"
     return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
 
 
@@ -174,8 +173,8 @@ class CheckedRun(NamedTuple):
 
 def simulate(
     plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
+    controller: Controller | None = None,
+    reference: Reference | None = None,
     *,
     duration: float = 10.0,
     control_period: float = 1e-3,
@@ -233,6 +232,9 @@ def simulate(
     UnreachableError, RangeError
         If no pressures hold the joint at the start, or a muscle would leave its domain there.
     """
+    if controller is None or reference is None:
+        remedy = "write simulate(plant, controller, reference), or scenario.simulate()"
+        raise SimulationError("a plant, a controller and a reference are needed", remedy=remedy)
     result, feasibility = checked_run(
         plant,
         controller,
@@ -422,6 +424,8 @@ def _result(
     telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
+    if plant.joint.has_friction and controller.stiffness_amplitude is None:
+        telemetry |= {"small_motion_stiffness": None}
     if plant.friction is not None:
         telemetry |= {"joint_friction_torque": -plant.friction.resisting_torque(state.friction, state.angle)}
     immediate = {
@@ -449,25 +453,11 @@ def _result(
         moved = compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=run.engine)._asdict()
         return {name: value for name, value in moved.items() if name != "angle_without_step"}
 
-    computed: list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]] = [
-        (Trajectory._fields, derived),
-        (("angle_without_step",), without_step),
-        (("friction_torque",), lambda: {"friction_torque": _friction_torque(plant.joint, *state[:4])}),
-        (
-            ("creep_torque",),
-            lambda: {"creep_torque": _creep_torque(plant.joint, state.angle, state.pressures, state.muscles)},
-        ),
-    ]
+    computed = [(Trajectory._fields, derived), (("angle_without_step",), without_step)]
+    computed += joint_columns(plant.joint, *state[:4])
     names = (*Trajectory._fields, *known, *telemetry)
     columns, encoder = Columns(names, immediate, computed), float(plant.sensors.angle_resolution)
-    return Result(
-        columns,
-        run.control_period,
-        scenario=scenario,
-        engine=used,
-        resolution=resolution,
-        angle_resolution=encoder,
-    )
+    return Result(columns, run.control_period, None, scenario, used, resolution, encoder, domains_of(plant))
 
 
 def _padded(values: ArrayLike) -> Any:
@@ -487,8 +477,6 @@ def _native_start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[P
 
 
 _start_by_xla = compiled(SimulationProblem.start)
-_friction_torque = compiled(AntagonisticJoint.friction_torque)
-_creep_torque = compiled(AntagonisticJoint.creep_torque)
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,35 +12,33 @@ from mckibben import catalog
 from mckibben.errors import NotInCatalogError, suggest
 
 if TYPE_CHECKING:
-    from mckibben.dataset import IsobaricDataset
+    from mckibben.dataset import IsobaricDataset, Recipe
     from mckibben.joint import AntagonisticJoint
     from mckibben.muscle import ForceLaw, Specimen
 
 
 def data_named(
-    name: str,
-    *,
-    columns: Mapping[str, str] | None = None,
-    initial_length: float | None = None,
-    specimen: str = "",
-    slack_force: float | None = None,
-    force_sign: int = 1,
-    skip_corrupt: bool = False,
-    decimal: str = "",
+    names: str | Sequence[str], recipe: Recipe | None = None, *, skip_corrupt: bool = False
 ) -> IsobaricDataset:
-    """A dataset of the catalog, or a file of measurements, to which all options apply."""
-    from mckibben.dataset.reading import check_dataset, read_dataset
+    """A dataset of the catalog, or files of measurements, read by the recipe."""
+    from mckibben.dataset.reading import check_dataset
+    from mckibben.dataset.recipe import Recipe
 
+    recipe = recipe or Recipe()
+    names = [names] if isinstance(names, str) else names
+    name = names[0]
     known = catalog.names("datasets")
-    if name in known and not Path(name).is_file():
-        if columns or initial_length is not None or specimen or slack_force is not None or force_sign < 0:
+    if len(names) == 1 and name in known and not Path(name).is_file():
+        if recipe != Recipe():
             raise NotInCatalogError(
                 f"{name} is a dataset of the catalog",
                 value=name,
                 remedy="columns, initial length, specimen and slack force are for files",
             )
         return catalog.dataset(name)
-    if not Path(name).exists():
+    for name in names:
+        if Path(name).exists():
+            continue
         close = difflib.get_close_matches(name, known, 1) or [one for one in known if name and one.startswith(name)]
         if close or not re.search(r"[./\\]", name):
             raise NotInCatalogError(
@@ -48,22 +46,13 @@ def data_named(
                 value=name,
                 remedy=f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}",
             )
-    found = read_dataset(
-        name,
-        columns=columns,
-        initial_length=initial_length,
-        specimen=specimen,
-        slack_force=slack_force,
-        force_sign=force_sign,
-        on_corrupt="report" if skip_corrupt else "raise",
-        decimal=decimal,  # type: ignore[arg-type]  # checked by the reader
-    )
+    found = recipe.dataset(names, on_corrupt="report" if skip_corrupt else "raise")
     kind = found.table.attrs["specimen"]
-    return check_dataset(found, name, catalog.specimen(kind)) if kind in catalog.names("specimens") else found
+    return check_dataset(found, names[0], catalog.specimen(kind)) if kind in catalog.names("specimens") else found
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
-    """A published parameter set, "chou" of a specimen, or the law of a fit file."""
+    """A published parameter set, Chou's law of a specimen ("chou"), or the law of a fit file."""
     from mckibben.identification import read_law
     from mckibben.muscle import ChouLaw
 
@@ -82,7 +71,7 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
 
 
 def specimen_named(name: str) -> Specimen:
-    """A specimen of the catalog, or that of the file of a specimen or muscle."""
+    """A specimen of the catalog, or from a file of a specimen or muscle."""
     if Path(name).suffix not in (".yaml", ".yml"):
         return catalog.specimen(name)
     from mckibben.scenario import read_specimen
@@ -104,7 +93,7 @@ def law_type_named(name: str) -> type[ForceLaw]:
         }
         if found := [one for one, words in known.items() if _plain(name) in words]:
             if len(found) > 1:
-                raise _unknown("law", name, f"it may be {' or '.join(found)}")
+                raise _unknown("law", name, f"it could be {' or '.join(found)}")
             return laws[found[0]]
     short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
     broken = "".join(f"; {problem}" for problem in load_installed())

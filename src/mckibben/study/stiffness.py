@@ -12,6 +12,7 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.control import Setpoint
+from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import IdealValve, JointPlant
@@ -45,12 +46,15 @@ class StiffnessTests:
     isobaric, closed_valve
         Slopes without friction (Eq. 8), at constant pressures and with closed valves [N*m/rad].
     polytropic_index
-        n of the closed valves.
+        n of the closed valves; for air with a temperature that of fast motion.
     secant, closed_secant
         Closed forms with friction (`AntagonisticJoint.secant_stiffness`) over the amplitudes of the tests [N*m/rad].
     tests
         Simulated tests by name: constant pressures, closed valves, constant commands (with an `AirValve`, which lets
         the pressure vary), and the active controller.
+    closed_dynamic
+        Closed form of K' + i K'' with closed valves over the rates, without friction [N*m/rad], for air with a
+        temperature (`wall_conductance`); else None.
     """
 
     scenario: Scenario
@@ -63,6 +67,7 @@ class StiffnessTests:
     secant: Values
     closed_secant: Values
     tests: dict[str, DynamicStiffness]
+    closed_dynamic: NDArray[np.complex128] | None = None
 
     def __repr__(self) -> str:
         low, high = self.secant.min(), self.secant.max()
@@ -86,10 +91,11 @@ class StiffnessTests:
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headers and rows of a table of every other amplitude and rate; for a controller, the magnitude."""
-        varied = [(name, test) for name, test in self.tests.items() if name not in (HELD, CLOSED)]
-        headers = ["amplitude", SHOWN[HELD], SHOWN[CLOSED]]
+        constant = (HELD, CLOSED) if self.closed_dynamic is None else (HELD,)
+        varied = [(name, test) for name, test in self.tests.items() if name not in constant]
+        headers = ["amplitude", *(SHOWN[name] for name in constant)]
         headers += [f"{SHOWN[name]}, {rate:.2g} Hz" for name, test in varied for rate in test.frequency[::2]]
-        columns = [self.secant, self.closed_secant]
+        columns = [self.secant, self.closed_secant][: len(constant)]
         for name, test in varied:
             columns += [*(test.magnitude if name == CONTROLLED else test.stiffness)[::2]]
         rows = [
@@ -111,11 +117,17 @@ class StiffnessTests:
             "amplitude_deg": (self.amplitudes / deg).tolist(),
             "secant": self.secant.tolist(),
             "closed_secant": self.closed_secant.tolist(),
+            **self._closed_records(),
             "tests": {
                 name: {key: getattr(test, key).tolist() for key in ("frequency", "stiffness", "loss")}
                 for name, test in self.tests.items()
             },
         }
+
+    def _closed_records(self) -> dict[str, Any]:
+        if self.closed_dynamic is None:
+            return {}
+        return {"closed_storage": self.closed_dynamic.real.tolist(), "closed_loss": self.closed_dynamic.imag.tolist()}
 
 
 def stiffness_tests(
@@ -152,8 +164,11 @@ def stiffness_tests(
         started = state if own.valve is plant.valve else state._replace(air=())
         times = {"control_period": period, "substeps": substeps}
         tests[name] = dynamic_stiffness(own, started, amplitudes, rates, **control, **times)
-    index = closed.valve.polytropic_index  # type: ignore
-    dead = closed.valve.dead_volume  # type: ignore
+    valve: Any = closed.valve
+    index = valve.polytropic_index if valve.wall_conductance is None else HEAT_CAPACITY_RATIO
+    dead, dynamic = valve.dead_volume, None
+    if valve.wall_conductance is not None:
+        dynamic = np.asarray(_closed_dynamic(*numeric((closed, state, tests[CLOSED].frequency))))
     numbers = _closed_forms(plant.joint, state.angle, state.pressures, tests[HELD].amplitude, index, dead)
     isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
     return StiffnessTests(
@@ -167,6 +182,7 @@ def stiffness_tests(
         secant,
         closed_secant,
         tests,
+        dynamic,
     )
 
 
@@ -178,4 +194,16 @@ def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index
         joint.closed_valve_stiffness(angle, pressures, **air),
         joint.secant_stiffness(angle, pressures, amplitudes),
         joint.secant_stiffness(angle, pressures, amplitudes, **air),
+    )
+
+
+@compiled
+def _closed_dynamic(plant: JointPlant, state: Any, rates: Any) -> Any:
+    """Complex stiffness [N*m/rad] of small motions at rates [Hz] with closed valves, without friction."""
+    volumes = [one.volume for one in plant.air_volumes(state)]
+    valve: Any = plant.valve
+    pairs = zip(state.pressures, volumes, strict=True)
+    indices = tuple(valve.index_at(pressure, volume, rates) for pressure, volume in pairs)
+    return plant.joint.closed_valve_stiffness(
+        state.angle, state.pressures, polytropic_index=indices, dead_volume=valve.dead_volume
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import gc
 import secrets
 import socket
 import sys
 from collections.abc import Callable
 
+from fastapi.dependencies import models
 from nicegui import app, background_tasks, ui
 from nicegui.server import Server
 from starlette.middleware.sessions import SessionMiddleware
@@ -22,15 +24,30 @@ from mckibben.web.session import collect_warnings, end_sessions
 
 HOST = LOCAL[0]
 _SHUTDOWN = 2  # s for open requests
+_M_ARENA_MAX = -8  # of malloc.h
 
 
 def pages() -> None:
     """Register the pages."""
     collect_warnings()
+    app.on_delete(forget_routes)
     ui.page("/")(joint.page)
     ui.page("/identify")(identify.page)
     ui.page("/run")(run.page)
     ui.page("/rig")(rig.page)
+
+
+def forget_routes() -> None:
+    """Clear FastAPI's caches, which keep the functions of removed routes, and with them uploads and their pages."""
+    for cache in vars(models).values():
+        if callable(clear := getattr(cache, "cache_clear", None)):
+            clear()
+
+
+def _use_one_arena() -> None:
+    """Have glibc allocate in one arena: with one for each thread, the memory of pages that are gone is used less."""
+    if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
+        mallopt(_M_ARENA_MAX, 1)
 
 
 def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
@@ -52,6 +69,7 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
     """
     _check_free(port)
     pages()
+    _use_one_arena()
     gc.set_threshold(700, 10, 10)  # Python's own: a page that was left is a cycle, and the command line collects rarely
     access, secret, signals = Access(port), secrets.token_urlsafe(32), []
     # the last one is called first; NiceGUI adds its own behind these

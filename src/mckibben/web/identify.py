@@ -30,6 +30,7 @@ from mckibben.web.layout import (
     draw,
     frame,
     line,
+    notify_if_replaced,
     panel,
     show_error,
     show_warnings,
@@ -119,7 +120,7 @@ class _Page:
     """Inputs and results of one visit."""
 
     def __init__(self, state: IdentificationState, folder: Path) -> None:
-        self.state, self.folder, self.shown = state, folder, -1
+        self.state, self.folder, self.shown, self.job = state, folder, -1, 0
         with side():
             with panel("Measured points"):
                 upload("CSV, .xlsx, .mat, .tdms, .lvm or .nc", LARGEST, self.uploaded).on_rejected(
@@ -162,6 +163,7 @@ class _Page:
         self.busy.visible = self.step.visible = jobs.busy
         if jobs.busy:
             self.bar.value, self.step.text = jobs.part, jobs.step
+        self.job = notify_if_replaced(jobs, self.job)
         if self.shown != jobs.version:
             self.shown = jobs.version
             self.results.clear()
@@ -209,7 +211,7 @@ class _Page:
         def done(data: IsobaricDataset, heard: list[str]) -> None:
             state.data, state.notes = data, heard
 
-        state.jobs.start(lambda _: load(), done, self.fail)
+        self.job = state.jobs.start(lambda _: load(), done, self.fail)
 
     def read(self) -> None:
         """Read the same file again, with other columns or another length."""
@@ -237,7 +239,7 @@ class _Page:
                     (kept / name).replace(folder / name)
             kept.rmdir()
 
-        state.jobs.start(compute, done, self.fail)
+        self.job = state.jobs.start(compute, done, self.fail)
 
     def rank(self) -> None:
         """Fit all laws, and rank them."""
@@ -249,7 +251,7 @@ class _Page:
         def done(found: Ranking, heard: list[str]) -> None:
             state.ranking, state.error = found, None
 
-        state.jobs.start(lambda progress: rank(data, progress=progress), done, self.fail)
+        self.job = state.jobs.start(lambda progress: rank(data, progress=progress), done, self.fail)
 
     def fail(self, error: McKibbenError) -> None:
         """Store an error for display."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import weakref
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -17,6 +16,7 @@ from nicegui import events, ui
 from numpy.typing import ArrayLike
 
 from mckibben.errors import FileError, McKibbenError, printable
+from mckibben.web.session import Jobs
 
 BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -120,6 +120,14 @@ def _message(message: str, remedy: str) -> None:
             ui.label(printable(remedy, 1000)).classes("quiet")
 
 
+def notify_if_replaced(jobs: Jobs, number: int) -> int:
+    """Tell a page that another tab has ended its job; returns the number of the job, then 0."""
+    if not jobs.replaced(number):
+        return number
+    ui.notify("a computation that another tab has started replaces that of this one")
+    return 0
+
+
 def show_warnings(texts: Iterable[str]) -> None:
     """Warnings, one per line."""
     for text in texts:
@@ -146,14 +154,8 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
 
 
 def upload(label: str, largest: int, taken: Callable[[events.UploadEventArguments], Awaitable[None]]) -> ui.upload:
-    """An upload for a method of a page; FastAPI's caches keep the upload, so it refers to the page only weakly."""
-    method = weakref.WeakMethod(taken)
-
-    async def uploaded(event: events.UploadEventArguments) -> None:
-        if (still := method()) is not None:
-            await still(event)
-
-    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=uploaded)
+    """An upload of one file, whose size [bytes] is limited."""
+    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=taken)
     return made.props("flat bordered").classes("w-full")
 
 

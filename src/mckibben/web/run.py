@@ -26,6 +26,7 @@ from mckibben.web.layout import (
     draw,
     frame,
     line,
+    notify_if_replaced,
     panel,
     show_error,
     show_warnings,
@@ -70,6 +71,7 @@ class _Page:
     def __init__(self, state: Workbench, folder: Path) -> None:
         self.state, self.folder = state, folder
         self.shown = self.formed = -1
+        self.job = 0
         self.text = ""
         with side():
             with panel("Controller and references"):
@@ -125,6 +127,7 @@ class _Page:
         """Show new results."""
         state = self.state
         self.busy.visible = state.jobs.busy
+        self.job = notify_if_replaced(state.jobs, self.job)
         if self.formed != state.form:
             self.formed = state.form
             self.form.clear()
@@ -164,7 +167,7 @@ class _Page:
         def fail(error: McKibbenError) -> None:
             state.error = error
 
-        state.jobs.start(run, done, fail)
+        self.job = state.jobs.start(run, done, fail)
 
     def apply_text(self, text: str) -> None:
         """Run the scenario in a text."""

@@ -6,7 +6,7 @@ import asyncio
 import contextvars
 import tempfile
 import warnings
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -147,6 +147,7 @@ class Jobs:
         self.version = 0
         self.step, self.part = "", 0.0
         self._number = self._running = 0
+        self._replaced: deque[int] = deque(maxlen=_MOST_SESSIONS)
 
     @property
     def busy(self) -> bool:
@@ -158,13 +159,22 @@ class Jobs:
         self._number += 1
         self.version += 1
 
+    def replaced(self, number: int) -> bool:
+        """Whether another job ended the one of this number before it was done."""
+        return number in self._replaced
+
     def start(
         self,
         compute: Callable[[Callable[[str, float], None]], T],
         done: Callable[[T, list[str]], None],
         fail: Callable[[McKibbenError], None],
-    ) -> None:
-        """Compute in a thread, replacing a running job; then call `done` with the warnings, or `fail`."""
+    ) -> int:
+        """Compute in a thread, replacing a running job; then call `done` with the warnings, or `fail`.
+
+        Returns the number of the job.
+        """
+        if self.busy:
+            self._replaced.append(self._number)
         self._number += 1
         number = self._running = self._number
         self.step, self.part = "", 0.0
@@ -197,3 +207,4 @@ class Jobs:
                 self.version += 1
 
         background_tasks.create(run(), name="mckibben job")
+        return number

@@ -7,6 +7,7 @@ import contextlib
 import importlib
 import io
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from mckibben import catalog
 from mckibben.errors import RigError
 from mckibben.muscle import Muscle
 from mckibben.rig.ni import NiRig
-from mckibben.rig.ni.watchdog import WatchdogLink, host_watchdog
+from mckibben.rig.ni.watchdog import WatchdogLink, _read, _watch, host_watchdog
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.units import bar
 
@@ -161,6 +162,34 @@ def test_a_watchdog_process_that_dies_stops_the_test_within_two_cycles(card, way
     taken, out, watchdog = dies(card, way, "watchdog")
     assert taken < TWO_CYCLES + LATE / 2
     assert out.startswith(f"stopped: the watchdog process {watchdog}")
+
+
+@pytest.mark.slow
+def test_an_exception_in_the_watchdog_process_stops_the_test_within_two_cycles(card, tmp_path, monkeypatch):
+    handler = "import signal\ndef fail(*_):\n    raise ZeroDivisionError\nsignal.signal(signal.SIGUSR1, fail)\n"
+    (tmp_path / "sitecustomize.py").write_text(handler)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    taken, out, watchdog = dies(card, "SIGUSR1", "watchdog")
+    assert taken < TWO_CYCLES + LATE / 2
+    assert out.startswith(f"stopped: the watchdog process {watchdog}")
+
+
+class Broken(io.BytesIO):
+    """Standard input that fails after its first message."""
+
+    def readline(self, *size):
+        if line := super().readline(*size):
+            return line
+        raise OSError
+
+
+def test_an_exception_in_the_thread_that_reads_the_heartbeats_vents(monkeypatch):
+    lines, answers = queue.SimpleQueue(), io.BytesIO()
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(Broken(b"beat\n")))
+    with pytest.raises(OSError):
+        _read(lines)
+    assert _watch(lines, answers, patience=60.0)
+    assert answers.getvalue() == b"beat\n"
 
 
 class Silent:

@@ -148,9 +148,11 @@ def main() -> None:
 
 def _read(lines: queue.SimpleQueue[bytes]) -> None:
     """Pass the messages on; an empty one at the end."""
-    while line := sys.stdin.buffer.readline():
-        lines.put(line)
-    lines.put(b"")
+    try:
+        while line := sys.stdin.buffer.readline():
+            lines.put(line)
+    finally:
+        lines.put(b"")  # also after an exception
 
 
 def _watch(lines: queue.SimpleQueue[bytes], answer: IO[bytes], patience: float) -> bool:

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben import notebook
 from mckibben.control import Controller
 from mckibben.errors import ParameterError
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
@@ -86,6 +87,10 @@ class BenchmarkResult:
         run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
         scenarios = {name: self.runs.scenario(name, run, self.tuned.get(name)) for name in controllers}
         return run, {name: run_scenario(scenario).result for name, scenario in scenarios.items()}
+
+    def plot(self) -> Any:
+        """Return a figure of the errors of all controllers, see `mckibben.report.benchmark_errors`."""
+        return notebook.draw("benchmark_errors", self)
 
     def _repr_html_(self) -> str:
         numbers = statistics(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
@@ -13,7 +13,7 @@ from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, explained, fail_validation, parse_model
-from mckibben.control import Reference, Step
+from mckibben.control import Controller, Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, list_parameters
@@ -308,6 +308,19 @@ class Suite(RunSettings):
     control_period: PositiveTime
     accuracy: Accuracy = ACCURACY
     substeps: Substeps | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario, controllers: Mapping[str, Controller], **settings: Any) -> Suite:
+        """Return the suite of a scenario: its controller, named "scenario", and others by name on its reference.
+
+        `settings` are other attributes, such as `conditions`, `tuning` and `evaluation`.
+        """
+        shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
+        given = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
+        steps = {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
+        references = {"reference": ReferenceCase(reference=scenario.signals)}
+        together = {"scenario": scenario.controller, **controllers}
+        return cls(**given, **steps, references=references, controllers=together, **settings)
 
     @field_validator("evaluation", mode="after")
     @classmethod

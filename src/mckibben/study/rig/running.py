@@ -17,7 +17,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.dry_run import DryRun, dry_run
-from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
+from mckibben.rig.record import Event, Point, assemble, entries, header_of, points, read_header, segments
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.safety import stop_on_signals
@@ -293,7 +293,7 @@ def _past(folder: Path) -> _PastSessions:
     events: list[Event] = []
     since, position = 0.0, 0
     step = 1 / header_of(folder)[0]["rate_Hz"] if segments(folder) else 0.0
-    for one in passages(folder):
+    for one in entries(folder):
         if isinstance(one, Event):
             events.append(one)
         elif len(one.columns["time"]):

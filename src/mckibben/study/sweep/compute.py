@@ -35,7 +35,7 @@ from mckibben.study.parameters import Table
 
 FEASIBILITY = {
     "shortfall_max": ("N*m/rad", "largest distance of the stiffness reference from the attainable stiffness"),
-    "infeasible_time": ("1", "share of the time with an angle reference that no pressures within limits hold"),
+    "infeasible_time": ("1", "share of the time in which no pressures within limits hold the reference angle"),
 }
 """Unit and meaning of the variables that `feasibility` returns."""
 
@@ -106,7 +106,7 @@ class BatchTask:
     scenario: Scenario
     metrics: tuple[str, ...]
     precision: int  # bits
-    batch_size: int  # tables are padded to a multiple, so that runs do not depend on one another
+    batch_size: int  # tables are padded to a multiple: a result must not depend on the number of runs
     software: dict[str, str]  # versions, engine and compiler required of the process
     known: tuple[str, ...] = ()  # plant parameters that the controller's model follows
 
@@ -137,7 +137,7 @@ class BatchTask:
         return {name: column[:rows] for name, column in results.items()}
 
     def engines_used(self, table: Table) -> set[str]:
-        """Engine of the first run of a table where it is chosen automatically."""
+        """Engine chosen automatically for the first run of a table."""
         first = {name: column[:1] for name, column in table.items()}
         batch = run_many(
             self.scenario, first, known=self.known, metrics=self.metrics, precision=self.precision, workers=1
@@ -294,7 +294,7 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
                 memory_limit=0,  # a share of the memory is unrelated to the needs of a block
                 silence_logs=logging.CRITICAL,
             )
-        except (OSError, RuntimeError, TimeoutError) as error:  # for example of a worker killed in the meantime
+        except (OSError, RuntimeError, TimeoutError) as error:  # for example because a worker was killed
             message = f"the workers on this machine did not start ({error})"
             raise SimulationError(message, remedy="run it again with --resume, or without dask") from error
         with cluster, Client(cluster, set_as_default=False) as client:

@@ -19,7 +19,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
-from mckibben.simulation.accuracy import STEP_COLUMNS
+from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.table import RunTable, outcome_variable
@@ -216,17 +216,7 @@ def summary(sweep: SweepResult) -> dict[str, Any]:
         "metrics": {_SHOWN[name]: _percentiles(sweep, name, ~failed) for name in sweep.metrics},
         "correlations": _correlations(sweep, failed),
         "feasibility": _infeasible_runs(sweep),
-        "integration": _integration(sweep),
-    }
-
-
-def _integration(sweep: SweepResult) -> dict[str, Any]:
-    errors = sweep.table["error_estimate"].to_numpy()
-    errors = errors[np.isfinite(errors)]
-    return {
-        "substeps": int(sweep.table["substeps"].max()),
-        "error_estimate_rad": float(errors.max()) if errors.size else None,
-        "runs_chaotic": int(sweep.table["chaotic"].sum()),
+        "integration": StepCounts(*(sweep.table[name].to_numpy() for name in STEP_COLUMNS)).summary(),
     }
 
 
@@ -373,16 +363,6 @@ def feasibility_sentence(numbers: Mapping[str, Any]) -> str:
     if count := found["runs_angle_infeasible"]:
         parts.append(f"{count} of {runs} runs have an angle reference that no pressures within limits hold")
     return "; ".join(parts) if parts else "all references are statically feasible"
-
-
-def integration_sentence(numbers: Mapping[str, Any]) -> str:
-    """Sentence on the integration error."""
-    found = numbers["integration"]
-    error, chaotic = found["error_estimate_rad"], found["runs_chaotic"]
-    known = "not estimated" if error is None else f"estimated at no more than {error:.1e} rad"
-    some = f"; {chaotic} runs were found to be chaotic: their metrics hold as statistics only" if chaotic else ""
-    steps = "1 integration step" if found["substeps"] == 1 else f"up to {found['substeps']} integration steps"
-    return f"integration error of the angle {known} ({steps} per control period){some}"
 
 
 def _label(name: str) -> str:

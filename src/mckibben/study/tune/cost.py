@@ -44,8 +44,8 @@ class Cost:
     """Weighted sum of metrics over their scales.
 
     Errors alone would drive gains to the stability limit. With margins the cost is the larger of two: that of the
-    parameters, and that with all tuned controller gains multiplied by the gain margin and the commands delayed further
-    by the delay margin.
+    parameters, and that with all tuned controller gains multiplied by the gain margin and the commands delayed by
+    the delay margin.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ class Cost:
     gain_margin
         Factor by which the gains may increase; 1 for no margin.
     delay_margin
-        Further delay of the commands [s], which the controllers do not know; 0 for no margin.
+        Additional delay of the commands [s], unknown to the controllers; 0 for no margin.
     worst
-        Whether to use the worst of several scenarios or conditions instead of the mean.
+        Whether to use the highest cost over several scenarios or conditions instead of the mean.
     percentile
         Use this percentile of the cost over several scenarios or conditions instead of the mean.
     disk_margin
-        Least disk margin of the linearised loop (`mckibben.simulation.disk_margins`) in every scenario and condition; 0
-        for none. Parameters without it cost more than any that have it.
+        Minimum disk margin of the linearised loop (`mckibben.simulation.disk_margins`) in all scenarios and conditions;
+        0 for none. Parameters without it cost more than any that have it.
 
     Examples
     --------
@@ -107,7 +107,7 @@ class Cost:
                     remedy="give a number above 0, up to 100",
                 )
             if self.worst:
-                raise ParameterError("the worst is the percentile 100", remedy="give one of the two")
+                raise ParameterError("the worst case is the 100th percentile", remedy="give one of the two")
 
     @classmethod
     def of(
@@ -126,7 +126,7 @@ class Cost:
 
     @property
     def has_margin(self) -> bool:
-        """Whether it covers other gains or a longer delay."""
+        """Whether it has a gain margin or a delay margin."""
         return self.gain_margin != 1.0 or self.delay_margin != 0.0
 
     @property

@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from mckibben.errors import FileError, ParameterError, Problem, quoted
-from mckibben.notebook import Progress, html_table, notebook_progress
-from mckibben.scenario import Known, Scenario, with_values
+from mckibben.notebook import Progress, draw, html_table, notebook_progress
+from mckibben.scenario import Known, Scenario, find_parameter, with_values
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, json_record, read_header
@@ -36,6 +36,7 @@ from mckibben.study.tune.search import (
 
 FORMAT, VERSION = "mckibben tuning history", 3
 _TRIAL = b"T"
+DEFAULT_COST, DEFAULT_MARGIN = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad", 1.5
 _MAX_SEED = 2**32 - 1  # arguments common to all methods
 
 
@@ -181,16 +182,22 @@ class TuningResult:
         return f"<TuningResult: cost {self.cost_before:.4g} -> {self.cost:.4g}, {count}, {self.evaluated} trials>"
 
     def _repr_html_(self) -> str:
+        shown = {name: find_parameter(self.scenarios[0], name) for name in self.values}
         rows = [
-            (name, f"{value:.6g}", "at bound" if name in self.at_bound else "") for name, value in self.values.items()
+            (name, shown[name].show(value), "at bound" if name in self.at_bound else "")
+            for name, value in self.values.items()
         ]
-        return html_table(repr(self), ("parameter", "value [SI]", ""), rows)
+        return html_table(repr(self), ("parameter", "value", ""), rows)
+
+    def plot(self) -> Any:
+        """Return a figure of the search, see `mckibben.report.tuning`."""
+        return draw("tuning", self)
 
 
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
-    over: Sequence[SweptParameter] | Sequence[str] | Mapping[str, Distribution],
-    cost: Cost | str,
+    over: Sequence[SweptParameter] | Sequence[str] | Mapping[str, Distribution] = (),
+    cost: Cost | str | None = None,
     *,
     method: Method = Method.GRADIENT,
     starts: int = 4,
@@ -254,9 +261,10 @@ def tune(
     swept: Any = list(over)
     if isinstance(over, Mapping) and several:
         swept = sweep_parameters(several[0], over)
-    elif several and swept and all(isinstance(each, str) for each in swept):
+    elif several and all(isinstance(each, str) for each in swept):
         swept = parse_ranges(swept, several[0])
-    cost = parse_cost(cost) if isinstance(cost, str) else cost
+    if not isinstance(cost, Cost):
+        cost = parse_cost(DEFAULT_COST, gain_margin=DEFAULT_MARGIN) if cost is None else parse_cost(cost)
     problem = TuningProblem.of(several, swept, cost, known, conditions)  # type: ignore[arg-type]
     check_method(method, numbers=len(problem.space), population=population)
     if method is Method.GRADIENT:

@@ -1,0 +1,116 @@
+"""Errors at left-out pressures and contractions, and coverage of prediction intervals there, on measured muscles.
+
+    python benchmarks/left_out.py [FILE ...] [--laws Exponential,Smooth]
+
+The data sets of the catalog, and data files. Each pressure and each inner contraction is predicted from all others, by
+Eq. 2, Chou's law, the laws with smooth deviations, and a plain Gaussian process: a constant mean, a squared exponential
+kernel of two lengths, and noise, by maximum likelihood. Blocks without which Eq. 2 is not determined are left out for
+all. Outliers that `mckibben.identification.find_outliers` names are left out of the data. Prints the table of
+docs/laws.md: RMSE, that relative to Eq. 2, and the share of left-out points inside of nominal 95 % intervals.
+"""
+
+import argparse
+import warnings
+
+import numpy as np
+from scipy.optimize import minimize
+
+import mckibben as mk
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.identification.outliers import find_outliers, without_outliers
+from mckibben.identification.regression import contraction_blocks, pressure_blocks
+from mckibben.muscle import LAWS, forces
+
+DATA = ("festo-tool-10mm", "dmsp-10-250-martens2017")
+COMPARED = ("Exponential", "Chou", "Smooth", "GaussianProcess")
+PLAIN = "a plain Gaussian process"
+STARTS = ((0.0, 0.0, -3.0), (-1.0, -1.0, -3.0), (0.0, 0.0, -6.0))
+BOUNDS = ((-3.0, 6.0), (-3.0, 4.0), (-3.0, 4.0), (-9.0, 1.0))  # logarithms of amplitude, two lengths and noise
+
+
+def gaussian_process(points: IsobaricDataset, new: IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
+    """Force and standard deviation [N] at other points."""
+    given, wanted = (np.column_stack([one.contraction, one.pressure]) for one in (points, new))
+    middle, scale = given.mean(axis=0), given.std(axis=0)
+    given, wanted = (given - middle) / scale, (wanted - middle) / scale
+    mean, spread = points.force.mean(), points.force.std()
+    target = (points.force - mean) / spread
+
+    def kernel(first, second, values):
+        apart = (first[:, None] - second) / np.exp(values[1:3])
+        return np.exp(2 * values[0] - np.sum(apart**2, axis=-1) / 2)
+
+    def noisy(values):
+        return kernel(given, given, values) + (np.exp(2 * values[3]) + 1e-9 * np.exp(2 * values[0])) * np.eye(
+            len(given)
+        )
+
+    def cost(values):
+        factor = np.linalg.cholesky(noisy(values))
+        white = np.linalg.solve(factor, target)
+        return white @ white / 2 + np.log(np.diag(factor)).sum()
+
+    found = min((minimize(cost, (1.0, *start), bounds=BOUNDS) for start in STARTS), key=lambda one: one.fun).x
+    across = kernel(wanted, given, found)
+    solved = np.linalg.solve(noisy(found), across.T)
+    variance = np.exp(2 * found[0]) - np.sum(across * solved.T, axis=1) + np.exp(2 * found[3])
+    return mean + spread * (target @ solved), spread * np.sqrt(np.maximum(variance, 0))
+
+
+def predicted(law: str, points: IsobaricDataset, new: IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
+    """Force [N] at other points, and whether the measured force is inside of its prediction interval."""
+    if law == PLAIN:
+        value, deviation = gaussian_process(points, new)
+        return value, np.abs(new.force - value) <= 1.96 * deviation
+    fit = mk.identify(LAWS[f"{law}Law"], points, robust=False)
+    band = fit.force_intervals(new.contraction, new.pressure).prediction
+    return forces(fit.law, new.contraction, new.pressure), (band.lower <= new.force) & (new.force <= band.upper)
+
+
+def left_out(data: IsobaricDataset, laws: list[str]) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Errors [N] and coverage at the left-out points, by kind of block and by law."""
+    means = data.plateau_means()
+    points = without_outliers(means, find_outliers(means)).taut
+    levels = pressure_blocks(points)[0]
+    kinds = {"pressures": np.empty(0, str) if levels is None else levels.astype(str)}
+    kinds["contractions"] = contraction_blocks(points)
+    found: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
+    for kind, labels in kinds.items():
+        rows: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {law: [] for law in laws}
+        for label in filter(None, np.unique(labels).tolist()):
+            rest, new = points.select(labels != label), points.select(labels == label)
+            try:
+                answers = {law: predicted(law, rest, new) for law in laws}
+            except IdentificationError:
+                continue
+            for law, (value, inside) in answers.items():
+                rows[law].append((value - new.force, inside))
+        if any(rows.values()):
+            found[kind] = {law: tuple(map(np.concatenate, zip(*some, strict=True))) for law, some in rows.items()}
+    return found
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Errors and coverage at left-out pressures and contractions.")
+    parser.add_argument("files", nargs="*", help="data files, in addition to the data sets of the catalog")
+    parser.add_argument("--laws", default=",".join((*COMPARED, PLAIN)), help="laws, the first is the reference")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", McKibbenWarning)
+    laws = options.laws.split(",")
+    sets = {name: catalog.dataset(name) for name in DATA} | {name: read_dataset(name) for name in options.files}
+    print(
+        "| data | left out | points | law | RMSE | relative to Eq. 2 | inside of 95 % |\n|---|---|---|---|---|---|---|"
+    )
+    for name, data in sets.items():
+        for kind, by_law in left_out(data, laws).items():
+            reference = np.sqrt(np.mean(by_law[laws[0]][0] ** 2))
+            for law, (errors, inside) in by_law.items():
+                rmse = np.sqrt(np.mean(errors**2))
+                share = f"{rmse:.2f} N | {rmse / reference:.2f} | {100 * np.mean(inside):.0f} %"
+                print(f"| {name} | {kind} | {len(errors)} | {law} | {share} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

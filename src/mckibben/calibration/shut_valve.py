@@ -1,0 +1,426 @@
+"""Identification of the air in a muscle from tests with a shut valve: heat to the wall, leak and dead volume."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from mckibben.calibration.estimation import JointEstimate, minimised, variance_of
+from mckibben.component.checks import check_positive
+from mckibben.dataset import Recording
+from mckibben.dataset.points import saturated_samples
+from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.muscle import Specimen
+from mckibben.muscle.air import (
+    ATMOSPHERE,
+    HEAT_CAPACITY_RATIO,
+    L_PER_S_BAR,
+    TEMPERATURE,
+    flow_of_warm_air,
+    heat_as_flow,
+    mass_flow,
+    pressure_rate,
+    temperature_rate,
+)
+from mckibben.numerics.calculus import rk4
+from mckibben.numerics.compiled import compiled
+from mckibben.units import bar, cm, kPa, ms, percent, show
+
+Floats = NDArray[np.float64]
+
+_SLOWEST, _GAP = 10 * ms, 1.5  # longest sampling period, and interval in periods
+_BLOCK = 5 * ms  # samples are averaged over this time
+_SUBSTEPS = 2
+_SMOOTHING = 20 * ms  # of the rate of the pressure
+_FAST = 0.1  # of the highest rate: faster changes are filling or venting
+_AFTER = 20 * ms  # left out after a fast change, until the valve is shut
+_SHORTEST = 0.5  # s, of a phase with a shut valve
+_LOWEST = 0.2 * bar  # of a muscle that is not open to the atmosphere
+_RELAXES, _PART = 5.0, 0.005  # least change in a phase, in noise and in absolute pressure
+_STILL = 0.005  # largest change of the contraction in a phase
+_COMPLETE = 2.0  # time constants that a phase should last
+_APART = 1.1  # ratio of volumes from which the dead volume is estimated
+_CRITICAL = 0.3
+_LEAK = 1e-3 * L_PER_S_BAR  # unit of the leak in the search
+_DEAD = 1 * cm**3
+_STAGES, _ITERATIONS, _TOLERANCE = 3, 60, 1e-5
+_FIRST_VARIANCE, _LEAST_VARIANCE = (1 * kPa) ** 2, (10e-3 * kPa) ** 2
+_ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
+_ROOM = 5 / TEMPERATURE  # relative standard deviation of the temperature of the room
+_SHARED = 4  # parameters that all phases share
+_UNEXPLAINED, _NEGLIGIBLE = 3.0, 2e-3  # as for valves
+_PADDING = 256  # blocks: programs are compiled for multiples of it
+
+
+class ShutPhase(NamedTuple):
+    """Part of a recording with a shut valve, between two times [s]; pressures [Pa] in blocks, and the muscle's volume.
+
+    `period` is the time between blocks [s].
+    """
+
+    begin: float
+    end: float
+    contraction: float
+    volume: float
+    pressures: Floats
+    period: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AirFit:
+    """Air of a muscle identified from tests with a shut valve, by `identify_air`.
+
+    Attributes
+    ----------
+    wall_conductance
+        h A [W/K] of the wall, the parameter of valves with air. Its interval is logarithmic.
+    leak
+        Conductance C of the leak [m^3/(s*Pa)]; negative within the noise if there is none.
+    dead_volume
+        Volume [m^3] of tube and fittings; None where it is not observable.
+    phases
+        Parts of the recordings with a shut valve.
+    time_constants
+        Time constant [s] of the temperature in each phase.
+    residual, noise
+        Root mean square of the error of the pressures [Pa], and of the noise of the sensor, after averaging over 5 ms.
+    notes
+        What could not be identified, and why.
+    """
+
+    wall_conductance: JointEstimate
+    leak: JointEstimate
+    dead_volume: JointEstimate | None
+    phases: tuple[ShutPhase, ...]
+    time_constants: tuple[float, ...]
+    residual: float
+    noise: float
+    notes: tuple[str, ...]
+
+    @property
+    def quantities(self) -> dict[str, JointEstimate]:
+        """Estimates by the names of the fields of valves with air."""
+        found = {"wall_conductance": self.wall_conductance, "leak": self.leak}
+        return found if self.dead_volume is None else found | {"dead_volume": self.dead_volume}
+
+    def records(self) -> dict[str, Any]:
+        """The results as plain data in SI units."""
+        return {
+            **{
+                name: {"value": one.value, "deviation": one.deviation, "interval": list(one.interval), "unit": one.unit}
+                for name, one in self.quantities.items()
+            },
+            "phases": [
+                {"begin": one.begin, "end": one.end, "contraction": one.contraction, "time_constant": constant}
+                for one, constant in zip(self.phases, self.time_constants, strict=True)
+            ],
+            "residual": self.residual,
+            "noise": self.noise,
+            "notes": list(self.notes),
+        }
+
+    def report(self) -> str:
+        """Fit as text."""
+        shown = {"W/K": "W/K", "m^3/(s*Pa)": "L/(s*bar)", "m^3": "cm^3"}
+        lines = [f"{len(self.phases)} phases with a shut valve, residual {show(self.residual, 'kPa', 2)}"]
+        for name, one in self.quantities.items():
+            low, high = (show(each, shown[one.unit], 3) for each in one.interval)
+            lines.append(f"{name:17} {show(one.value, shown[one.unit], 3)}, 95 % interval {low} .. {high}")
+        lines.append(f"time constants    {min(self.time_constants):.3g} .. {max(self.time_constants):.3g} s")
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+    def __repr__(self) -> str:
+        low, high = self.wall_conductance.interval
+        return f"<AirFit: {self.wall_conductance.value:.3g} W/K ({low:.3g} .. {high:.3g}), {len(self.phases)} phases>"
+
+
+def identify_air(
+    recordings: Sequence[Recording],
+    specimen: Specimen,
+    *,
+    contraction: float | None = None,
+    dead_volume: float = 0.0,
+) -> AirFit:
+    r"""Identify the heat to the wall, the leak and the dead volume from tests in which a valve is shut.
+
+    A muscle at a fixed length is filled fast, the valve is shut, and the pressure watched; then it is vented in part,
+    shut, and watched again. The pressures while the valve is shut are fitted by the energy balance of `AirActuator` in
+    a constant volume, with the conductance h A of the wall, a leak to the atmosphere, and pressure and temperature at
+    the start of each phase (output-error method). Without a leak,
+
+    .. math:: p = p_\infty + (p_0 - p_\infty) e^{-t/\tau}, \qquad \tau = \frac{p_\infty V}{(\kappa - 1) h A\, T_0}
+
+    so that tests at one length determine h A / V and C / V. The volume is that of the specimen plus the dead volume.
+    This is estimated if there are tests at lengths whose volumes differ by 10 % or more. The intervals contain standard
+    deviations of 5 K of the room, about 20 degrees C, and of 20 mbar of the zero of the sensor.
+
+    Parameters
+    ----------
+    recordings
+        At least one, sampled at 100 Hz or more. Phases begin after changes of the pressure faster than a tenth of the
+        fastest one, and last 0.5 s or more.
+    specimen
+        Muscle, for its volume.
+    contraction
+        Contraction, where the recordings have none.
+    dead_volume
+        Volume [m^3] of tube and fittings between valve and muscle, where it is not estimated.
+
+    Raises
+    ------
+    IdentificationError
+        If there is no recording, no phase with a shut valve, a saturated sensor, a length that changes, or a gap.
+    RangeError
+        If the volume of the specimen is not known.
+
+    Warns
+    -----
+    McKibbenWarning
+        If all phases are shorter than two time constants, or the residual is above three times the noise and 0.2 % of
+        the highest pressure.
+
+    References
+    ----------
+    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models, Gauss-Newton search); the
+    procedure is this project's, docs/valves.md.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> specimen = catalog.specimen("MAS-10-180N-AA-MC-O")
+    >>> time = np.arange(0.0, 6.0, 1e-3)
+    >>> pressure = 4e5 + 1e5 * np.exp(-(time - 0.5) / 0.5)  # filled within 0.1 s, shut at 0.5 s
+    >>> pressure = np.interp(time, [0.0, 0.4, 0.5], [0.0, 0.0, 5e5]) * (time < 0.5) + pressure * (time >= 0.5)
+    >>> found = identify_air([Recording.of(time=time, pressure=pressure, force=0 * time, contraction=0.1)], specimen)
+    >>> round(found.time_constants[0], 2)
+    0.5
+    """
+    check_positive("identify_air", "m^3", zero=True, dead_volume=dead_volume)
+    if not recordings:
+        raise IdentificationError("there is no recording", remedy="give at least one")
+    specimen.check_volume("the heat to the wall")
+    phases = [phase for one in recordings for phase in _shut_phases(one, specimen, contraction)]
+    if not phases:
+        raise IdentificationError(
+            "the recordings have no phase in which the pressure relaxes behind a shut valve",
+            remedy="fill the muscle fast, shut the valve (a regulator must not hold the pressure) and record 3 s; "
+            "then vent in part, shut, and record 3 s",
+        )
+    volumes = np.array([phase.volume for phase in phases])
+    observable = volumes.max() + dead_volume > _APART * (volumes.min() + dead_volume)
+    z, deviations, errors = _solve(_Problem.of(phases, dead_volume, estimates_dead_volume=observable))
+    notes = []
+    if not observable:
+        notes.append(
+            f"the dead volume is not observable at one length, and {show(dead_volume, 'cm^3', 3)} is assumed: the "
+            "conductances are proportional to the volume; add tests at another length"
+        )
+    conductance, leak, dead = math.exp(float(z[0])), float(z[1]) * _LEAK, float(z[2]) * _DEAD
+    rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance
+    constants = tuple(float((one.pressures[-1] + ATMOSPHERE) * (one.volume + dead) / rate) for one in phases)
+    residual = math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
+    noise = math.sqrt(float(np.mean(np.concatenate([np.diff(one) for one in errors]) ** 2)) / 2)
+    _warn(phases, constants, residual, noise)
+    # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room
+    wall = conductance * math.hypot(float(deviations[0]), _ROOM)
+    leaking = math.hypot(_LEAK * float(deviations[1]), leak * _ROOM / 2)
+    return AirFit(
+        JointEstimate(conductance, wall, math.inf, "W/K", logarithmic=True),
+        JointEstimate(leak, leaking, math.inf, "m^3/(s*Pa)"),
+        JointEstimate(dead, _DEAD * float(deviations[2]), math.inf, "m^3") if observable else None,
+        tuple(phases),
+        constants,
+        residual,
+        noise,
+        tuple(notes),
+    )
+
+
+def _warn(phases: Sequence[ShutPhase], constants: Sequence[float], residual: float, noise: float) -> None:
+    if all(one.end - one.begin < _COMPLETE * tau for one, tau in zip(phases, constants, strict=True)):
+        text = f"no phase lasts two time constants of the temperature, which is {max(constants):.2g} s"
+        warnings.warn(f"{text}; watch the pressure for longer", McKibbenWarning, stacklevel=3)
+    highest = max(float(one.pressures.max()) for one in phases)
+    if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
+        text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensor, {noise / kPa:.2g} kPa"
+        remedy = "the intervals are too narrow; check that the valve was shut, and that length and room stayed the same"
+        warnings.warn(f"{text}: the model does not describe the air; {remedy}", McKibbenWarning, stacklevel=3)
+
+
+def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | None) -> list[ShutPhase]:
+    """Parts of a recording between fast changes of the pressure in which this relaxes."""
+    time, pressure = recording.time, recording.table["pressure"].to_numpy()
+    for end, where in saturated_samples(pressure).items():
+        if where.mean() > 1 * percent and pressure[where].mean() > _LOWEST:
+            raise IdentificationError(
+                f"the pressure sensor is saturated: {int(where.sum())} samples are at the {end} of its range",
+                value=float(pressure[where][0]),
+                unit="Pa",
+                remedy="fill to a lower pressure, or use a sensor with a wider range",
+            )
+    lengths = recording.contraction
+    if lengths is None and contraction is None:
+        raise IdentificationError(
+            "the contraction is not known", remedy="record the length, or give the contraction (--contraction)"
+        )
+    period = float(np.median(np.diff(time)))
+    if period > _SLOWEST or np.diff(time).max() > _GAP * period:
+        raise IdentificationError(
+            f"the samples of a recording are up to {show(float(np.diff(time).max()), 'ms', 3)} apart",
+            value=float(np.diff(time).max()),
+            upper=_SLOWEST,
+            unit="s",
+            remedy="sample at a constant rate of 100 Hz or more, without gaps",
+        )
+    count = max(round(_BLOCK / period), 1)
+    window = max(round(_SMOOTHING / period), 1)
+    smooth = np.convolve(pressure, np.ones(window) / window, mode="valid")
+    rate = np.abs(smooth[window:] - smooth[:-window]) / (window * period)
+    slow = np.concatenate([np.zeros(window, bool), rate < _FAST * rate.max(initial=0.0), np.zeros(window, bool)])
+    edges = np.flatnonzero(np.diff(slow.astype(int), prepend=0, append=0))
+    found = []
+    for first, last in zip(edges[::2] + round(_AFTER / period), edges[1::2], strict=True):
+        blocks = (last - first) // count
+        if blocks * count * period < _SHORTEST:
+            continue
+        part = slice(first, first + blocks * count)
+        means = pressure[part].reshape(blocks, count).mean(axis=1)
+        noise = float(np.sqrt(np.mean(np.diff(means) ** 2) / 2))
+        tenth = max(blocks // 10, 1)
+        change = abs(means[:tenth].mean() - means[-tenth:].mean())
+        if means.min() < _LOWEST or change < max(_RELAXES * noise, _PART * (means.mean() + ATMOSPHERE)):
+            continue
+        at = contraction if lengths is None else float(lengths[part].mean())
+        assert at is not None
+        if lengths is not None and np.ptp(lengths[part]) > _STILL:
+            raise IdentificationError(
+                f"the contraction changes by {np.ptp(lengths[part]) / percent:.2g} % while the valve is shut",
+                value=float(np.ptp(lengths[part])),
+                upper=_STILL,
+                unit="1",
+                remedy="hold the muscle at a fixed length",
+            )
+        volume = float(specimen.volume(at))
+        found.append(ShutPhase(float(time[first]), float(time[last - 1]), at, volume, means, count * period))
+    return found
+
+
+class _Problem(NamedTuple):
+    """Phases side by side: pressures, shape (phases, blocks), which of them are fitted, and the start of the search.
+
+    Its parameters are conductance of the wall, leak, dead volume, zero of the sensor, and pressure and temperature at
+    the start of each phase.
+    """
+
+    pressures: Floats
+    used: NDArray[np.bool_]  # until the end of a phase
+    volumes: Floats
+    periods: Floats
+    start: Floats
+    estimates_dead_volume: bool
+
+    @classmethod
+    def of(cls, phases: Sequence[ShutPhase], dead_volume: float, *, estimates_dead_volume: bool) -> _Problem:
+        longest = -(-max(len(one.pressures) for one in phases) // _PADDING) * _PADDING
+        pressures, used = np.zeros((len(phases), longest)), np.zeros((len(phases), longest), bool)
+        first, conductances = [], []
+        for i, one in enumerate(phases):
+            size = len(one.pressures)
+            pressures[i, :size], used[i, :size] = one.pressures, True
+            begin, end = one.pressures[0], one.pressures[-max(size // 10, 1) :].mean()
+            left = np.abs(one.pressures - end) < abs(begin - end) / math.e
+            constant = max(float(np.argmax(left)), 1.0) * one.period
+            room = one.volume + dead_volume
+            conductances.append((end + ATMOSPHERE) * room / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
+            first += [begin / bar, math.log((begin + ATMOSPHERE) / (end + ATMOSPHERE))]
+        shared = [math.log(float(np.median(conductances))), 0.0, dead_volume / _DEAD, 0.0]
+        volumes, periods = (np.array([getattr(one, name) for one in phases]) for name in ("volume", "period"))
+        start = np.array([*shared, *first])
+        return cls(pressures, used, volumes, periods, start, estimates_dead_volume)
+
+
+def _simulated(z: Array, volumes: Array, periods: Array, blocks: int) -> Array:
+    """Pressures [Pa] of all phases, shape (phases, blocks)."""
+    conductance, leak, dead = jnp.exp(z[0]), z[1] * _LEAK, z[2] * _DEAD
+    room, step = volumes + dead, periods / _SUBSTEPS
+
+    def rates(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        gauge, temperature = state
+        absolute = gauge + ATMOSPHERE
+        leaking = flow_of_warm_air(-mass_flow(leak, _CRITICAL, absolute, ATMOSPHERE), temperature)
+        filling = leaking * temperature / TEMPERATURE + heat_as_flow(conductance, temperature)
+        rate = pressure_rate(HEAT_CAPACITY_RATIO, absolute, filling, room, 0.0)
+        return rate, temperature_rate(temperature, absolute, rate, leaking, room, 0.0)
+
+    def follow(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        return lax.fori_loop(0, _SUBSTEPS, lambda _, one: rk4(rates, one, step), state), state[0] + _ZERO * z[3]
+
+    own = z[_SHARED:]
+    begin = own[::2] * bar, TEMPERATURE * jnp.exp(own[1::2])
+    return lax.scan(follow, begin, None, blocks)[1].T
+
+
+def _sensitivities(z: Array, volumes: Array, periods: Array, like: Array) -> tuple[Array, Array]:
+    """Pressures [Pa] of all phases and their derivatives."""
+
+    def simulated(z: Array) -> tuple[Array, Array]:
+        found = _simulated(z, volumes, periods, like.shape[1])
+        return found, found
+
+    slope, found = jax.jacfwd(simulated, has_aux=True)(z)
+    return found, slope
+
+
+_sensitivity_program: Any = compiled(_sensitivities)
+
+
+def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
+    """Estimates, their standard deviations, and the errors [Pa] of each phase."""
+    free = np.ones(problem.start.size, bool)
+    free[2] = problem.estimates_dead_volume
+    used = problem.used
+    zero = (np.arange(free.size) == _SHARED - 1)[free]  # has a normal prior
+    variance = _FIRST_VARIANCE
+
+    def whole(x: Floats) -> Floats:
+        z = problem.start.copy()
+        z[free] = x
+        return z
+
+    def errors_at(x: Floats) -> tuple[Floats, Floats]:
+        found, slope = _sensitivity_program(whole(x), problem.volumes, problem.periods, problem.pressures)
+        return (np.asarray(found) - problem.pressures)[used], np.asarray(slope)[used][:, free]
+
+    def terms(x: Floats) -> tuple[float, Floats, Floats]:
+        error, slope = errors_at(x)
+        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+            return math.inf, np.zeros(x.size), np.eye(x.size)
+        prior = np.where(zero, x, 0.0)
+        objective = (float(error @ error) / variance + float(prior @ prior)) / 2
+        return objective, error @ slope / variance + prior, slope.T @ slope / variance + np.diag(zero.astype(float))
+
+    x, parts = problem.start[free], []
+    for _ in range(_STAGES):
+        x, objective = minimised(terms, x, _ITERATIONS, _TOLERANCE)
+        if not math.isfinite(objective):
+            raise IdentificationError(
+                "the pressures are not those of air that cools behind a shut valve",
+                remedy="check the units of the recording, and that the valve was shut",
+            )
+        parts = np.split(errors_at(x)[0], np.cumsum(used.sum(axis=1))[:-1])
+        variance = max(variance_of(list(parts)), _LEAST_VARIANCE)
+    deviations = np.zeros(problem.start.size)
+    curvature = terms(x)[2]
+    scale = np.sqrt(np.diag(curvature))
+    deviations[free] = np.sqrt(np.diag(np.linalg.inv(curvature / np.outer(scale, scale)))) / scale
+    return whole(x), deviations, list(parts)

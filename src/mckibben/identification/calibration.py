@@ -1,0 +1,150 @@
+"""Calibration of intervals on left-out blocks: prediction by conformal scores, and the variance of a law's misfit.
+
+Each pressure, and each inner contraction, is predicted by the fit to all others. The score of a left-out point is its
+error, relative to the standard deviation that this fit predicts for it. A quantile of the scores replaces that of
+Student's t, so that the intervals hold for new pressures and new contractions whatever the errors are.
+
+References
+----------
+J. Lei, M. G'Sell, A. Rinaldo, R. Tibshirani and L. Wasserman, "Distribution-free predictive inference for regression",
+J. American Statistical Association 113 (2018) 1094-1111; V. Vovk, "Cross-conformal predictors", Annals of Mathematics
+and Artificial Intelligence 74 (2015) 9-28.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.identification.intervals import check_level
+from mckibben.identification.regression import (
+    NotIdentifiableError,
+    Regression,
+    contraction_blocks,
+    cross_validate,
+    pressure_blocks,
+)
+from mckibben.identification.smooth import surface
+from mckibben.identification.uncertainty import Floats
+
+_FEWEST = 20  # left-out points of a kind: a quantile of 95 % needs them
+_SIGNIFICANT = 0.01  # probability of a misfit of a right law
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Scores of left-out points, and the misfit of the law.
+
+    Attributes
+    ----------
+    pressure, contraction
+        Ascending scores at left-out pressures and at left-out inner contractions; empty if there are too few.
+    measured
+        Ascending contractions of the points [-].
+    misfit
+        Variance [N^2] of the law's systematic error at left-out points, and its degrees of freedom; 0 if the scatter
+        about the law is that about a smooth surface.
+    """
+
+    pressure: Floats = field(repr=False)
+    contraction: Floats = field(repr=False)
+    measured: Floats = field(repr=False)
+    misfit: tuple[float, float]
+
+    @classmethod
+    def of(cls, regression: Regression) -> Calibration:
+        """Calibration of a regression; its law is fitted once for each block left out."""
+        points = regression.points
+        levels = pressure_blocks(points)[0]
+        pressure = _left_out(regression, np.empty(0, "<U1") if levels is None else levels.astype(str))
+        contraction = _left_out(regression, contraction_blocks(points))
+        misfit = _misfit(regression, pressure)
+        return cls(pressure.scores, contraction.scores, np.unique(points.contraction), misfit)
+
+    def quantile(self, level: float, contraction: Floats) -> Floats | None:
+        """Half width of a prediction interval in standard deviations, by contraction; None without enough scores.
+
+        At a measured contraction it is that of left-out pressures; in the middle between two, that of left-out
+        contractions, if it is larger.
+        """
+        check_level(level)
+        at_measured, between = _quantile(self.pressure, level), _quantile(self.contraction, level)
+        if at_measured is None:
+            return None
+        between = at_measured if between is None else max(at_measured, between)
+        above = np.clip(np.searchsorted(self.measured, contraction), 1, max(len(self.measured) - 1, 1))
+        low, high = self.measured[above - 1], self.measured[np.minimum(above, len(self.measured) - 1)]
+        apart = np.minimum(np.abs(contraction - low), np.abs(contraction - high))
+        share = np.clip(2 * apart / np.maximum(high - low, np.finfo(float).eps), 0.0, 1.0)
+        return at_measured + share * (between - at_measured)
+
+
+@dataclass(frozen=True, eq=False)
+class _LeftOut:
+    scores: Floats  # ascending
+    square: float  # mean square error [N^2], less the variance of the fit
+    blocks: int
+
+
+def _left_out(regression: Regression, labels: NDArray[np.str_]) -> _LeftOut:
+    """Scores at the blocks without which the law is determined."""
+    scores: list[float] = []
+    squares: list[float] = []
+    blocks = 0
+    for block in np.unique(labels).tolist():
+        if block == "":
+            continue
+        only = np.where(labels == block, labels, "")
+        try:
+            found = cross_validate(regression.problem, regression.solution, only, regression.refit)
+        except NotIdentifiableError:
+            continue
+        out = np.isfinite(found.residuals) & np.isfinite(found.scatter_variance)
+        if not out.any():
+            continue
+        force = regression.points.force[out] - found.residuals[out]
+        variance = found.law_variance[out] + found.scatter_variance[out] * regression.relative_variance(force)
+        scores += (np.abs(found.residuals[out]) / np.sqrt(variance)).tolist()
+        squares += (found.residuals[out] ** 2 - found.law_variance[out]).tolist()
+        blocks += 1
+    return _LeftOut(np.sort(scores), float(np.mean(squares)) if squares else 0.0, blocks)
+
+
+def _quantile(scores: Floats, level: float) -> float | None:
+    """Conformal quantile of ascending scores: the smallest that holds for one more point at this level."""
+    if len(scores) < _FEWEST:
+        return None
+    return float(scores[min(int(np.ceil(level * (len(scores) + 1))), len(scores)) - 1])
+
+
+def _misfit(regression: Regression, left_out: _LeftOut) -> tuple[float, float]:
+    """Variance of the misfit: that of left-out errors beyond the scatter about a smooth surface (lack of fit)."""
+    from scipy.special import fdtrc
+
+    scatter, points = _surface_scatter(regression), regression.points
+    if scatter is None or left_out.blocks < 2:
+        return 0.0, np.inf
+    pure, freedom = scatter
+    solution = regression.solution
+    squares = float(solution.residuals @ solution.residuals)
+    own_freedom = len(points) - solution.effective_parameters
+    extra = own_freedom - freedom
+    if extra < 1 or not pure > 0:  # the surface has no more freedom than the law
+        return 0.0, np.inf
+    ratio = (squares - pure * freedom) / extra / pure
+    if not ratio > 0 or fdtrc(extra, freedom, ratio) > _SIGNIFICANT:
+        return 0.0, np.inf
+    return max(left_out.square - pure, 0.0), float(left_out.blocks)
+
+
+def _surface_scatter(regression: Regression) -> tuple[float, float] | None:
+    """Variance of the points about a smooth surface [N^2], and its degrees of freedom; None without support."""
+    found = surface(regression.points)
+    if found is None:
+        return None
+    model, hyperparameters = found
+    residuals, effective = model.conditional(hyperparameters)
+    freedom = len(residuals) - effective
+    return (float(residuals @ residuals) / freedom, freedom) if freedom >= 1 else None

@@ -1,0 +1,128 @@
+"""Outliers among measured points: points that contradict the smooth surface through all others.
+
+The surface is Eq. 2 with a Gaussian process (`GaussianProcessLaw`), so that the misfit of a force law does not count.
+Each point is tested by its externally studentised residual, that of the fit without it, one point after the other; the
+last significant one is the last outlier, because outliers may mask each other.
+
+References
+----------
+B. Rosner, "Percentage points for a generalized ESD many-outlier procedure", Technometrics 25 (1983) 165-172; R. Cook
+and S. Weisberg, "Residuals and Influence in Regression", Chapman and Hall 1982, section 2.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification.fit import Outlier
+from mckibben.identification.least_squares import FitProblem, grid_search, solve
+from mckibben.identification.mixed_model import MixedModel
+from mckibben.identification.smooth import Deviations
+from mckibben.identification.uncertainty import Bools, Floats, scatter_growth
+from mckibben.muscle import ExponentialLaw, GaussianProcessLaw
+
+_LEVEL = 0.01  # probability of any outlier among good points
+_SMALLEST = 0.005  # of the largest force: a smaller error is that of a load cell
+_MOST = 0.05  # share of the points: more are not isolated errors
+_AHEAD = 2  # further points that are tested after the last significant one
+_FEWEST = 12  # points
+_SURFACE = 28  # points that a surface needs; fewer are compared with Eq. 2 alone
+
+
+def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
+    """Outliers among the taut plateau means of a dataset, in the order of its rows."""
+    points = means.taut
+    rows = np.flatnonzero(~means.slack)
+    forces = points.force
+    kept, found, pending = np.ones(len(points), bool), [], []
+    most = max(1, int(_MOST * len(points)))
+    hyperparameters: Sequence[Floats] = ()
+    smallest = max(_SMALLEST * float(forces.max(initial=0.0)), _loop_width(points))
+    while np.count_nonzero(kept) >= _FEWEST and len(found) + len(pending) < most + _AHEAD:
+        tested = _test(points, kept, smallest, hyperparameters)
+        if tested is None:
+            break
+        errors, statistics, freedom, hyperparameters = tested
+        worst = int(np.argmax(np.where(np.abs(errors) > smallest, np.abs(statistics), 0.0)))
+        at = np.flatnonzero(kept)[worst]
+        pending.append((int(at), float(errors[worst])))
+        kept[at] = False
+        if abs(errors[worst]) > smallest and abs(statistics[worst]) > _limit(len(errors), freedom):
+            found, pending = [*found, *pending], []
+        elif len(pending) == _AHEAD:
+            break
+    if len(found) > most:
+        return ()
+    return tuple(
+        Outlier(int(rows[i]) + 1, float(points.pressure[i]), float(points.contraction[i]), float(forces[i]), force)
+        for i, force in sorted((i, float(forces[i]) - error) for i, error in found)
+    )
+
+
+def without_outliers(means: IsobaricDataset, outliers: Sequence[Outlier]) -> IsobaricDataset:
+    """Dataset without the rows of the outliers."""
+    return means.select(~np.isin(np.arange(len(means)) + 1, [one.row for one in outliers])) if outliers else means
+
+
+def _limit(count: int, freedom: int) -> float:
+    """Limit of the largest of the studentised residuals (Bonferroni)."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom - 1, 1 - _LEVEL / (2 * count)))
+
+
+def _test(
+    points: IsobaricDataset, kept: Bools, smallest: float, starts: Sequence[Floats]
+) -> tuple[Floats, Floats, int, Sequence[Floats]] | None:
+    """Errors [N] and studentised residuals of the kept points, degrees of freedom, and hyperparameters.
+
+    None if all errors of Eq. 2 are small, or if there are too few points.
+    """
+    eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
+    base = solve(eq2, grid_search(eq2))
+    if not np.abs(base.residuals).max(initial=0.0) > smallest:
+        return None
+    used = points.select(kept)
+    surface = len(used) >= _SURFACE and bool(np.ptp(used.contraction)) and bool(np.ptp(used.pressure))
+    if surface:
+        deviations = Deviations.of(GaussianProcessLaw, points, base)
+        model = deviations.prior.model(*deviations.columns(base))
+        model = MixedModel(np.hstack([model.fixed, _passes(used)]), model.random, model.residuals, model.scales)
+        found = model.estimate(starts or deviations.prior.starts, deviations.prior.bounds)[0]
+        starts = (found,)
+    else:
+        residuals, columns = base.augmented
+        none = np.empty((0, 0))
+        model = MixedModel(columns, np.empty((len(used), 0)), residuals, lambda _: (np.empty(0), none))
+        found = np.empty(0)
+    if model.freedom < 3:
+        return None
+    errors, statistics = model.deleted_residuals(found)
+    growth = scatter_growth(used.force - model.residuals, errors)
+    variance = 1 + growth * used.force**2
+    return errors, statistics * np.sqrt(np.mean(variance) / variance), model.freedom, starts
+
+
+def _loop_width(points: IsobaricDataset) -> float:
+    """Mean distance [N] of loading from unloading, within which friction moves a point; 0 for one direction."""
+    if len(points.directions) < 2:
+        return 0.0
+    passes = _passes(points)
+    eq2 = FitProblem.of(ExponentialLaw, points)
+    base = solve(eq2, grid_search(eq2))
+    columns = np.hstack([base.jacobian, passes[:, :1]])
+    lengths = np.linalg.norm(columns, axis=0)
+    return abs(float(np.linalg.lstsq(columns / lengths, base.residuals, rcond=None)[0][-1] / lengths[-1]))
+
+
+def _passes(points: IsobaricDataset) -> Floats:
+    """Indicator columns of the directions and phases: their difference is friction."""
+    columns = [
+        (points.table[name].to_numpy() == word).astype(float)
+        for name, words in (("direction", points.directions), ("phase", points.phases))
+        for word in words
+    ]
+    return np.column_stack(columns) if columns else np.empty((len(points), 0))

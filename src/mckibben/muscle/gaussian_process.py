@@ -1,0 +1,161 @@
+"""Eq. 2 with a deviation over contraction and pressure, the mean of a Gaussian process of reduced rank."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle import base
+from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, check_gain
+from mckibben.muscle.exponential import Decay, ExponentialLaw
+from mckibben.muscle.specimen import Domain
+from mckibben.numerics.elementary import exp
+from mckibben.units import ForceTerm, GainTerm
+
+ORDER = 6
+"""Number of basis functions over contraction and over pressure."""
+
+
+class GaussianProcessLaw(ForceLaw):
+    r"""Eq. 2 with a smooth deviation over contraction and pressure.
+
+    .. math:: F = F_{Eq. 2} + \sum_{i,j=0}^{5} d_{ij}\,T_i(g(v))\,T_j(g(w)), \quad
+        v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right), \quad
+        w = \mathrm{clip}\left(\frac{p - p_m}{k}, -1, 1\right)
+
+    :math:`T_i` are Chebyshev polynomials and :math:`g(v) = (3v - v^3)/2`, so that :math:`T_i(g(v))` is nearly
+    :math:`\cos(i\pi(v - 1)/2)`: the basis of a Gaussian process of reduced rank, without a trigonometric function. Each
+    has a slope of zero at the ends of the window, and beyond them the deviation is constant: the force has a continuous
+    slope everywhere, and the deviation is bounded. `identify` sets the window to twice the range of the points and
+    estimates the size and the two lengths of the deviation (`mckibben.identification.smooth`); it returns a simpler law
+    if that predicts points left out as well.
+
+    Parameters
+    ----------
+    a1, a2, b1, b2, c1, c2, decay
+        As for `ExponentialLaw`.
+    d00, ..., d55
+        Coefficients of the deviation [N]; the first digit is the order over contraction.
+    centre, half_width
+        Window over contraction [-].
+    pressure_centre, pressure_half_width
+        Window over pressure [Pa].
+
+    References
+    ----------
+    A. Solin and S. Sarkka, "Hilbert space methods for reduced-rank Gaussian process regression", Statistics and
+    Computing 30 (2020) 419-446; its sum with Eq. 2: this project, docs/laws.md.
+
+    Examples
+    --------
+    >>> from mckibben import catalog, identify
+    >>> from mckibben.muscle import GaussianProcessLaw
+    >>> fit = identify(GaussianProcessLaw, catalog.dataset("dmsp-10-250-martens2017"))
+    >>> type(fit.law).__name__, round(fit.rmse, 2)
+    ('GaussianProcessLaw', 0.61)
+    """
+
+    short_name = "gaussian_process"
+
+    a1: ForceTerm
+    a2: GainTerm
+    b1: ForceTerm
+    b2: GainTerm
+    c1: ForceTerm
+    c2: GainTerm
+    d00: float
+    d01: float
+    d02: float
+    d03: float
+    d04: float
+    d05: float
+    d10: float
+    d11: float
+    d12: float
+    d13: float
+    d14: float
+    d15: float
+    d20: float
+    d21: float
+    d22: float
+    d23: float
+    d24: float
+    d25: float
+    d30: float
+    d31: float
+    d32: float
+    d33: float
+    d34: float
+    d35: float
+    d40: float
+    d41: float
+    d42: float
+    d43: float
+    d44: float
+    d45: float
+    d50: float
+    d51: float
+    d52: float
+    d53: float
+    d54: float
+    d55: float
+    decay: Decay
+    centre: float
+    half_width: PositiveContraction
+    pressure_centre: float
+    pressure_half_width: float
+    domain: Domain = Domain()
+
+    equation = (
+        "F = F_Eq2 + sum_ij d_ij T_i(g(v)) T_j(g(w)), g(v) = (3 v - v^3)/2, "
+        "v = clip((eps - centre)/half_width, -1, 1), w = clip((p - pressure_centre)/pressure_half_width, -1, 1)"
+    )
+    source = "this project"
+    linear_parameters = (
+        *ExponentialLaw.linear_parameters,
+        *(
+            Parameter(
+                f"d{i}{j}", "N", "N", f"deviation, order {i} over contraction and {j} over pressure", penalised=True
+            )
+            for i in range(ORDER)
+            for j in range(ORDER)
+        ),
+    )
+    shape_parameters = ExponentialLaw.shape_parameters
+    constants = (
+        Parameter("centre", "1", "percent", "centre of the window over contraction"),
+        Parameter("half_width", "1", "percent", "its half width"),
+        Parameter("pressure_centre", "Pa", "bar", "centre of the window over pressure"),
+        Parameter("pressure_half_width", "Pa", "bar", "its half width"),
+    )
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_gain(self, **{"a2 + c2": self.a2 + self.c2})
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        eps, p = jnp.asarray(contraction), jnp.asarray(pressure)
+        decayed = exp(-self.decay * eps)
+        offset, gain = self.a1 + self.b1 * eps + self.c1 * decayed, self.a2 + self.b2 * eps + self.c2 * decayed
+        over_contraction = _basis((eps - self.centre) * (1 / self.half_width))
+        over_pressure = _basis((p - self.pressure_centre) * (1 / self.pressure_half_width))
+        deviation = jnp.asarray(0.0)
+        for i, along in enumerate(over_contraction):
+            row = jnp.asarray(0.0)
+            for j, across in enumerate(over_pressure):
+                row = row + getattr(self, f"d{i}{j}") * across
+            deviation = deviation + row * along
+        return offset + gain * p + deviation
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        return base.pressure_for(self, force, contraction)
+
+
+def _basis(position: Array) -> list[Array]:
+    """T_0, ..., T_5 at g(v), for a position in the window."""
+    v = jnp.clip(position, -1.0, 1.0)
+    g = v * (1.5 - 0.5 * v * v)
+    found = [jnp.ones_like(g), g]
+    while len(found) < ORDER:
+        found.append(2.0 * g * found[-1] - found[-2])
+    return found

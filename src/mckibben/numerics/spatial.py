@@ -1,0 +1,160 @@
+"""Vectors, rotations and tensors in space as scalars; components that are plain numbers are known when traced.
+
+A product with a known 0 or 1 and a sum with a known 0 emit no operation, so that a chain of bodies in a plane takes no
+more operations than planar formulas.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from mckibben.numerics.elementary import sincos
+
+
+def product(one: Any, two: Any) -> Any:
+    """Return one times two."""
+    for known, other in ((one, two), (two, one)):
+        if isinstance(known, int | float):
+            if known == 0:
+                return 0.0
+            if abs(known) == 1:
+                return other if known == 1 else -other
+    return one * two
+
+
+def total(one: Any, two: Any) -> Any:
+    """Return one plus two."""
+    for known, other in ((one, two), (two, one)):
+        if isinstance(known, int | float) and known == 0:
+            return other
+    return one + two
+
+
+def difference(one: Any, two: Any) -> Any:
+    """Return one minus two."""
+    if one is two:
+        return 0.0
+    if isinstance(two, int | float) and two == 0:
+        return one
+    return -two if isinstance(one, int | float) and one == 0 else one - two
+
+
+class Vector(NamedTuple):
+    """Vector in space."""
+
+    x: Any
+    y: Any
+    z: Any
+
+    def __add__(self, other: Sequence[Any]) -> Vector:  # type: ignore[override]
+        return Vector(*map(total, self, other))
+
+    def __sub__(self, other: Sequence[Any]) -> Vector:
+        return Vector(*map(difference, self, other))
+
+    def __neg__(self) -> Vector:
+        return Vector(0.0, 0.0, 0.0) - self
+
+    def scaled(self, factor: Any) -> Vector:
+        """Return the vector times a factor."""
+        return Vector(*(product(factor, one) for one in self))
+
+    def dot(self, other: Vector) -> Any:
+        """Return the scalar product."""
+        x, y, z = map(product, self, other)
+        return total(total(x, y), z)
+
+    def cross(self, other: Vector) -> Vector:
+        """Return the vector product."""
+        (x, y, z), (u, v, w) = self, other
+        return Vector(
+            difference(product(y, w), product(z, v)),
+            difference(product(z, u), product(x, w)),
+            difference(product(x, v), product(y, u)),
+        )
+
+
+ZERO = Vector(0.0, 0.0, 0.0)
+X, Y, Z = Vector(1.0, 0.0, 0.0), Vector(0.0, 1.0, 0.0), Vector(0.0, 0.0, 1.0)
+
+
+def unit_vector(direction: Sequence[float]) -> Vector:
+    """Return a vector of known numbers with the length 1."""
+    length = math.hypot(*direction)
+    return Vector(*(float(one) / length for one in direction))
+
+
+class Rotation(NamedTuple):
+    """Axes of a body in those around it."""
+
+    x: Vector
+    y: Vector
+    z: Vector
+
+    def apply(self, vector: Vector) -> Vector:
+        """Return a vector of the body in the axes around it."""
+        return self.x.scaled(vector.x) + self.y.scaled(vector.y) + self.z.scaled(vector.z)
+
+    def then(self, inner: Rotation) -> Rotation:
+        """Return the axes of a body that are given in those of this one."""
+        return Rotation(*map(self.apply, inner))
+
+    @classmethod
+    def about(cls, axis: Vector, angle: Any) -> Rotation:
+        """Return the axes of a body after a turn by an angle [rad] about a unit vector of known numbers."""
+        sine, cosine = sincos(angle)
+
+        def turned(base: Vector) -> Vector:  # by the formula of Rodrigues
+            along = base.dot(axis)
+            across = base - axis.scaled(along)
+            return across.scaled(cosine) + axis.cross(base).scaled(sine) + axis.scaled(along)
+
+        return cls(turned(X), turned(Y), turned(Z))
+
+
+IDENTITY = Rotation(X, Y, Z)
+
+
+class Tensor(NamedTuple):
+    """Symmetric tensor."""
+
+    xx: Any
+    xy: Any
+    xz: Any
+    yy: Any
+    yz: Any
+    zz: Any
+
+    def __add__(self, other: Sequence[Any]) -> Tensor:  # type: ignore[override]
+        return Tensor(*map(total, self, other))
+
+    def apply(self, vector: Vector) -> Vector:
+        """Return the tensor times a vector."""
+        return Vector(
+            Vector(self.xx, self.xy, self.xz).dot(vector),
+            Vector(self.xy, self.yy, self.yz).dot(vector),
+            Vector(self.xz, self.yz, self.zz).dot(vector),
+        )
+
+    @classmethod
+    def diagonal(cls, number: Any) -> Tensor:
+        """Return a number times the unit tensor."""
+        return cls(number, 0.0, 0.0, number, 0.0, number)
+
+    @classmethod
+    def dyad(cls, one: Vector, two: Vector) -> Tensor:
+        """Return the symmetric part of the dyadic product."""
+
+        def mean(a: Any, b: Any) -> Any:
+            return product(0.5, total(a, b))
+
+        return cls(
+            product(one.x, two.x),
+            mean(product(one.x, two.y), product(one.y, two.x)),
+            mean(product(one.x, two.z), product(one.z, two.x)),
+            product(one.y, two.y),
+            mean(product(one.y, two.z), product(one.z, two.y)),
+            product(one.z, two.z),
+        )

@@ -1,0 +1,226 @@
+"""Rigid bodies in a chain of hinges on a base that slides: frames, mass matrix, and equations of motion.
+
+R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008: the recursive Newton-Euler algorithm (ch. 5) gives the
+forces of velocities and gravity, the composite-rigid-body algorithm (ch. 6) the mass matrix, both in world axes, with
+moments about the hinge of each body. x is forwards, y to the left, and z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+from mckibben.numerics.spatial import ZERO, Rotation, Tensor, Vector, Z, difference, product, total
+
+
+class Hinge(NamedTuple):
+    """Hinge between a body and the one above it.
+
+    `axis` is a unit vector of known numbers in the axes of the body above, and `place` the position [m] of the hinge
+    there. Angle [rad] and rate [rad/s] are those of the body from the one above; a hinge that is not `free` is held.
+    """
+
+    axis: Vector
+    place: Vector
+    angle: Any
+    rate: Any
+    free: bool = True
+
+
+class Body(NamedTuple):
+    """Rigid body with its centre of mass on its own z axis.
+
+    Mass [kg], coordinate of the centre of mass [m], and principal inertias about it [kg*m^2], along the axes.
+    """
+
+    mass: Any
+    centre: Any
+    inertia: Vector
+
+    @property
+    def moment(self) -> Any:
+        """Mass times the coordinate of the centre of mass [kg*m]."""
+        return product(self.mass, self.centre)
+
+    def inertia_about_centre(self, axes: Rotation) -> Tensor:
+        """Return the inertia about the centre of mass, in world axes."""
+        return _in_axes(self.inertia, axes)
+
+    def inertia_about_hinge(self, axes: Rotation) -> Tensor:
+        """Return the inertia about the origin of the body, in world axes."""
+        shift = product(self.moment, self.centre)
+        x = total(self.inertia.x, shift)
+        y = x if self.inertia.x is self.inertia.y else total(self.inertia.y, shift)
+        return _in_axes(Vector(x, y, self.inertia.z), axes)
+
+
+MASSLESS = Body(0.0, 0.0, ZERO)
+
+
+def _in_axes(principal: Vector, axes: Rotation) -> Tensor:
+    """Tensor with principal values along axes."""
+    x, y, z = principal
+    if x is y:  # symmetric about the z axis
+        return Tensor.diagonal(x) + Tensor.dyad(axes.z.scaled(difference(z, x)), axes.z)
+    along_x, along_y, along_z = (Tensor.dyad(axis.scaled(one), axis) for axis, one in zip(axes, principal, strict=True))
+    return along_x + along_y + along_z
+
+
+class Frame(NamedTuple):
+    """Motion of a body in world axes: its axes, angular velocity, and position and velocity of its hinge.
+
+    `axis` is that of the hinge, and `arm` the vector from the hinge of the body above.
+    """
+
+    axes: Rotation
+    rate: Vector
+    position: Vector
+    velocity: Vector
+    axis: Vector = ZERO
+    arm: Vector = ZERO
+
+    def point(self, along: Any) -> tuple[Vector, Vector]:
+        """Return position and velocity of a point at a coordinate [m] on the z axis of the body."""
+        arm = self.axes.z.scaled(along)
+        return self.position + arm, self.velocity + self.rate.cross(arm)
+
+
+def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
+    """Return the frames of the base and of the body on each hinge.
+
+    Angles of successive hinges about parallel axes add up, so that there is one rotation for all of them.
+    """
+    found = [base]
+    before, axis, angle = base.axes, ZERO, 0.0
+    for hinge in hinges:
+        above = found[-1]
+        if hinge.axis == axis:
+            angle = angle + hinge.angle
+        elif hinge.axis == -axis:
+            angle = angle - hinge.angle
+        else:
+            before, axis, angle = above.axes, hinge.axis, hinge.angle
+        turned = before.then(Rotation.about(axis, angle))
+        world, arm = above.axes.apply(hinge.axis), above.axes.apply(hinge.place)
+        velocity = above.velocity + above.rate.cross(arm)
+        rate = above.rate + world.scaled(hinge.rate if hinge.free else 0.0)
+        found.append(Frame(turned, rate, above.position + arm, velocity, world, arm))
+    return found
+
+
+class Equations(NamedTuple):
+    """Equations of motion: matrix times accelerations = torques and forces on the free motions - bias.
+
+    Motions are those of the slides of the base, then those of free hinges; `matrix` has rows up to the diagonal.
+    """
+
+    matrix: list[list[Any]]
+    bias: list[Any]
+
+    def accelerations(self, torques: Sequence[Any]) -> list[Any]:
+        """Return the accelerations under forces and torques on the free motions."""
+        return solve_symmetric(self.matrix, [difference(*pair) for pair in zip(torques, self.bias, strict=True)])
+
+
+def equations(
+    slides: Sequence[Vector],
+    hinges: Sequence[Hinge],
+    bodies: Sequence[Body],
+    found: Sequence[Frame],
+    gravity: Any,
+    force: Vector = ZERO,
+    arm: Vector = ZERO,
+) -> Equations:
+    """Return the equations of motion of a chain.
+
+    Parameters
+    ----------
+    slides
+        Directions in which the base moves without turning.
+    hinges, bodies, found
+        Hinges, the bodies of the base and on each hinge, and their frames.
+    gravity
+        [m/s^2], downwards.
+    force, arm
+        Force [N] on the last body, at a point with this arm [m] from its hinge.
+    """
+    moving = _velocity_accelerations(found, gravity)
+    load, moment = -force, -arm.cross(force)
+    mass, first, second = 0.0, ZERO, Tensor.diagonal(0.0)  # of the bodies from here on, about the hinge
+    columns: list[list[Any]] = []
+    bias: list[Any] = []
+    for index in range(len(found) - 1, -1, -1):
+        frame, body, (spin, linear) = found[index], bodies[index], moving[index]
+        if body is not MASSLESS:
+            own, inertia = frame.axes.z.scaled(body.moment), body.inertia_about_hinge(frame.axes)
+            load += linear.scaled(body.mass) + spin.cross(own) + frame.rate.cross(frame.rate.cross(own))
+            moment += inertia.apply(spin) + frame.rate.cross(inertia.apply(frame.rate)) + own.cross(linear)
+            mass, first, second = total(mass, body.mass), first + own, second + inertia
+        if index == 0:
+            break
+        if hinges[index - 1].free:
+            bias.append(frame.axis.dot(moment))
+            columns.append(_column(slides, hinges, found, index, frame.axis.cross(first), second.apply(frame.axis)))
+        moment += frame.arm.cross(load)
+        # about the hinge above
+        second += Tensor.diagonal(product(2.0, frame.arm.dot(first))) + Tensor.dyad(first.scaled(-2.0), frame.arm)
+        second += Tensor.diagonal(product(mass, frame.arm.dot(frame.arm))) + Tensor.dyad(
+            frame.arm.scaled(difference(0.0, mass)), frame.arm
+        )
+        first += frame.arm.scaled(mass)
+    base = [[product(mass, slide.dot(other)) for other in slides[: row + 1]] for row, slide in enumerate(slides)]
+    return Equations([*base, *reversed(columns)], [*(slide.dot(load) for slide in slides), *reversed(bias)])
+
+
+def _velocity_accelerations(found: Sequence[Frame], gravity: Any) -> list[tuple[Vector, Vector]]:
+    """Angular and linear acceleration of each frame without those of the motions, and with gravity as one upwards."""
+    spin, linear = ZERO, Z.scaled(gravity)
+    moving = [(spin, linear)]
+    for above, frame in pairwise(found):
+        linear = linear + spin.cross(frame.arm) + above.rate.cross(above.rate.cross(frame.arm))
+        spin = spin + above.rate.cross(frame.rate - above.rate)
+        moving.append((spin, linear))
+    return moving
+
+
+def _column(
+    slides: Sequence[Vector],
+    hinges: Sequence[Hinge],
+    found: Sequence[Frame],
+    index: int,
+    momentum: Vector,
+    moment: Vector,
+) -> list[Any]:
+    """Row of the mass matrix for a hinge: slides, hinges above it, and itself.
+
+    From the momentum of a unit rate of the bodies from it on, and its moment about the hinge.
+    """
+    upwards = [found[index].axis.dot(moment)]
+    for above in range(index - 1, 0, -1):
+        moment = moment + found[above + 1].arm.cross(momentum)
+        if hinges[above - 1].free:
+            upwards.append(found[above].axis.dot(moment))
+    return [*(slide.dot(momentum) for slide in slides), *reversed(upwards)]
+
+
+def solve_symmetric(matrix: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
+    """Return the solution of equations with a positive definite matrix, whose rows go up to the diagonal."""
+    rows, right, size = [list(row) for row in matrix], list(right), len(right)
+    factors: list[list[Any]] = []
+    inverses = []
+    for k in range(size):
+        inverse = 1 / rows[k][k]
+        below = [product(rows[i][k], inverse) for i in range(k + 1, size)]
+        for place, i in enumerate(range(k + 1, size)):
+            for j in range(k + 1, i + 1):
+                rows[i][j] = difference(rows[i][j], product(below[place], rows[j][k]))
+            right[i] = difference(right[i], product(below[place], right[k]))
+        factors.append(below)
+        inverses.append(inverse)
+    found: list[Any] = [None] * size
+    for k in range(size - 1, -1, -1):
+        found[k] = product(right[k], inverses[k])
+        for place, i in enumerate(range(k + 1, size)):
+            found[k] = difference(found[k], product(factors[k][place], found[i]))
+    return found

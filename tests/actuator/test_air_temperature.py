@@ -1,0 +1,229 @@
+"""Air with a temperature: against SciPy with the equations written anew, closed forms, and accounts of mass."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mckibben as mk
+from mckibben.actuator import AirState, AirVolume, FlowValve, PressureRegulator, Tube, UnequalValves
+from mckibben.control import OpenLoopControl, Reference
+from mckibben.errors import FileError, RangeError
+from mckibben.joint import SeriesSpring
+from mckibben.numerics.calculus import rk4
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.plant import JointPlant
+from mckibben.scenario import Scenario
+from mckibben.units import bar, cm, ms
+
+ATMOSPHERE, GAS, ROOM, DENSITY, KAPPA, INDEX = 101325.0, 288.0, 293.15, 1.185, 1.4, 1.2
+C, THIN, SUPPLY, LAG, BAND, LEAK = 0.1e-8, 0.08e-8, 7 * bar, 20 * ms, 0.5 * bar, 0.002e-8
+WALL, TUBE_VOLUME = 0.5, 6 * cm**3  # W/K
+VOLUME, GROWTH = 23.8e-6, 7e-6  # of the muscle [m^3], [m^3/s]
+VALVE = PressureRegulator(C, SUPPLY, time_constant=LAG, band=BAND, leak=LEAK, wall_conductance=WALL)
+ACTUATORS = {
+    "valve": VALVE,
+    "adiabatic": dataclasses.replace(VALVE, wall_conductance=0.0, leak=None),
+    "tube": Tube(VALVE, volume=TUBE_VOLUME, conductance=THIN),
+}
+REGULATOR = Path(__file__).parents[2] / "examples" / "valves" / "regulator-decoupling.yaml"
+advance = compiled(lambda plant, state, commands, time: plant.advance(state, commands, time, 200))
+
+
+def flow(conductance, inlet, outlet, temperature=ROOM, critical=0.3):
+    """Mass flow by ISO 6358 [kg/s] between absolute pressures [Pa], from air at a temperature [K] if it returns."""
+    if outlet > inlet:
+        return -flow(conductance, outlet, inlet, critical=critical) * math.sqrt(ROOM / temperature)
+    ratio = outlet / inlet
+    share = math.sqrt(1 - max((min(ratio, 0.999) - critical) / (1 - critical), 0.0) ** 2)
+    return conductance * DENSITY * inlet * share * min((1 - ratio) / 0.001, 1.0)
+
+
+def independent(name, start, command, time):
+    """Pressures of muscle and tube [Pa] and temperature [K] at a time [s], by SciPy."""
+    wall, leak, has_tube = (
+        (0.0 if name == "adiabatic" else WALL),
+        (0.0 if name == "adiabatic" else LEAK),
+        name == "tube",
+    )
+
+    def rate(t, y):
+        muscle, temperature, held, tube = y
+        outlet = tube if has_tube else muscle
+        opening = min(max((held + ATMOSPHERE - outlet) / BAND, -1.0), 1.0)
+        source = SUPPLY + ATMOSPHERE if opening > 0 else ATMOSPHERE
+        valve = flow(C * abs(opening), source, outlet, ROOM if has_tube else temperature)
+        through = flow(THIN, tube, muscle, temperature) if has_tube else valve
+        leaked = flow(leak, ATMOSPHERE, muscle, temperature)
+        volume = VOLUME + GROWTH * t
+        energy = sum(one * (ROOM if one > 0 else temperature) for one in (through, leaked))
+        heat = wall * (ROOM - temperature)
+        slope = (KAPPA * (GAS * energy - muscle * GROWTH) + (KAPPA - 1) * heat) / volume
+        mass = muscle * volume / (GAS * temperature)
+        warming = temperature * (slope / muscle + GROWTH / volume - (through + leaked) / mass)
+        return [slope, warming, (command - held) / LAG, INDEX * GAS * ROOM / TUBE_VOLUME * (valve - through)]
+
+    first = [start + ATMOSPHERE, ROOM, start, start + ATMOSPHERE]
+    found = solve_ivp(rate, (0, time), first, method="LSODA", rtol=1e-11, atol=1e-9, max_step=1e-4).y[:, -1]
+    return found[0] - ATMOSPHERE, found[1], found[3] - ATMOSPHERE
+
+
+def integrated(actuator, start, command, steps, step, growth=GROWTH, states=None):
+    """Pressure [Pa] and state of the air in one muscle after steps [s] of Runge and Kutta."""
+
+    def follow(number, carry):
+        def rate(carry, t):
+            (pressure,), air = carry
+            volume = AirVolume(VOLUME + growth * t, jnp.asarray(growth))
+            return actuator.rates((pressure,), air, (command,), lambda: (volume,))
+
+        return rk4(rate, carry, step, tuple(((number + part) * step,) for part in (0.0, 0.5, 1.0)))
+
+    pressures = (jnp.asarray(start),)
+    begin = pressures, actuator.init_states(pressures) if states is None else states
+    (pressure,), air = jax.jit(lambda: jax.lax.fori_loop(0, steps, follow, begin))()
+    return pressure, air
+
+
+@pytest.mark.parametrize("command", [1.0 * bar, 5.0 * bar])
+@pytest.mark.parametrize("name", ACTUATORS)
+@pytest.mark.slow
+def test_pressure_and_temperature_are_those_of_an_independent_solver(name, command):
+    pressure, air = integrated(ACTUATORS[name], 2.5 * bar, command, 5000, 1e-5)
+    muscle, temperature, tube = independent(name, 2.5 * bar, command, 0.05)
+    assert float(pressure) == pytest.approx(muscle, rel=1e-8)
+    assert float(air.temperatures[0]) == pytest.approx(temperature, rel=1e-8)
+    assert abs(temperature - ROOM) > 5
+    if name == "tube":
+        assert float(air.valves[0].pressure) == pytest.approx(tube, rel=1e-8)
+
+
+def shut(wall, **parts):
+    return FlowValve(1e-30, SUPPLY, wall_conductance=wall, **parts)
+
+
+def test_air_that_was_filled_fast_cools_with_its_time_constant_and_one_that_was_vented_warms():
+    """With shut valves the temperature relaxes exponentially, with m c_v / (h A)."""
+    for gauge, hot in ((5.49 * bar, 1.318 * ROOM), (0.99 * bar, 0.714 * ROOM)):
+        valve = shut(WALL)
+        air = valve.init_states((jnp.asarray(gauge),))._replace(temperatures=(jnp.asarray(hot),))
+        pressure, after = integrated(valve, gauge, gauge, 500, 2e-3, growth=0.0, states=air)
+        mass = (gauge + ATMOSPHERE) * VOLUME / (GAS * hot)
+        left = (hot - ROOM) * math.exp(-1.0 * WALL * (KAPPA - 1) / (mass * GAS))
+        assert float(after.temperatures[0]) == pytest.approx(ROOM + left, rel=1e-9)
+        assert float(pressure + ATMOSPHERE) == pytest.approx(mass * GAS * (ROOM + left) / VOLUME, rel=1e-9)
+
+
+def test_filling_fast_to_5_5_bar_and_shutting_loses_a_bar_and_a_half_within_two_seconds():
+    """And venting to 1 bar recovers 0.5 bar or more; a polytropic change of state stays."""
+    opened = PressureRegulator(0.4e-8, 8 * bar, time_constant=1 * ms, band=0.1 * bar, wall_conductance=WALL)
+    for start, end, low, high in ((0.0, 5.49 * bar, 4.0, 4.3), (5.49 * bar, 0.99 * bar, 1.5, 1.8)):
+        filled, air = integrated(opened, start, end, 800, 1e-4, growth=0.0)
+        closed = shut(WALL)
+        held = closed.init_states((filled,))._replace(temperatures=air.temperatures)
+        after, _ = integrated(closed, filled, 0.0, 1000, 2e-3, 0.0, held)
+        assert low < float(after) / bar < high
+
+
+def test_adiabatic_air_is_compressed_as_p_v_to_the_kappa_and_air_at_a_good_wall_as_isothermal_air():
+    for wall, index, growth, tolerance in ((0.0, KAPPA, -1e-4, 1e-9), (500.0, 1.0, -1e-5, 1e-4)):
+        pressure, _ = integrated(shut(wall), 3 * bar, 0.0, 2000, 2.5e-5, growth=growth)
+        ratio = VOLUME / (VOLUME + growth * 0.05)
+        assert float(pressure + ATMOSPHERE) == pytest.approx((3 * bar + ATMOSPHERE) * ratio**index, rel=tolerance)
+
+
+def test_a_good_wall_is_the_polytropic_valve_with_the_index_of_isothermal_air():
+    warm, cold = (dataclasses.replace(VALVE, wall_conductance=one, polytropic_index=1.0) for one in (1e3, None))
+    found, expected = (integrated(one, 1 * bar, 3 * bar, 3000, 1e-5)[0] for one in (warm, cold))
+    assert float(found) == pytest.approx(float(expected), rel=1e-3)
+    adiabatic = integrated(dataclasses.replace(VALVE, wall_conductance=0.0), 1 * bar, 3 * bar, 3000, 1e-5)[0]
+    assert abs(float(adiabatic) - float(expected)) > 0.05 * bar
+
+
+def test_valves_without_a_wall_have_no_temperature():
+    air = dataclasses.replace(VALVE, wall_conductance=None).init_states((jnp.asarray(1e5),) * 2)
+    assert air.temperatures == () and len(jax.tree.leaves(air)) == 2
+    pair = UnequalValves(VALVE, dataclasses.replace(VALVE, wall_conductance=None))
+    one, other = pair.init_states((jnp.asarray(1e5),) * 2).temperatures
+    assert float(one) == ROOM and other == ()
+    told = pair.telemetry(pair.init_states((1e5, 2e5)), (1e5, 2e5), (1e5, 2e5))
+    assert float(told["temperature1"]) == ROOM and "temperature2" not in told
+
+
+@pytest.mark.parametrize("tendon", [None, SeriesSpring(stiffness=2e4, preload=0.0, travel=0.03)])
+def test_behind_shut_valves_the_mass_of_the_air_is_constant_and_no_air_is_consumed(knee, load, tendon):
+    joint = knee if tendon is None else dataclasses.replace(knee, tendon=tendon)
+    plant = numeric(JointPlant(joint, load, shut(WALL, dead_volume=3 * cm**3)))
+    start = plant.init_state(0.1, (3e5, 4e5))._replace(velocity=jnp.asarray(0.5))
+    moved = advance(plant, start, (0.0, 0.0), 0.1)
+    masses = []
+    for state in (start, moved):
+        air = zip(state.pressures, plant.air_volumes(state), state.air.temperatures, strict=True)
+        masses.append(
+            [float((pressure + ATMOSPHERE) * room.volume / temperature) for pressure, room, temperature in air]
+        )
+    assert masses[1] == pytest.approx(masses[0], rel=1e-8)
+    assert abs(float(moved.air.temperatures[0]) - ROOM) > 0.5
+
+
+@pytest.mark.slow
+def test_the_account_of_air_counts_mass(knee, load):
+    """Of a joint that swings behind shut valves nothing flows in, though the pressures rise and fall."""
+    consumed = {}
+    for wall in (WALL, None):
+        plant = JointPlant(knee, load, shut(wall))
+        start = plant.init_state(0.1, (3e5, 4e5))._replace(velocity=jnp.asarray(1.0))
+        control = OpenLoopControl(3 * bar, 4 * bar, knee)
+        run = mk.simulate(plant, control, Reference(0.0, 15.0), initial=start, duration=0.3)
+        consumed[wall] = run.metrics["air"]
+    assert consumed[WALL] < 1e-12 < 1e-6 < consumed[None]
+
+
+@pytest.mark.parametrize("wall", [0.0, 0.5, 50.0])
+def test_the_bound_on_the_rates_holds_and_is_near(wall):
+    valve = PressureRegulator(0.4e-8, SUPPLY, time_constant=50 * ms, band=0.1 * bar, wall_conductance=wall)
+    room = AirVolume(jnp.asarray(VOLUME), jnp.asarray(0.0))
+
+    def rates(x, command):
+        (rate,), moved = valve.air_rate((x[0],), AirState((x[1],), (), (x[2],)), (command,), (room,))
+        return jnp.stack([rate, moved.valves[0], moved.temperatures[0]])
+
+    errors = BAND * np.array([-1.5, -0.9, -0.1, -0.01, 0.01, 0.1, 0.9, 1.5])
+    pressure, error, temperature = np.meshgrid(
+        [20.0, 1e5, 4e5, SUPPLY - 20, SUPPLY + 20], errors, [210.0, ROOM, 400.0], indexing="ij"
+    )
+    points = np.stack([pressure, pressure + error, temperature], axis=-1).reshape(-1, 3)
+    jacobians = jax.jit(jax.vmap(jax.jacfwd(rates)))(points, (pressure + error).ravel())
+    fastest = np.abs(np.linalg.eigvals(np.asarray(jacobians))).max()
+    assert fastest < valve.fastest_rate_in(VOLUME) < 3 * fastest
+
+
+def test_the_flow_needed_for_a_rate_covers_isothermal_and_adiabatic_air():
+    """With air at the temperature of the wall, the command for a rate of the pressure gives at least that rate."""
+    valve = dataclasses.replace(VALVE, leak=None)
+    for rate, growth in ((4 * bar, 3e-6), (-4 * bar, -3e-6), (4 * bar, -1e-4)):
+        pressure, room = jnp.asarray(2.5 * bar), AirVolume(jnp.asarray(VOLUME), jnp.asarray(growth))
+        needed = float(valve.needed_flow(pressure, rate, room))
+        polytropic = [
+            dataclasses.replace(valve, wall_conductance=None, polytropic_index=index) for index in (1.0, KAPPA)
+        ]
+        flows = [float(one.needed_flow(pressure, rate, room)) for one in polytropic]
+        assert abs(needed) == max(map(abs, flows))
+
+
+def test_it_is_a_field_of_files_with_a_unit_and_a_negative_one_is_refused():
+    text = REGULATOR.read_text(encoding="utf-8").replace("supply: 8 bar", "supply: 8 bar, wall_conductance: 500e-3 W/K")
+    scenario = Scenario.parse(text)
+    assert scenario.valve.wall_conductance == 0.5
+    assert Scenario.parse(scenario.dumps()).valve == scenario.valve
+    for wrong in ("-1 W/K", "0.5 W", "0.5"):
+        with pytest.raises(FileError):
+            Scenario.parse(text.replace("500e-3 W/K", wrong))
+    with pytest.raises(RangeError) as caught:
+        dataclasses.replace(VALVE, wall_conductance=-1.0)
+    assert caught.value.field == "wall_conductance"

@@ -1,0 +1,123 @@
+"""Identification from tests with a shut valve, on data of an independent solver."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mckibben import catalog
+from mckibben.calibration import identify_air
+from mckibben.dataset import Recording
+from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
+from mckibben.muscle import Specimen
+from mckibben.units import bar, cm, kPa
+
+ATMOSPHERE, GAS, ROOM, DENSITY, KAPPA = 101325.0, 288.0, 293.15, 1.185, 1.4
+SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
+WALL, LEAK, DEAD, NOISE, PERIOD = 0.12, 2e-12, 3 * cm**3, 0.5 * kPa, 1e-3
+
+
+def choked(conductance, inlet, outlet, temperature):
+    """Mass flow by ISO 6358 [kg/s], of air at a temperature [K]."""
+    share = math.sqrt(1 - max((min(outlet / inlet, 0.999) - 0.3) / 0.7, 0.0) ** 2)
+    laminar = min((1 - outlet / inlet) / 0.001, 1.0)
+    return conductance * DENSITY * inlet * math.sqrt(ROOM / temperature) * share * laminar
+
+
+def shut_valve_test(contraction, wall=WALL, leak=LEAK, dead=DEAD, watched=3.0, seed=0, noise=NOISE):
+    """Recording of a muscle filled to 5.5 bar and shut, then vented to 1 bar and shut, by SciPy."""
+    volume = float(SPECIMEN.volume(contraction)) + dead
+
+    def rates(_, y, opening):
+        pressure, temperature = y
+        inflow = choked(2e-9, 8e5, pressure, ROOM) if opening > 0 else 0.0
+        outflow = choked(2e-9, pressure, ATMOSPHERE, temperature) if opening < 0 else 0.0
+        outflow += choked(leak, pressure, ATMOSPHERE, temperature) if pressure > ATMOSPHERE else 0.0
+        energy = GAS * (inflow * ROOM - outflow * temperature)
+        slope = (KAPPA * energy + (KAPPA - 1) * wall * (ROOM - temperature)) / volume
+        mass = pressure * volume / (GAS * temperature)
+        return [slope, temperature * (slope / pressure - (inflow - outflow) / mass)]
+
+    def until(_, y, opening):
+        return opening * ((5.5 if opening > 0 else 1.0) * bar + ATMOSPHERE - y[0])
+
+    until.terminal = True
+    state, pressures = [ATMOSPHERE, ROOM], [np.full(200, ATMOSPHERE)]
+    for opening, longest in ((1, 2.0), (0, watched), (-1, 2.0), (0, watched)):
+        times = np.arange(0.0, longest, PERIOD)
+        events = until if opening else None
+        found = solve_ivp(
+            rates, (0, longest), state, "LSODA", times, events=events, args=(opening,), rtol=1e-9, atol=1e-6
+        )
+        pressures.append(found.y[0])
+        state = found.y_events[0][0] if opening else found.y[:, -1]
+    gauge = np.concatenate(pressures) - ATMOSPHERE
+    gauge = gauge + np.random.default_rng(seed).normal(0.0, noise, gauge.size)
+    return Recording.of(time=PERIOD * np.arange(gauge.size), pressure=gauge, force=0 * gauge, contraction=contraction)
+
+
+def test_wall_leak_and_dead_volume_are_found_from_two_lengths():
+    found = identify_air([shut_valve_test(0.02), shut_valve_test(0.22, seed=1)], SPECIMEN)
+    assert len(found.phases) == 4
+    true = {"wall_conductance": WALL, "leak": LEAK, "dead_volume": DEAD}
+    assert found.quantities.keys() == true.keys()
+    for name, one in found.quantities.items():
+        assert abs(one.value - true[name]) < 4 * one.deviation
+        assert one.deviation < 0.15 * true[name]
+    assert found.residual < 1.2 * found.noise
+
+
+def test_at_one_length_the_dead_volume_is_assumed_and_the_ratio_is_found():
+    recording = shut_valve_test(0.1)
+    found = identify_air([recording], SPECIMEN, dead_volume=DEAD)
+    assert found.dead_volume is None and found.notes
+    low, high = found.wall_conductance.interval
+    assert 0.95 * WALL < low < WALL < high < 1.05 * WALL
+    without = identify_air([recording], SPECIMEN)
+    volume = float(SPECIMEN.volume(0.1))
+    expected = found.wall_conductance.value * volume / (volume + DEAD)
+    assert without.wall_conductance.value == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_intervals_of_95_percent_hold_the_truth():
+    """Noise, wall, leak and dead volume differ; 40 tests of two lengths."""
+    draw, held, count = np.random.default_rng(3), dict.fromkeys(("wall_conductance", "leak", "dead_volume"), 0), 40
+    for seed in range(count):
+        true = {"wall": draw.uniform(0.03, 0.3), "leak": draw.uniform(0, 1e-11), "dead": draw.uniform(0, 6) * cm**3}
+        tests = [shut_valve_test(at, **true, seed=2 * seed + i) for i, at in enumerate((0.02, 0.22))]
+        found = identify_air(tests, SPECIMEN)
+        for name, value in zip(held, true.values(), strict=True):
+            low, high = found.quantities[name].interval
+            held[name] += low < value < high
+    assert all(count * 0.85 <= one for one in held.values())
+
+
+def test_what_cannot_be_identified_is_refused_with_a_remedy():
+    time = np.arange(0.0, 4.0, PERIOD)
+    held = np.where(time < 0.5, 0.0, 5 * bar) + np.random.default_rng(0).normal(0, 100.0, time.size)
+    regulated = Recording.of(time=time, pressure=held, force=0 * time, contraction=0.1)
+    whole = shut_valve_test(0.1)
+    pressure = whole.table["pressure"].to_numpy()
+    moving = Recording.of(time=whole.time, pressure=pressure, force=0 * pressure, contraction=0.1 + 0.01 * whole.time)
+    saturated = Recording.of(
+        time=whole.time, pressure=np.minimum(pressure, 4.3 * bar), force=0 * pressure, contraction=0.1
+    )
+    every = slice(None, None, 20)
+    slow = Recording.of(time=whole.time[every], pressure=pressure[every], force=0 * pressure[every], contraction=0.1)
+    for recordings in ([], [regulated], [moving], [saturated], [slow]):
+        with pytest.raises(IdentificationError) as caught:
+            identify_air(recordings, SPECIMEN)
+        assert caught.value.remedy
+    bare = Recording.of(time=whole.time, pressure=pressure, force=0 * pressure)
+    with pytest.raises(IdentificationError):
+        identify_air([bare], SPECIMEN)
+    assert identify_air([bare], SPECIMEN, contraction=0.1).phases
+    with pytest.raises(RangeError):
+        identify_air([whole], Specimen("unknown", 0.2))
+
+
+def test_a_watch_that_is_too_short_is_warned_of():
+    with pytest.warns(McKibbenWarning):
+        identify_air([shut_valve_test(0.1, wall=0.02, watched=0.8)], SPECIMEN)

@@ -1,0 +1,70 @@
+"""Intervals calibrated on left-out pressures and contractions."""
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification import identify
+from mckibben.identification.calibration import Calibration
+from mckibben.identification.regression import pressure_blocks
+from mckibben.muscle import ExponentialLaw, forces
+from mckibben.units import bar
+
+BRAID = catalog.law("sarosi-dmsp-10")
+
+
+def measured(seed, law=BRAID, deviation=8.0):
+    """Taut points of a muscle of another law, with a deviation and noise of 1 N."""
+    eps, p = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 0.2, 9), np.linspace(1, 6, 9) * bar))
+    force = forces(law, eps, p) + deviation * np.sin(30 * eps) + np.random.default_rng(seed).standard_normal(eps.size)
+    taut = force > 5
+    return IsobaricDataset.of(pressure=p[taut], contraction=eps[taut], force=force[taut])
+
+
+def test_between_contractions_the_scores_are_those_of_left_out_contractions():
+    found = Calibration(np.full(99, 2.0), np.full(99, 4.0), np.array([0.0, 0.1, 0.2]), (0.0, np.inf))
+    widths = found.quantile(0.9, np.array([0.0, 0.1, 0.125, 0.15, 0.3, -0.05]))
+    np.testing.assert_allclose(widths, [2, 2, 3, 4, 4, 4])
+    assert Calibration(np.full(9, 2.0), np.empty(0), np.array([0.0, 0.1]), (0.0, np.inf)).quantile(0.9, widths) is None
+
+
+def test_a_quantile_holds_for_one_more_point():
+    rng = np.random.default_rng(0)
+    held = []
+    for _ in range(400):
+        scores = np.sort(np.abs(rng.standard_normal(39)))
+        (width,) = Calibration(scores, np.empty(0), np.zeros(1), (0.0, np.inf)).quantile(0.95, np.zeros(1))
+        held.append(abs(rng.standard_normal()) <= width)
+    assert 0.92 < np.mean(held) < 0.98
+
+
+@pytest.mark.slow
+def test_intervals_of_a_wrong_law_hold_at_left_out_pressures():
+    held = {"t": [], "calibrated": []}
+    for seed in range(2):
+        points = measured(seed).taut
+        for level in np.unique(pressure_blocks(points)[0]):
+            out = points.levels == level
+            fit = identify(ExponentialLaw, points.select(~out))
+            given = points.contraction[out], points.pressure[out]
+            for name, by in (("t", fit.robust.by), ("calibrated", None)):
+                band = fit.force_intervals(*given, by=by).prediction
+                held[name] += ((band.lower <= points.force[out]) & (points.force[out] <= band.upper)).tolist()
+    assert np.mean(held["calibrated"]) > 0.93
+    assert np.mean(held["calibrated"]) >= np.mean(held["t"])
+
+
+@pytest.mark.slow
+def test_confidence_intervals_contain_the_misfit_of_a_wrong_law_and_that_of_a_right_one_is_zero():
+    data = measured(0)
+    fit = identify(ExponentialLaw, data)
+    assert fit.calibration.misfit[0] > 0
+    eps, p = np.linspace(0.01, 0.15, 8)[:, None], np.linspace(2, 5.5, 8) * bar
+    truth = forces(BRAID, eps, p) + 8 * np.sin(30 * eps)
+    band = fit.force_intervals(eps, p).confidence
+    t = fit.force_intervals(eps, p, by=fit.robust.by).confidence
+    inside, before = (np.mean((one.lower <= truth) & (truth <= one.upper)) for one in (band, t))
+    assert inside > 0.9 > before
+    right = identify(ExponentialLaw, measured(0, catalog.law("lei-mas-10-180n"), deviation=0.0))
+    assert right.calibration.misfit[0] == 0.0

@@ -1,0 +1,82 @@
+"""Control of all joints with the torques between them compensated by a model of the leg."""
+
+from __future__ import annotations
+
+import dataclasses
+import runpy
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import RangeError
+from mckibben.leg import BiarticularMuscle, CoupledControl, LegMeasurement, TimedReference, read_leg
+from mckibben.leg.dynamics import acceleration, at_rest, joint_equations, posture_of
+from mckibben.numerics.spatial import ZERO
+
+EXAMPLE = runpy.run_path("examples/leg/three_joints.py")
+ANGLES, RATES = (0.05, -0.03, -0.2), (1.0, -2.0, 3.0)
+
+
+def test_the_equations_of_the_joints_are_those_of_the_motion() -> None:
+    leg = read_leg("lei-leg")
+    leg = dataclasses.replace(leg, joints=(*leg.joints[:2], dataclasses.replace(leg.joints[2], forward=False)))
+    made = joint_equations(leg, ANGLES, RATES, 9.81)
+    matrix, bias, torques = np.array(made.matrix, float), np.array(made.bias, float), np.array([2.0, -1.0, 0.5])
+    held = dataclasses.replace(leg, trunk=dataclasses.replace(leg.trunk, freedom="fixed"))
+    posture = posture_of(held, ANGLES)
+    velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, RATES)))
+    found = acceleration(held, posture, velocity, tuple(torques), ZERO, 9.81).angles
+    np.testing.assert_allclose(matrix @ np.array(found) + bias, torques, atol=1e-12)
+    np.testing.assert_allclose(matrix, matrix.T)
+    assert abs(matrix[1, 2]) > 0.01
+
+
+def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles() -> None:
+    leg = read_leg("lei-leg")
+    paths = mk.joint.Pulley(0.03, 0.08), mk.joint.Pulley(0.02, 0.08)
+    rectus = BiarticularMuscle(leg.muscles[0], *paths, "hip", "knee", "shortens", "shortens", "rectus")
+    leg = dataclasses.replace(leg, biarticular=(rectus,))
+    load, poles = mk.GeneralLoad(1.0, 0.0), mk.PolePlacement(30.0)
+    controllers = tuple(mk.DecouplingControl(joint.muscles, load, poles) for joint in leg.joints)
+    control = CoupledControl(controllers, TimedReference(EXAMPLE["references"]()), (2e5,), leg=leg)
+    measurement = LegMeasurement(tuple(map(jnp.asarray, ANGLES)), tuple(map(jnp.asarray, (3e5,) * 7)), jnp.zeros(()))
+    planned = (3.0, -4.0, 5.0)
+    loaded = control._loaded(measurement, tuple(map(jnp.asarray, RATES)), tuple(map(jnp.asarray, planned)))
+    made = joint_equations(leg, ANGLES, RATES, 9.81)
+    alone = dataclasses.replace(leg, biarticular=())
+    rectus_torque = np.subtract(leg.torques(ANGLES, (3e5,) * 7), alone.torques(ANGLES, (3e5,) * 6))
+    damping = np.array([joint.damping for joint in leg.joints])
+    needed = np.array(made.matrix) @ planned + np.array(made.bias) + damping * RATES - rectus_torque
+    found = [
+        one.load.required_torque(*motion)  # type: ignore[attr-defined]
+        for one, motion in zip(loaded.controllers, zip(ANGLES, RATES, planned, strict=True), strict=True)
+    ]
+    np.testing.assert_allclose(np.array(found, float), needed, atol=1e-12)
+
+
+def test_controllers_without_a_model_of_the_load_are_refused() -> None:
+    plant = EXAMPLE["plant"]()
+    made = EXAMPLE["controllers"](plant)
+    reference = TimedReference(EXAMPLE["references"]())
+    first, *others = plant.leg.joints
+    locked = dataclasses.replace(plant.leg, joints=(dataclasses.replace(first, locked=0.0), *others))
+    for controllers, leg, field in (
+        (made["PID per joint"].controllers, plant.leg, "controllers"),
+        (made["decoupling per joint"].controllers, locked, "leg"),
+        (made["decoupling per joint"].controllers[:2], plant.leg, "controllers"),
+    ):
+        with pytest.raises(RangeError) as caught:
+            CoupledControl(controllers, reference, leg=leg)
+        assert caught.value.field == field and caught.value.remedy
+
+
+@pytest.mark.slow
+def test_with_the_whole_leg_each_joint_follows_better() -> None:
+    plant = EXAMPLE["plant"]()
+    found = {name: EXAMPLE["errors"](plant, one) for name, one in EXAMPLE["controllers"](plant).items()}
+    for joint in ("side", "hip", "knee"):
+        pid, alone, together = (errors[joint][0] for errors in found.values())
+        assert together < alone < pid / 5
+        assert found["decoupling of the leg"][joint][1] < found["PID per joint"][joint][1]

@@ -1,0 +1,235 @@
+"""A leg in space: conservation laws, closed forms, batches in both engines, gradients, and files."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+import mckibben as mk
+from mckibben.errors import RangeError, ScenarioError, SimulationError
+from mckibben.leg import (
+    Ground,
+    Leg,
+    LegJoint,
+    LegPlant,
+    LegScenario,
+    LegStart,
+    Link,
+    PressureSchedule,
+    Trunk,
+    read_leg,
+    simulate_leg,
+    simulate_legs,
+)
+from mckibben.leg.dynamics import Posture, Velocity, acceleration, at_rest, contact, frames, motion, posture_of
+from mckibben.numerics.calculus import rk4
+from mckibben.numerics.spatial import ZERO, Vector
+from mckibben.units import deg
+from tests.leg.conftest import leg_of
+
+FILE = "examples/leg/lei-leg-in-space.yaml"
+AXES = (1.0, 0.0, 0.0), (0.3, -0.8, 0.2), (0.0, -1.0, 0.0)
+
+
+def oblique(pair: mk.AntagonisticJoint, freedom: str) -> Leg:
+    """A leg of three joints in space, the last of which is parallel to no other."""
+    leg = leg_of(pair, freedom)
+    joints = tuple(dataclasses.replace(one, axis=axis) for one, axis in zip(leg.joints, AXES, strict=True))
+    links = tuple(dataclasses.replace(link, axial_inertia=0.0004) for link in leg.links)
+    trunk = dataclasses.replace(leg.trunk, roll_inertia=0.015, yaw_inertia=0.011)
+    return dataclasses.replace(leg, joints=joints, links=links, trunk=trunk)
+
+
+def in_motion(leg: Leg) -> tuple[Posture, Velocity]:
+    posture = posture_of(leg, (0.5, -0.8, 0.3), z=1.0)
+    velocity = at_rest(posture)._replace(angles=tuple(map(jnp.asarray, (2.0, -3.0, 1.0))))
+    turned = {"yaw": 0.4, "pitch": 0.2, "roll": -0.3, "x": 0.3, "y": -0.2, "z": 1.0}
+    rates = {name: jnp.asarray(turned[name]) for name in leg.trunk.motions}
+    posture = posture._replace(**{name: one for name, one in rates.items() if name in ("yaw", "pitch", "roll")})
+    return posture, velocity._replace(**rates)
+
+
+@pytest.mark.parametrize("freedom", ["fixed", "vertical", "spatial", "floating"])
+@pytest.mark.slow
+def test_energy_and_momenta_in_flight(pair: mk.AntagonisticJoint, freedom: str) -> None:
+    leg = oblique(pair, freedom)
+
+    def rate(state: tuple[Posture, Velocity]) -> tuple[Posture, Velocity]:
+        posture, velocity = state
+        return Posture(*velocity), acceleration(leg, posture, velocity, (0.0, 0.0, 0.0), ZERO, 9.81)
+
+    def step(_, state):
+        return rk4(rate, state, 1e-4)
+
+    start = in_motion(leg)
+    end = jax.jit(lambda state: jax.lax.fori_loop(0, 2000, step, state))(start)
+    before, after = motion(leg, *start, 9.81), motion(leg, *end, 9.81)
+    assert float(after.kinetic + after.potential) == pytest.approx(float(before.kinetic + before.potential), abs=1e-10)
+    if freedom in ("spatial", "floating"):
+        assert float(after.forward_speed) == pytest.approx(float(before.forward_speed), abs=1e-12)
+        assert float(after.sideward_speed) == pytest.approx(float(before.sideward_speed), abs=1e-12)
+        assert float(after.upward_speed) == pytest.approx(float(before.upward_speed) - 9.81 * 0.2, abs=1e-12)
+    if freedom == "floating":
+        np.testing.assert_allclose(after.spin, before.spin, atol=1e-12)
+        assert np.linalg.norm(np.array(before.spin)) > 0.01
+
+
+def test_a_side_swing_alone_is_a_pendulum(pair: mk.AntagonisticJoint) -> None:
+    """About the forward axis with the leg locked: I theta'' = torque - m g c sin(theta)."""
+    link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=0.0004)
+    side = LegJoint(pair, -10 * deg, 10 * deg, name="side", axis=(0.5, 0.0, 0.0))  # of any length
+    leg = Leg(Trunk(1.0, freedom="fixed"), (link,), (side,))
+    posture = posture_of(leg, (0.1,))
+    found = acceleration(leg, posture, at_rest(posture), (0.7,), ZERO, 9.81).angles[0]
+    inertia = 0.009 + 0.5 * 0.19**2
+    assert float(found) == pytest.approx((0.7 - 0.5 * 9.81 * 0.19 * np.sin(0.1)) / inertia, rel=1e-13)
+    foot = contact(leg, frames(leg, posture, at_rest(posture))).position
+    np.testing.assert_allclose(foot, [0.0, 0.4 * np.sin(0.1), -0.4 * np.cos(0.1)], atol=1e-15)
+
+
+def test_a_leg_without_swing_to_the_side_is_the_planar_leg() -> None:
+    """The same accelerations, also under a force in the plane."""
+    legs = [read_leg(name) for name in ("lei-leg-planar", "lei-leg")]
+    assert [leg.is_planar for leg in legs] == [True, False]
+    assert legs[1].muscle_names == ("side1", "side2", "hip1", "hip2", "knee1", "knee2")
+    found = []
+    for leg, before in zip(legs, ((), (0.0,)), strict=True):
+        posture = posture_of(leg, (*before, 0.05, -0.2))
+        velocity = at_rest(posture)._replace(z=jnp.asarray(-1.0), angles=tuple(map(jnp.asarray, (*before, 1.0, -2.0))))
+        found.append(acceleration(leg, posture, velocity, (*before, 2.0, -1.0), Vector(20.0, 0.0, 90.0), 9.81))
+    assert float(found[1].angles[0]) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose([found[1].z, *found[1].angles[1:]], [found[0].z, *found[0].angles], rtol=1e-12)
+
+
+def test_friction_is_along_the_ground_and_against_the_slip() -> None:
+    ground = Ground(friction=0.5, slope=10 * deg, side_slope=-20 * deg)
+    normal = np.array(ground.normal)
+    rise = np.array([[1, 0, np.tan(10 * deg)], [0, 1, np.tan(-20 * deg)]])
+    np.testing.assert_allclose(rise @ normal, 0, atol=1e-15)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    velocity = np.array([0.3, -0.4, 0.1])
+    leg = read_leg("lei-leg")
+    posture = posture_of(leg, (0.0, 0.0, 0.0))
+    point = contact(leg, frames(leg, posture, at_rest(posture)), ground.normal)
+    deep = point._replace(position=Vector(*(-0.002 * normal)), velocity=Vector(*velocity))
+    force = np.array(ground.force(deep))
+    along = velocity - normal * (velocity @ normal)
+    pressed = force @ normal
+    assert pressed == pytest.approx(20e3 * 0.002 * (1 - 0.5 * velocity @ normal))
+    np.testing.assert_allclose(
+        force - pressed * normal, -0.5 * pressed * along / np.hypot(np.linalg.norm(along), 0.1), atol=1e-12
+    )
+
+
+@pytest.fixture(scope="module")
+def in_space() -> tuple[LegPlant, LegStart, PressureSchedule]:
+    plant = LegScenario.read(FILE).plant()
+    angles = (1 * deg, 0.0, 0.0)
+    pressures = plant.leg.pressures_for(angles, (0.0, 0.0, 0.0), (None, None, 15.0))
+    return plant, LegStart(angles, pressures, upward_speed=-1.0), PressureSchedule(tuple((p,) for p in pressures))
+
+
+@pytest.mark.slow
+def test_batches_are_single_runs_in_both_engines(in_space) -> None:
+    plant, start, schedule = in_space
+    given = {"duration": 0.1, "control_period": 0.25e-3, "substeps": 2}
+    speeds = [-0.5, -1.0]
+    tables = [
+        simulate_legs(plant, schedule, start, over={"start.upward_speed": speeds}, engine=engine, **given)
+        for engine in ("native", "xla")
+    ]
+    for name in tables[0].table:
+        np.testing.assert_allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, err_msg=name)
+    run = simulate_leg(plant, schedule, start, **given)
+    assert float(tables[0]["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-9)
+    assert np.abs(run["ground_left"]).max() > 3
+    assert np.ptp(run["angle"][0]) > 0.1 * deg
+
+
+@pytest.mark.slow
+def test_gradients_are_those_of_finite_differences(in_space) -> None:
+    plant, start, _ = in_space
+
+    @jax.jit
+    def angles(commands: jax.Array) -> jax.Array:
+        state = plant.begin(start._replace(clearance=0.002))
+        return jnp.stack(plant.advance(state, tuple(commands), 0.02, 80).posture.angles)
+
+    at = np.array(start.pressures) + 0.5e5 * np.array([1, -1, 1, -1, 1, -1])
+    found = np.asarray(jax.jacfwd(angles)(at))
+    expected = approx_fprime(at, lambda x: np.asarray(angles(x)), 10.0)
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(found).max())
+
+
+def test_what_cannot_be_is_refused(pair: mk.AntagonisticJoint) -> None:
+    link = Link(0.4, 0.5, 0.19, 0.009)
+    joint = LegJoint(pair, -5 * deg, 5 * deg)
+    for make, field in (
+        (lambda: dataclasses.replace(joint, axis=(0.0, 0.0, 0.0)), "axis"),
+        (lambda: dataclasses.replace(joint, axis=(1.0, 0.0)), "axis"),
+        (lambda: Leg(Trunk(1.0), (Link(0.0, 0.0, 0.0, 0.0),), (joint,)), "links"),
+        (lambda: dataclasses.replace(link, axial_inertia=-1.0), "axial_inertia"),
+        (lambda: Trunk(1.0, 0.01, freedom="floating", roll_inertia=0.0), "roll_inertia"),
+        (lambda: Ground(slope=80 * deg), "slope"),
+    ):
+        with pytest.raises(RangeError) as caught:
+            make()
+        assert caught.value.field == field and caught.value.remedy
+
+
+def test_a_slender_link_cannot_turn_about_its_own_line(pair: mk.AntagonisticJoint) -> None:
+    turn = LegJoint(pair, -5 * deg, 5 * deg, name="yaw", axis=(0.0, 0.0, 1.0))
+    for axial, field in ((0.0, "axial_inertia"), (1e-4, None)):
+        link = Link(0.4, 0.5, 0.19, 0.009, axial_inertia=axial)
+        plant = LegPlant(Leg(Trunk(1.0), (link,), (turn,), foot_radius=0.02), mk.FirstOrderValve(0.02))
+        if field is None:
+            assert plant.needed_substeps((0.0,), None, 0.25e-3) < 100
+            continue
+        with pytest.raises(SimulationError) as caught:
+            plant.needed_substeps((0.0,), None, 0.25e-3)
+        assert caught.value.field == field and caught.value.remedy
+
+
+def test_files_of_a_leg_in_space() -> None:
+    scenario = LegScenario.read(FILE)
+    assert LegScenario.parse(scenario.dumps()) == scenario
+    head = "name: x\nleg:\n  from: lei-leg\n"
+    turned = LegScenario.parse(head + "  joints: {hip: {axis: [0, 0, 1]}}\nground: {slope: 5 deg}\n")
+    assert turned.leg.joints[1].axis == (0.0, 0.0, 1.0)
+    assert turned.plant().ground.slope == pytest.approx(5 * deg)
+    assert LegScenario.parse(turned.dumps()) == turned
+    for text, line, field in (
+        ("  trunk: {freedom: floating, inertia: 0 kg*m^2}\n", 4, "leg.trunk.inertia"),
+        ("ground: {side_slope: 70 deg}\n", 4, "ground.side_slope"),
+        ("  joints: {hip: {axis: [0, 0, 2]}}\n", 4, "leg.joints"),
+    ):
+        with pytest.raises(ScenarioError) as caught:
+            LegScenario.parse(head + text)
+        problem = caught.value.problems[0]
+        assert (problem.line, problem.field) == (line, field) and problem.remedy
+
+
+@pytest.mark.parametrize("written", ["[1, 0, 7]", "[1, 0]", "up"])
+def test_a_wrong_axis_is_reported_with_its_line(written: str) -> None:
+    geometry = "{from: knee-table-2, connector_length: 208 mm}"
+    muscles = f"{{geometry: {geometry}, muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}}}"
+    text = f"""name: x
+leg:
+  trunk: {{mass: 1 kg}}
+  links:
+    - {{length: 400 mm, mass: 0.5 kg, centre: 190 mm, inertia: 0.009 kg*m^2, axial_inertia: 0.0004 kg*m^2}}
+  joints:
+    - name: side
+      axis: {written}
+      lower: -5 deg
+      upper: 5 deg
+      muscles: {muscles}
+"""
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse(text)
+    assert {one.line for one in caught.value.problems if (one.field or "").startswith("leg.joints[0].axis")} == {8}

@@ -1,0 +1,113 @@
+"""What limits the attainable stiffness, extrapolated laws, and stiffness with friction."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.joint.antagonistic import SMALL_MOTION
+from mckibben.muscle import Domain, MaxwellSlip
+from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant
+from mckibben.reachability import envelope, static_envelope
+from mckibben.report.joint import envelope as draw_envelope
+from mckibben.report.tracking import tracking
+from mckibben.scenario import Scenario, run_scenario
+from mckibben.units import bar, percent
+
+BASE = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(
+    update={"valve": FirstOrderValve(0.02), "duration": 0.2}
+)
+MEASURED = Domain(-3 * percent, 25 * percent, 2 * bar, 5 * bar)
+
+
+def scenario(**changes) -> Scenario:
+    """The scenario with a law measured at 2 to 5 bar, of a muscle rated for 8 bar."""
+    muscle = BASE.joint.muscle1
+    law = dataclasses.replace(muscle.law, domain=MEASURED)
+    muscle = dataclasses.replace(muscle, law=law, **changes)
+    return BASE.model_copy(update={"joint": dataclasses.replace(BASE.joint, muscle1=muscle, muscle2=muscle)})
+
+
+def test_measured_pressures_limit_a_muscle_unless_its_law_is_extrapolated():
+    muscle = scenario().joint.muscle1
+    assert (muscle.domain.pressure_min, muscle.domain.pressure_max) == (2 * bar, 5 * bar)
+    assert not muscle.extrapolation
+    further = scenario().with_extrapolation().joint.muscle1
+    assert (further.domain.pressure_min, further.domain.pressure_max) == (0.0, 8 * bar)
+    assert further.domain.contraction_max == MEASURED.contraction_max
+    assert "2..5 bar" in further.extrapolation and "0..8 bar" in further.extrapolation
+
+
+def test_extrapolation_is_part_of_a_file():
+    further = scenario().with_extrapolation()
+    assert Scenario.parse(further.dumps()).joint.muscle1 == further.joint.muscle1
+    assert "extrapolate" in further.dumps() and "extrapolate" not in scenario().dumps()
+
+
+@pytest.mark.slow
+def test_the_envelope_names_what_limits_it():
+    found = envelope(scenario())
+    lowest, highest, offer = found.remarks()
+    assert "the lowest measured pressure (2 bar)" in lowest and "the highest measured pressure (5 bar)" in highest
+    assert "--extrapolate" in offer
+    assert found.records()["remarks"] == found.remarks()
+    further = envelope(scenario().with_extrapolation())
+    assert "measured pressure" not in " ".join(further.remarks()[:2])
+    assert further.remarks()[-1] == further.scenario.joint.muscle1.extrapolation
+    inside = ~np.isnan(found.static.stiffness.lowest)
+    assert (further.static.stiffness.lowest[inside] <= found.static.stiffness.lowest[inside] + 1e-6).all()
+    assert np.nanmax(further.static.stiffness.highest) > np.nanmax(found.static.stiffness.highest) + 1
+
+
+@pytest.mark.slow
+def test_the_supply_of_a_valve_is_named():
+    valve = FlowValve(conductance=1e-9, supply=4 * bar)
+    supplied = BASE.model_copy(update={"valve": valve})
+    found = envelope(supplied)
+    assert any("the supply (4 bar)" in remark for remark in found.remarks())
+
+
+@pytest.mark.slow
+def test_simulation_and_envelope_have_the_same_limits():
+    for each in (scenario(), scenario().with_extrapolation()):
+        result, feasibility = run_scenario(each)
+        static = static_envelope(each.plant(), about=float(result["desired_angle"][0]))
+        at = feasibility.desired_angle[0]
+        for edge, band in zip(static.stiffness, (feasibility.lowest[0], feasibility.highest[0]), strict=True):
+            assert np.interp(at, static.angles, edge) == pytest.approx(band, rel=1e-3)
+        domain = each.joint.muscle1.domain
+        assert result["pressure1"].max() <= domain.pressure_max + 1
+        assert tuple(result.domains) == (domain, domain)
+
+
+@pytest.mark.slow
+def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
+    rubbing = scenario(friction=MaxwellSlip(12.0, 0.5e-3))
+    found = envelope(rubbing)
+    static, at = found.static, int(found.static.table_rows()[0])
+    assert "small-motion stiffness" in found.headers and all(len(row) == len(found.headers) for row in found.rows())
+    small = static.small_motion
+    assert small is not None
+    pressures = static.pressures_at_lowest[:, at]
+    expected = rubbing.joint.secant_stiffness(static.angles[at], (pressures[0], pressures[1]), SMALL_MOTION)
+    assert small.lowest[at] == pytest.approx(float(expected))
+    assert small.lowest[at] > static.stiffness.lowest[at] + 5
+    assert found.records()["table"][0]["small_motion"] == [small.lowest[at], small.highest[at]]
+    assert any("friction" in remark for remark in found.remarks())
+    result, _ = run_scenario(rubbing)
+    assert (result["small_motion_stiffness"] > result["stiffness"] + 5).all()
+    result.to_netcdf(tmp_path / "run.nc")
+    (edge,) = [one for one in draw_envelope(found).axes[1].lines if str(one.get_label()).startswith("small motion")]
+    assert np.nanmax(edge.get_ydata()) == pytest.approx(np.nanmax(small.lowest[static.inside]))
+    (line,) = [one for one in tracking({"PID": result}).axes[2].lines if "small motion" in str(one.get_label())]
+    np.testing.assert_array_equal(line.get_ydata(), result["small_motion_stiffness"])
+    plain = envelope(scenario())
+    assert plain.static.small_motion is None and "small-motion stiffness" not in plain.headers
+
+
+@pytest.mark.slow
+def test_a_joint_without_friction_has_no_such_column():
+    plant = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), IdealValve())
+    assert static_envelope(plant).small_motion is None
+    assert "small_motion_stiffness" not in run_scenario(scenario()).result.columns

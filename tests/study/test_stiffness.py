@@ -1,0 +1,31 @@
+"""Stiffness over amplitude and rate of a scenario whose air has a temperature."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben.report.joint import stiffness
+from mckibben.scenario import Scenario
+from mckibben.study.stiffness import CLOSED, stiffness_tests
+from mckibben.units import deg
+
+WARM = Path(__file__).parents[2] / "examples" / "stiffness" / "warm.yaml"
+
+
+@pytest.mark.slow
+def test_closed_valves_have_a_storage_and_a_loss_part_that_depend_on_the_rate():
+    """The simulated tests against the linearised air, in motion in which friction is a spring."""
+    found = stiffness_tests(Scenario.read(WARM), np.array([0.01, 0.02]) * deg, np.array([0.25, 10.0]))
+    simulated, closed = found.tests[CLOSED], found.closed_dynamic
+    friction = found.secant[0] - found.isobaric
+    np.testing.assert_allclose(simulated.stiffness[:, 0], closed.real + friction, rtol=2e-4)
+    np.testing.assert_allclose(simulated.loss[:, 0], closed.imag, atol=0.005)
+    assert closed.imag[0] > 1.0 > closed.imag[1] > 0.0 and closed.real[1] > closed.real[0] + 2
+    records = found.records()
+    assert records["closed_storage"] == closed.real.tolist() and records["closed_loss"] == closed.imag.tolist()
+    headers, rows = found.rows()
+    assert all(len(row) == len(headers) for row in rows) and sum("closed" in one for one in headers) == 1
+    storage, loss = stiffness(found).axes[-2:]
+    np.testing.assert_allclose(storage.lines[1].get_ydata(), simulated.stiffness[:, 0])
+    np.testing.assert_allclose(loss.lines[1].get_ydata(), simulated.loss[:, 0])

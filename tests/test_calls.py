@@ -1,0 +1,130 @@
+"""Calls that a new user tries: those that forward, and wrong ones, whose errors name the call that is meant."""
+
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.control import PolePlacement
+from mckibben.errors import DomainWarning, McKibbenError, McKibbenWarning, closest
+from mckibben.report.style import NotebookFigure
+from mckibben.study.benchmark import Suite
+from mckibben.study.tune import Method
+from mckibben.study.tune.tune import DEFAULT_COST
+from mckibben.units import bar, deg
+
+SCENARIO = mk.Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
+DATA = mk.catalog.dataset("dmsp-10-250-martens2017")
+LAW = mk.catalog.law("lei-mas-10-180n")
+
+
+@pytest.mark.parametrize(
+    ("call", "meant"),
+    [
+        (lambda: mk.simulate(SCENARIO), "scenario.simulate()"),  # type: ignore[arg-type]
+        (lambda: mk.simulate(SCENARIO.plant(), SCENARIO.control()), "simulate(plant, controller, reference)"),
+        (lambda: mk.identify(DATA), "identify(ExponentialLaw"),  # type: ignore[arg-type]
+        (lambda: mk.identify(DATA, mk.ExponentialLaw), "identify(ExponentialLaw"),  # type: ignore[arg-type]
+        (lambda: mk.rank(mk.ExponentialLaw, DATA), "rank(read_dataset"),  # type: ignore[arg-type]
+        (lambda: mk.read_dataset(3), "path"),  # type: ignore[arg-type]
+        (lambda: mk.report.tracking(SCENARIO), "result.plot()"),  # type: ignore[arg-type]
+        (lambda: mk.report.isobaric(LAW), "fit.plot()"),  # type: ignore[arg-type]
+        (lambda: LAW.force("10 %", 3 * bar), "SI units"),  # type: ignore[arg-type]
+        (lambda: LAW.force(0.1, "3 bar"), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.catalog.joint("knee-table-2").stiffness("10 deg", (3e5, 3e5)), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.catalog.specimen("MAS10"), "MAS-10-180N-AA-MC-O"),
+        (lambda: mk.catalog.law("Lei"), "lei-mas-10-180n"),
+        (lambda: mk.catalog.law("x"), "sarosi-dmsp-10"),
+    ],
+)
+def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
+    with pytest.raises(McKibbenError) as caught:
+        call()
+    assert meant in caught.value.remedy
+    assert not {"_ModuleMeta", "dtype", "positional"} & set(str(caught.value).split())
+
+
+@pytest.mark.parametrize(
+    ("of", "name", "meant"),
+    [
+        (SCENARIO, "run", "simulate"),
+        (SCENARIO, "simulat", "simulate"),
+        (mk, "envelope", "scenario.envelope()"),
+        (mk, "ExponentialLw", "ExponentialLaw"),
+    ],
+)
+def test_an_unknown_name_has_a_suggestion(of, name, meant):
+    with pytest.raises(AttributeError, match=meant.replace("(", r"\(").replace(")", r"\)")):
+        getattr(of, name)
+    assert not hasattr(SCENARIO, "nothing_like_it") and not hasattr(mk, "nothing_like_it")
+
+
+def test_the_catalog_completes_its_entries():
+    assert dir(mk.catalog) == sorted(mk.catalog.__all__)
+
+
+@pytest.mark.parametrize(("name", "known"), [("mas10", "MAS-10"), ("arm", "arm_slope"), ("kp", ""), ("xyz", "")])
+def test_the_beginning_of_a_name_suggests_it(name, known):
+    assert closest(name, ["MAS-10", "DMSP-10", "arm_slope"]) == known
+
+
+def test_impossible_numbers_warn_in_direct_calls_of_a_law():
+    with pytest.warns(DomainWarning, match="300 %") as said:
+        LAW.force(contraction=3.0, pressure=6 * bar)
+    assert said[0].filename == __file__
+    with pytest.warns(McKibbenWarning, match="3 Pa"):
+        LAW.force(0.1, 3)
+    LAW.force(np.array([-0.05, 0.3]), np.array([0.0, 6 * bar]))  # outside the domain of the data, but possible
+
+
+def test_a_fit_predicts_and_draws():
+    fit = mk.identify(mk.ExponentialLaw, DATA)
+    taut = DATA.taut
+    np.testing.assert_allclose(
+        fit.predict(taut.contraction, taut.pressure), fit.law.force(taut.contraction, taut.pressure)
+    )
+    with pytest.warns(DomainWarning):
+        fit.predict(0.1, 20 * bar)
+    assert isinstance(fit.plot(), NotebookFigure) and isinstance(DATA.plot(), NotebookFigure)
+
+
+@pytest.mark.slow
+def test_a_scenario_forwards(tmp_path):
+    result = SCENARIO.simulate()
+    again = mk.simulate(
+        SCENARIO.plant(),
+        SCENARIO.control(),
+        SCENARIO.reference(),
+        duration=0.2,
+        initial=SCENARIO.initial(SCENARIO.plant()),
+    )
+    np.testing.assert_allclose(result["angle"], again["angle"], atol=1e-9)
+    assert isinstance(result.plot(), NotebookFigure)
+    found = SCENARIO.envelope()
+    assert found.trackability.trackable and isinstance(found.plot(), NotebookFigure)
+    tuned = SCENARIO.tune(method=Method.EVOLUTION, iterations=1, population=5)
+    assert tuned.cost <= tuned.cost_before and set(tuned.values) == {
+        one for one in tuned.values if "controller." in one
+    }
+    assert "bar/rad" in tuned._repr_html_() and isinstance(tuned.plot(), NotebookFigure)
+    assert "controller.c" in SCENARIO.export("c", tmp_path).files
+
+
+@pytest.mark.slow
+def test_a_scenario_compares_controllers():
+    plant = SCENARIO.plant()
+    decoupling = mk.DecouplingControl(model=plant.joint, load=plant.load, feedback=PolePlacement(60.0))
+    suite = Suite.of(SCENARIO, {"decoupling": decoupling}, conditions=("load.mass2=+-20 %",))
+    assert list(suite.controllers) == ["scenario", "decoupling"] and suite.control_period == SCENARIO.control_period
+    small: dict = {"tuning": {"generations": 1, "population": 4, "runs": 2, "starts": 1}, "evaluation": {"runs": 4}}
+    compared = SCENARIO.compare({"decoupling": decoupling}, conditions=("load.mass2=+-20 %",), **small)
+    assert set(compared.batches) == {"scenario", "decoupling"}
+    assert compared.metric("decoupling", "angle_rmse").max() < 1 * deg
+    assert isinstance(compared.plot(), NotebookFigure)
+
+
+def test_the_default_cost_of_tuning_is_that_of_the_command():
+    import inspect
+
+    from mckibben.cli.sweep import tune
+
+    assert inspect.signature(tune).parameters["cost"].default == DEFAULT_COST
