@@ -142,7 +142,7 @@ def test_a_fit_can_be_validated_as_it_is():
     data = mk.catalog.dataset("dmsp-10-250-martens2017")
     fit = mk.identify(mk.ExponentialLaw, data)
     assert mk.validate(fit, data).of("ExponentialLaw").rmse == pytest.approx(fit.rmse, rel=1e-9)
-    with pytest.raises(mk.McKibbenError, match="identify takes a law class and a dataset"):
+    with pytest.raises(mk.McKibbenError, match="identify takes the class of a law"):
         mk.identify(data, mk.ExponentialLaw)
 
 

@@ -107,8 +107,7 @@ class GaussianProcessLaw(ForceLaw):
     domain: Domain = Domain()
 
     equation = (
-        "F = F_Eq2 + sum_ij d_ij T_i(g(v)) T_j(g(w)), g(v) = (3 v - v^3)/2, "
-        "v = clip((eps - centre)/half_width, -1, 1), w = clip((p - pressure_centre)/pressure_half_width, -1, 1)"
+        "F = F_Eq2 + sum_ij d_ij T_i(g(v)) T_j(g(w)), g(v) = (3 v - v^3)/2; v, w: eps, p in their windows, within -1..1"
     )
     source = "this project"
     linear_parameters = (
