@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import read_dataset, read_recording
-from mckibben.errors import McKibbenWarning
+from mckibben.errors import DatasetError, McKibbenWarning
 
 from .conftest import said_of
 
@@ -51,6 +51,19 @@ def test_more_than_half_of_the_rows_are_never_left_out(put):
     assert "7 of 13 rows are not numeric: more than half cannot be left out" in found
     with pytest.warns(McKibbenWarning, match="6 of 12 rows"):
         assert len(read_dataset(put(HEADER + "".join(rows[1:])), on_corrupt="report")) == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", ["1,2\n", '"1,2,3\n'])
+def test_the_corrupt_rows_of_a_large_file_are_listed_in_part(row, put):
+    """The child process does not send a problem for each of them."""
+    path = put(HEADER + "".join(ROWS) + row * (2**20 // len(row)))
+    for on_corrupt in ("raise", "report"):
+        with pytest.raises(DatasetError) as caught:
+            read_dataset(path, on_corrupt=on_corrupt)
+        total, *listed = caught.value.problems
+        assert total.line is None
+        assert [one.line for one in listed] == list(range(14, 1014))
 
 
 @pytest.mark.parametrize("end", ["12,11", "12", "12,"])

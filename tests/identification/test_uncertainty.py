@@ -390,7 +390,7 @@ def test_a_bootstrap_agrees_with_the_sandwich_and_with_refits_to_repeated_points
     assert low < fit.law.decay < high
     assert (high - low) > 2 * 1.96 * np.std(found.draws[:, 6]) * 0.9  # wider than plain percentiles, about
     band = found.force_interval(np.array([0.05, 0.1]), 4 * bar)
-    robust = fit.force_intervals(np.array([0.05, 0.1]), 4 * bar).confidence
+    robust = fit.force_intervals(np.array([0.05, 0.1]), 4 * bar, by=Grouping.PRESSURE).confidence  # without the misfit
     assert np.all(
         (band.standard_error / robust.standard_error > 0.5) & (band.standard_error / robust.standard_error < 2)
     )
@@ -524,4 +524,4 @@ def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, 
         covered.append((found.lower <= new) & (new <= found.upper))
     assert all(said) if grows else sum(said) <= 3  # of 1 expected
     for part in np.array_split(np.argsort(force), 4):
-        assert 0.91 < np.mean(np.array(covered)[:, part]) < 0.985
+        assert 0.91 < np.mean(np.array(covered)[:, part]) < (0.999 if grows else 0.985)

@@ -18,6 +18,7 @@ from mckibben.errors import DatasetError, Problem
 _SMALL = 2**20  # bytes: smaller texts are read in this process
 _LARGEST = 2**28  # bytes of a file
 _CELLS = 2**24  # of all columns
+_SHOWN = 1000  # corrupt rows of a file with few others
 _OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -63,6 +64,10 @@ def _read_within_limits(path: Path, mapping: Mapping[str, str], decimal: str) ->
     cells, most = sum(len(channel.cells) for channel in table.channels), _CELLS * limit_factor()
     if cells > most:
         raise DatasetError(str(path), [Problem(f"has {cells} cells, more than {most:.0f}", remedy=LIMIT_REMEDY)])
+    corrupt, rows = len(table.corrupt), max((len(channel.cells) for channel in table.channels), default=0)
+    if corrupt > max(rows, _SHOWN):  # a list of all would take the parent process much memory
+        text = f"{corrupt} of {corrupt + rows} rows are corrupt: more than half cannot be left out"
+        raise DatasetError(str(path), [Problem(text), *table.corrupt[:_SHOWN]])
     return table
 
 

@@ -31,6 +31,11 @@ _FIRST = 0.1  # smallest contraction of a test that begins near the initial leng
 _COPIED = 4  # repeated rows in the same order that count as copies
 _SMALL_FORCE = 0.05  # of the largest one
 _CLEARLY = 0.1  # of the largest force: certainly taut
+_NOISE = 0.01  # of the largest force
+_FEW = 0.02  # of all points, or 3: zeros that are no slack region
+_SAME_PRESSURE = 0.05  # largest relative difference of pressures at one level
+_EVEN = 1.5  # distance of a point from its neighbor, over the distance between that and the next, at most
+_LINE = 0.1  # of the force at the closer point: least value of a line through two points
 _REPEATED = 3  # equal largest values that may be saturated
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
@@ -171,19 +176,56 @@ def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tu
 
 
 def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Message on forces of exactly 0 where the muscle pulls at less pressure and a larger contraction."""
+    """Message on forces of exactly 0 where the muscle cannot be slack."""
     taut, zeros = np.flatnonzero(force > _CLEARLY * force.max()), np.flatnonzero(force == 0)
     taut = taut[np.argsort(pressure[taut], kind="stable")]
     longest = np.maximum.accumulate(np.append(-np.inf, contraction[taut]))  # of taut points up to a pressure
     below = np.searchsorted(pressure[taut], 1.01 * pressure[zeros], side="right")
-    found = zeros[longest[below] >= contraction[zeros]]
-    if found.size:
-        at = found[0]
+    lost = zeros[longest[below] >= contraction[zeros]]
+    why = "the muscle pulls at less pressure and a larger contraction"
+    if not lost.size:
+        lost = _isolated_zeros(pressure, contraction, force)
+        why = "neighbors at the same pressure are far from 0"
+    if lost.size:
+        at = lost[0]
         text = (
-            f"{len(found)} forces are 0, first at {pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} %, "
-            "but the muscle pulls at less pressure and a larger contraction"
+            f"{len(lost)} of {len(force)} forces are 0, first at {pressure[at] / bar:.3g} bar and "
+            f"{contraction[at] / percent:.3g} %, but {why}"
         )
         yield Problem(text, field="force", remedy="leave out points without a measurement"), False
+
+
+def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats) -> NDArray[np.intp]:
+    """Rows with a force of exactly 0 where the line through two neighbors at the same pressure is clearly above 0.
+
+    The force of a muscle, slack or not, is a convex function of the contraction: it is above such a line.
+    """
+    count, largest = int((force == 0).sum()), float(force.max())
+    if not (count and largest > 0 and pressure.max() > 0):
+        return np.array([], np.intp)
+    clearly = (3 * _NOISE if count <= max(3, _FEW * len(force)) else _CLEARLY) * largest
+    least = max(clearly / 3, 3 * _resolution(force))
+    lost = np.zeros(len(force), bool)
+    levels = np.clip(np.round(pressure / (2 * _SAME_PRESSURE * pressure.max())), 0, None).astype(np.int16)
+    for order in (np.arange(len(force)), np.argsort(levels, kind="stable")):  # as measured, and pressure by pressure
+        sorted_force = force[order]
+        zeros = np.flatnonzero(sorted_force == 0)
+        for step in (-1, 1):
+            rows = zeros[(zeros + 2 * step >= 0) & (zeros + 2 * step < len(force))]
+            rows = rows[sorted_force[rows + step] > clearly]
+            at, near, far = (order[rows + n * step] for n in range(3))
+            with np.errstate(all="ignore"):
+                ratio = (contraction[at] - contraction[near]) / (contraction[near] - contraction[far])
+                line = force[near] + (force[near] - force[far]) * ratio
+            apart = np.abs(pressure[[near, far]] - pressure[at]).max(axis=0)
+            even = (ratio > 0) & (ratio <= _EVEN) & (apart <= _SAME_PRESSURE * pressure[at])
+            lost[at] |= even & (line > np.maximum(least, _LINE * force[near]))
+    return np.flatnonzero(lost)
+
+
+def _resolution(force: Floats) -> float:
+    """Largest power of ten [N] of which all forces are multiples; 0 below 0.1 N."""
+    return next((step for step in (100.0, 10.0, 1.0, 0.1) if np.allclose(force, step * np.round(force / step))), 0.0)
 
 
 def implied_diameter(pressure: Floats, force: Floats) -> float | None:

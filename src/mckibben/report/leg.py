@@ -101,8 +101,13 @@ def foot_ellipses(
     points = [*(link.position for link in links), links[-1].point(-leg.links[-1].length)[0]]
     x, z = (np.array([float(point[i]) for point in points]) / mm for i in (0, 2))
     posture_axes.plot(x, z, "o-", color=BLACK, linewidth=3)
-    for joint, at_x, at_z in zip(leg.joints, x, z, strict=False):
-        posture_axes.annotate(joint.name, (at_x, at_z), xytext=(8, 0), textcoords="offset points", va="center")
+    names: dict[tuple[float, float], list[str]] = {}  # of joints at the same place
+    for joint, place in zip(
+        leg.joints, zip(np.round(x, 3).tolist(), np.round(z, 3).tolist(), strict=True), strict=False
+    ):
+        names.setdefault(place, []).append(joint.name)
+    for place, joints in names.items():
+        posture_axes.annotate(", ".join(joints), place, xytext=(8, 0), textcoords="offset points", va="center")
     posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")
     posture_axes.margins(x=0.6, y=0.1)
     letter(posture_axes, 0, "posture")

@@ -227,7 +227,7 @@ class Result(RunResult):
         elif not parts:
             parts.append(f"pressure {np.min(pressures) / bar:.3g}..{np.max(pressures) / bar:.3g} bar")
         known = " or ".join(dict.fromkeys(one.bounds() for one in self.domains))
-        return f"outside the domain ({' and '.join(parts)}{f'; it is {known}' if known else ''})"
+        return f"outside the domain ({' and '.join(parts)}{f' outside {known}' if known else ''})"
 
     def _attributes(self) -> dict[str, Any]:
         found = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
