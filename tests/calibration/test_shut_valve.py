@@ -25,6 +25,20 @@ def choked(conductance, inlet, outlet, temperature):
     return conductance * DENSITY * inlet * math.sqrt(ROOM / temperature) * share * laminar
 
 
+def wall_area(contraction):
+    """Area 4 V/d [m^2] of a cylinder of the muscle's volume and length."""
+    volume, length = float(SPECIMEN.volume(contraction)), SPECIMEN.initial_length * (1 - contraction)
+    return 4 * volume / math.sqrt(4 * volume / (math.pi * length))
+
+
+def two_lengths(seed=0, wall=WALL, **given):
+    """Tests at 2 and 22 % with a wall that grows with its area and holds at 12 %."""
+    return [
+        shut_valve_test(at, wall=wall * wall_area(at) / wall_area(0.12), seed=seed + i, **given)
+        for i, at in enumerate((0.02, 0.22))
+    ]
+
+
 def shut_valve_test(contraction, wall=WALL, leak=LEAK, dead=DEAD, watched=3.0, seed=0, noise=NOISE):
     """Recording of a muscle filled to 5.5 bar and shut, then vented to 1 bar and shut, by SciPy."""
     volume = float(SPECIMEN.volume(contraction)) + dead
@@ -58,8 +72,9 @@ def shut_valve_test(contraction, wall=WALL, leak=LEAK, dead=DEAD, watched=3.0, s
 
 
 def test_wall_leak_and_dead_volume_are_found_from_two_lengths():
-    found = identify_air([shut_valve_test(0.02), shut_valve_test(0.22, seed=1)], SPECIMEN)
+    found = identify_air(two_lengths(), SPECIMEN)
     assert len(found.phases) == 4
+    assert found.contraction == pytest.approx(0.12)
     true = {"wall_conductance": WALL, "leak": LEAK, "dead_volume": DEAD}
     assert found.quantities.keys() == true.keys()
     for name, one in found.quantities.items():
@@ -86,8 +101,7 @@ def test_intervals_of_95_percent_hold_the_truth():
     draw, held, count = np.random.default_rng(3), dict.fromkeys(("wall_conductance", "leak", "dead_volume"), 0), 40
     for seed in range(count):
         true = {"wall": draw.uniform(0.03, 0.3), "leak": draw.uniform(0, 1e-11), "dead": draw.uniform(0, 6) * cm**3}
-        tests = [shut_valve_test(at, **true, seed=2 * seed + i) for i, at in enumerate((0.02, 0.22))]
-        found = identify_air(tests, SPECIMEN)
+        found = identify_air(two_lengths(2 * seed, **true), SPECIMEN)
         for name, value in zip(held, true.values(), strict=True):
             low, high = found.quantities[name].interval
             held[name] += low < value < high
@@ -104,9 +118,10 @@ def test_what_cannot_be_identified_is_refused_with_a_remedy():
     saturated = Recording.of(
         time=whole.time, pressure=np.minimum(pressure, 4.3 * bar), force=0 * pressure, contraction=0.1
     )
+    single = Recording.of(time=whole.time[:1], pressure=pressure[:1], force=[0.0], contraction=0.1)
     every = slice(None, None, 20)
     slow = Recording.of(time=whole.time[every], pressure=pressure[every], force=0 * pressure[every], contraction=0.1)
-    for recordings in ([], [regulated], [moving], [saturated], [slow]):
+    for recordings in ([], [regulated], [moving], [saturated], [slow], [single]):
         with pytest.raises(IdentificationError) as caught:
             identify_air(recordings, SPECIMEN)
         assert caught.value.remedy
@@ -121,3 +136,31 @@ def test_what_cannot_be_identified_is_refused_with_a_remedy():
 def test_a_watch_that_is_too_short_is_warned_of():
     with pytest.warns(McKibbenWarning):
         identify_air([shut_valve_test(0.1, wall=0.02, watched=0.8)], SPECIMEN)
+
+
+def test_samples_at_exactly_the_lowest_rate_are_accepted():
+    whole = shut_valve_test(0.1)
+    table = whole.table.isel(sample=slice(None, None, round(0.01 / float(np.diff(whole.time).mean()))))
+    time = np.round(np.arange(len(table["time"])) * 0.01, 6)
+    pressure, force, contraction = (table[name].to_numpy() for name in ("pressure", "force", "contraction"))
+    assert float(np.median(np.diff(time))) >= 0.01
+    slow = Recording.of(time=time, pressure=pressure, force=force, contraction=contraction)
+    assert identify_air([slow], SPECIMEN).phases
+
+
+def cooling(contraction, time_constant):
+    """Recording of a muscle filled to 5 bar whose pressure falls to 4 bar."""
+    time = np.arange(0.0, 4.0, PERIOD)
+    shut = 4 * bar + 1 * bar * np.exp(-(time - 0.5) / time_constant)
+    gauge = np.where(time < 0.5, np.interp(time, [0.4, 0.5], [0.0, 5 * bar]), shut)
+    gauge = gauge + np.random.default_rng(0).normal(0.0, 200.0, time.size)
+    return Recording.of(time=time, pressure=gauge, force=0 * time, contraction=contraction)
+
+
+@pytest.mark.parametrize("constants", [(0.7, 0.5), (0.3, 0.7)])
+def test_time_constants_that_contradict_the_volumes_are_refused(constants):
+    """The dead volume would be without bound, or below 0."""
+    with pytest.raises(IdentificationError) as caught:
+        identify_air([cooling(at, tau) for at, tau in zip((0.0, 0.2), constants, strict=True)], SPECIMEN)
+    assert caught.value.remedy
+    assert not caught.value.lower < caught.value.value + 1e-7 < caught.value.upper

@@ -89,9 +89,9 @@ def test_a_process_that_is_done_ends_with_0(tmp_path):
         (["identify", "nowhere.csv"], "error: nowhere.csv: 1 problem\n  there is no such file\n"),
         (
             ["identify", "festo-tool-10mm", "--law", "x"],
-            "error: there is no law 'x'; known are chou, exponential, hunt, martens-boblan, repperger, reynolds, "
-            "sarosi, smooth-affine, smooth, tondu-lopez, tondu-lopez-variable, tsagarakis-caldwell; load the "
-            "module of a user-defined law first (--extension)\n",
+            "error: there is no law 'x'; known are chou, exponential, gaussian-process, hunt, martens-boblan, "
+            "repperger, reynolds, sarosi, smooth-affine, smooth, tondu-lopez, tondu-lopez-variable, "
+            "tsagarakis-caldwell; load the module of a user-defined law first (--extension)\n",
         ),
     ],
 )

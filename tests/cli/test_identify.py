@@ -9,7 +9,8 @@ import pytest
 
 from mckibben import catalog
 from mckibben.component.schema import read_component
-from mckibben.dataset import IsobaricDataset
+from mckibben.dataset import IsobaricDataset, Recipe
+from mckibben.errors import ScenarioError
 from mckibben.identification import Fit
 from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
@@ -199,7 +200,7 @@ class TestEveryLaw:
         found, folder = ranked
         lines = found.out.splitlines()
         laws = [line.split()[0] for line in lines if re.match(r"^ +[A-Z]\w+ +\d+ ", line)]
-        assert laws[:3] == ["Sarosi", "Hunt", "Smooth"]
+        assert laws[:3] == ["Sarosi", "Hunt", "GaussianProcess"]
         assert "no cross-validation over repeats: no repeat is recorded" in lines
         assert any(line.startswith("flagged TonduLopez: braid_angle at a bound") for line in lines)
         numbers = json.loads((folder / "results.json").read_text(encoding="utf-8"))
@@ -209,6 +210,7 @@ class TestEveryLaw:
         assert type(best.law).__name__ == "SarosiLaw"
         kept = {path.stem for path in (folder / "fits").iterdir()}
         assert kept == {entry["law"] for entry in numbers["laws"] if not entry["refused"]}
+        assert Recipe.read(folder / "recipe.yaml") == Recipe()
         assert (folder / "ranking.png").stat().st_size > 20_000
 
 
@@ -283,3 +285,37 @@ def test_a_home_made_muscle_gets_a_volume_from_its_diameter_or_a_measured_fill(c
         grown = np.gradient(np.asarray(muscle.specimen.volume(np.linspace(0, 0.2, 401))), 0.2 / 400)[::100]
         gain = (muscle.law.force(contraction, pressure + 1) - muscle.law.force(contraction, pressure - 1)) / 2
         np.testing.assert_allclose(grown, 0.18 * np.asarray(gain), rtol=0.02, atol=2e-7)  # virtual work
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--diameter", "20 mm"),
+        ("--diameter", "-20 mm", "--out", "new"),
+        ("--fill", "0 cm^3", "--out", "new"),
+        ("--fill", "5 mm", "--out", "new", "--law", "all"),
+        ("--diameter", "200 mm", "--out", "new", "--law", "all"),
+    ],
+)
+def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, options):
+    found = cli("identify", german, *COLUMNS, "--initial-length", "180 mm", *options)
+    assert (found.code, found.out) == (2, "")
+    assert not list((tmp_path / "new").glob("*"))  # the corrected command needs no --force
+
+
+def test_options_take_precedence_over_a_recipe(cli, german, tmp_path):
+    (tmp_path / "recipe.yaml").write_text(
+        'columns: {"Kraft [N]": contraction_percent, "Kontraktion [%]": force_N, "Druck [bar]": pressure_bar}\n'
+        "force_sign: -1\n"
+    )
+    found = cli("identify", german, "--recipe", "recipe.yaml", "--force-sign", "1", *COLUMNS[2:], "--json")
+    assert found.code == 0, found.err
+    assert found.out == cli("identify", german, *COLUMNS, "--json").out
+
+
+def test_a_recipe_may_be_empty_but_needs_a_sign(tmp_path):
+    (tmp_path / "recipe.yaml").write_text(Recipe().dumps())
+    assert Recipe.read(tmp_path / "recipe.yaml") == Recipe()
+    with pytest.raises(ScenarioError) as caught:
+        Recipe.parse("decimal: ','\nforce_sign: 0\n")
+    assert [(problem.line, problem.field) for problem in caught.value.problems] == [(2, "force_sign")]

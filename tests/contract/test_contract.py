@@ -64,6 +64,7 @@ ROUGH = dataclasses.replace(KNEE.muscle1, friction=SLIP)
 TWO_BONES, PULLEY = joint.TwoBonePath(-0.02, 0.30, -0.03, 0.0), joint.Pulley(25 * mm, 0.3)
 PID = control.PID(2 * bar, 60 * bar, 0.4 * bar)
 LOOPS = control.PositionStiffnessControl(PID, control.PID(8e3, 5e5, 0.0), model=KNEE)
+DECOUPLING = control.DecouplingControl(KNEE, LOAD, control.PolePlacement())
 REFERENCE = Reference(Sine(0.1, 1.0), 15.0)
 TIMED = leg.TimedReference((REFERENCE, REFERENCE))
 PHASES = [(Setpoint(0.1 * k, 15.0), Setpoint(0.2 * k, 20.0)) for k in range(4)]
@@ -115,7 +116,7 @@ EXAMPLES = [
     control.PolePlacement(integral=True, damping=2.5),
     control.ExtendedStateObserver(damping=2.5),
     LOOPS,
-    control.DecouplingControl(KNEE, LOAD, control.PolePlacement()),
+    DECOUPLING,
     control.InverseModelControl(LOOPS, LOAD),
     control.FrictionCompensation(LOOPS, model=joint.AntagonisticJoint(KNEE.geometry, ROUGH, ROUGH)),
     control.SupplyLimit(LOOPS),
@@ -124,6 +125,7 @@ EXAMPLES = [
     leg.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),
     TIMED,
     leg.JointwiseControl((LOOPS, LOOPS), TIMED),
+    leg.CoupledControl((DECOUPLING, DECOUPLING), TIMED, (2e5,), leg=LEG),
     leg.PhasedReference(*PHASES),
     LEG,
     LEG.trunk,

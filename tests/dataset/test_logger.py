@@ -148,3 +148,85 @@ def test_a_recipe_with_mistakes_names_them_all(tmp_path):
     with pytest.raises(ScenarioError) as caught:
         Recipe.read(tmp_path / "recipe.yaml")
     assert [problem.field for problem in caught.value.problems] == ["initial_length", "displacement", "force_sing"]
+
+
+def slack_table(end: float) -> str:
+    noise = np.random.default_rng(round(end)).normal(0, 0.02, 81)
+    lines = [
+        f"{p},{c:.2f},{max(100 * p - 20 * c, 0) + 3 + e:.3f}\n"
+        for p in (1, 2)
+        for c, e in zip(np.linspace(0, end, 81), noise, strict=True)
+    ]
+    return "pressure_bar,contraction_percent,force_N\n" + "".join(lines)
+
+
+def test_a_slack_force_known_for_some_files_only_is_an_error(tmp_path):
+    paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    paths[0].write_text("# slack_force: 1 N\n" + slack_table(20))
+    paths[1].write_text(slack_table(21))
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(paths)
+    (problem,) = caught.value.problems
+    assert problem.field == "slack_force" and "--slack-force" in problem.remedy
+    assert read_dataset(paths[1]).force.min() < 1  # the offset of 3 N is subtracted
+    assert read_dataset(paths, slack_force=4.0).force.min() > 2
+    timed = [line if "," not in line else f"{i}," + line for i, line in enumerate(slack_table(20).splitlines())]
+    timed[0] = "time_s," + timed[0].partition(",")[2]
+    paths[0].write_text("# slack_force: 1 N\n" + "\n".join(timed))
+    paths[1].write_text("\n".join(timed))
+    with pytest.raises(DatasetError) as caught:
+        read_recording(paths)
+    assert [problem.field for problem in caught.value.problems] == ["slack_force"]
+    assert len(read_recording(paths, slack_force=1.0)) == 324
+
+
+def test_repeats_of_different_files_are_distinct(tmp_path):
+    paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for path in paths:
+        rows = [f"2,{c},{100 - 3 * c},loading,{k}\n" for k in (0, 1) for c in (10, 5, 0)]
+        path.write_text("pressure_bar,contraction_percent,force_N,direction,repeat\n" + "".join(rows))
+    repeat = read_dataset(paths).table["repeat"].to_numpy()
+    assert repeat.reshape(-1, 3).tolist() == [[0] * 3, [1] * 3, [2] * 3, [3] * 3]
+
+
+def test_a_recording_whose_clock_goes_on_is_another_plateau(tmp_path):
+    paths = []
+    for number in (0, 1):
+        lines = [f"{0.1 * i:.1f},2,10,80\n" for i in range(30 * number, 30 * number + 30)]
+        paths.append(tmp_path / f"{number}.csv")
+        paths[-1].write_text("time_s,pressure_bar,contraction_percent,force_N\n" + "".join(lines))
+    assert len(read_recording(paths).plateaus().dataset) == 2
+
+
+def test_a_displacement_next_to_a_length_is_compared(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("pressure_bar,length_mm,Weg [mm],force_N\n1,300,0,80\n1,285,15,40\n")
+    given = {"columns": {"Weg [mm]": "displacement_mm"}, "initial_length": 0.3}
+    assert read_dataset(path, displacement="shortening", **given).contraction.tolist() == pytest.approx([0, 0.05])
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path, displacement="lengthening", **given)
+    (problem,) = caught.value.problems
+    assert (problem.field, problem.line) == ("Weg [mm]", 3)
+
+
+def test_options_of_a_displacement_that_is_not_read_cause_a_warning(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("pressure_bar,length_mm,force_N\n1,300,80\n1,285,40\n")
+    with pytest.warns(McKibbenWarning, match="zero_length"):
+        read_dataset(path, initial_length=0.3, zero_length=0.3)
+
+
+def test_a_given_contraction_leaves_a_displacement_unread(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("time_s,pressure_bar,displacement_mm,force_N\n0,1,3,80\n1,1,3,40\n")
+    found = read_recording(path, contraction=0.05)
+    assert found.table["contraction"].to_numpy().tolist() == [0.05, 0.05]
+    assert found.table.attrs["ignored_columns"] == "displacement_mm"
+
+
+def test_an_impossible_displacement_names_its_options(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("pressure_bar,displacement_mm,force_N\n1,0,80\n1,900,40\n")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path, initial_length=0.3, displacement="lengthening")
+    assert all(name in caught.value.problems[0].remedy for name in ("displacement", "zero_length"))

@@ -6,7 +6,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify
-from mckibben.identification.calibration import Calibration
+from mckibben.identification.calibration import IntervalCalibration
 from mckibben.identification.regression import pressure_blocks
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.units import bar
@@ -23,10 +23,19 @@ def measured(seed, law=BRAID, deviation=8.0):
 
 
 def test_between_contractions_the_scores_are_those_of_left_out_contractions():
-    found = Calibration(np.full(99, 2.0), np.full(99, 4.0), np.array([0.0, 0.1, 0.2]), (0.0, np.inf))
-    widths = found.quantile(0.9, np.array([0.0, 0.1, 0.125, 0.15, 0.3, -0.05]))
+    found = IntervalCalibration(np.full(99, 2.0), np.full(99, 4.0), np.array([0.0, 0.1, 0.2]), (0.0, np.inf))
+    widths = found.quantile(0.9, np.array([0.0, 0.1, 0.125, 0.15, 0.3, -0.05]), 1.7)
     np.testing.assert_allclose(widths, [2, 2, 3, 4, 4, 4])
-    assert Calibration(np.full(9, 2.0), np.empty(0), np.array([0.0, 0.1]), (0.0, np.inf)).quantile(0.9, widths) is None
+    few = IntervalCalibration(np.full(9, 2.0), np.empty(0), np.array([0.0, 0.1]), (0.0, np.inf))
+    assert few.quantile(0.9, widths, 1.7) is None
+
+
+def test_too_few_scores_for_the_level_give_students_t_or_the_largest_score():
+    scores, at = np.linspace(0.1, 2.0, 30), np.array([0.0, 0.05])
+    found = IntervalCalibration(scores, np.array([1.0]), np.array([0.0, 0.1]), (0.0, np.inf))
+    np.testing.assert_allclose(found.quantile(0.99, at, 2.8), [2.8, 2.8])
+    np.testing.assert_allclose(found.quantile(0.99, at, 1.5), [2.0, 2.0])
+    np.testing.assert_allclose(found.quantile(0.9, at, 2.1), [scores[27], 2.1])
 
 
 def test_a_quantile_holds_for_one_more_point():
@@ -34,7 +43,7 @@ def test_a_quantile_holds_for_one_more_point():
     held = []
     for _ in range(400):
         scores = np.sort(np.abs(rng.standard_normal(39)))
-        (width,) = Calibration(scores, np.empty(0), np.zeros(1), (0.0, np.inf)).quantile(0.95, np.zeros(1))
+        (width,) = IntervalCalibration(scores, np.empty(0), np.zeros(1), (0.0, np.inf)).quantile(0.95, np.zeros(1), 2.0)
         held.append(abs(rng.standard_normal()) <= width)
     assert 0.92 < np.mean(held) < 0.98
 

@@ -59,6 +59,18 @@ def test_every_number_comes_back_exactly(fit, tmp_path):
     assert "# 92.52 N/bar: constant, per pressure" in text
 
 
+def test_repeats_and_directions_of_the_points_come_back(tmp_path):
+    chart = catalog.dataset("festo-tool-10mm")
+    columns = {name: np.tile(chart.table[name].to_numpy(), 2) for name in ("pressure", "contraction", "force")}
+    repeat = np.repeat([0, 1], len(chart))
+    direction = np.where(repeat, "unloading", "loading")
+    fit = identify(ExponentialLaw, IsobaricDataset.of(**columns, repeat=repeat, direction=direction))
+    fit.to_yaml(tmp_path / "fit.yaml")
+    points = Fit.from_yaml(tmp_path / "fit.yaml").require_regression().points
+    for name in ("repeat", "direction"):
+        np.testing.assert_array_equal(points.table[name], fit.require_regression().points.table[name])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [ExponentialLaw, GaussianProcessLaw])
 def test_a_file_gives_the_same_intervals(law, tmp_path):

@@ -155,6 +155,7 @@ def test_what_is_not_possible_is_refused() -> None:
         (lambda: pressures_for_foot_stiffness(leg, angles, -wanted), RangeError, "wanted"),
         (lambda: pressures_for_foot_stiffness(leg, angles, np.eye(3)), RangeError, "wanted"),
         (lambda: pressures_for_foot_stiffness(leg, (0.0, 30 * deg), wanted), RangeError, "angles"),
+        (lambda: pressures_for_foot_stiffness(leg, (0.0, -1.0), wanted), RangeError, "angle"),
         (lambda: pressures_for_foot_stiffness(locked, angles, wanted), RangeError, "joints"),
         (
             lambda: stiffness_map(dataclasses.replace(leg, joints=(sprung, leg.joints[1])), angles),
@@ -168,6 +169,28 @@ def test_what_is_not_possible_is_refused() -> None:
             call()
         assert caught.value.field == field or not field
         assert caught.value.remedy
+
+
+def test_a_slack_return_spring_cannot_hold_a_torque() -> None:
+    leg, angles = read_leg("lei-leg-planar"), (0.0, -0.3)
+    hip, knee = leg.joints
+    path = float(leg.routed_muscles(angles)[3].path)
+    for longer, kind in ((-0.02, None), (0.005, UnreachableError)):
+        spring = mk.muscle.return_spring(5000.0, path + longer)
+        sprung = dataclasses.replace(knee, muscles=dataclasses.replace(knee.muscles, muscle2=spring))
+        one = dataclasses.replace(leg, joints=(hip, sprung))
+        if kind is None:
+            assert pressures_for_foot_stiffness(one, angles, foot_matrix((20.0, 900.0), -0.15)).tensions[3] > 0
+            continue
+        with pytest.raises(kind) as caught:
+            pressures_for_foot_stiffness(one, angles, foot_matrix((20.0, 900.0), -0.15))
+        assert caught.value.value < caught.value.lower and caught.value.remedy
+
+
+def test_the_direction_is_that_in_the_plane_where_the_foot_is_softest_to_the_side() -> None:
+    space = foot_stiffness(read_leg("lei-leg"), (0.0, 0.0, 0.0), (15.0, 20.0, 15.0))
+    plane = foot_stiffness(read_leg("lei-leg-planar"), (0.0, 0.0), (20.0, 15.0))
+    assert space.direction == pytest.approx(plane.direction, abs=1e-6)
 
 
 @pytest.mark.slow

@@ -175,6 +175,8 @@ def test_what_cannot_be_is_refused(pair: mk.AntagonisticJoint) -> None:
         (lambda: Leg(Trunk(1.0), (Link(0.0, 0.0, 0.0, 0.0),), (joint,)), "links"),
         (lambda: dataclasses.replace(link, axial_inertia=-1.0), "axial_inertia"),
         (lambda: Trunk(1.0, 0.01, freedom="floating", roll_inertia=0.0), "roll_inertia"),
+        (lambda: Trunk(1.0, 0.01, freedom="floating", roll_inertia=0.03), "inertia"),
+        (lambda: dataclasses.replace(link, axial_inertia=0.019), "axial_inertia"),
         (lambda: Ground(slope=80 * deg), "slope"),
     ):
         with pytest.raises(RangeError) as caught:

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 from mckibben.cli import app
 from mckibben.errors import FileError, RangeError, ScenarioError
-from mckibben.leg import LegScenario, LegStart, jumping, landing, study_landing
+from mckibben.leg import LegScenario, LegStart, Link, Trunk, jumping, landing, study_landing
 from mckibben.leg.landing import valve_with
-from mckibben.leg.uncertainty import drawn_plant
+from mckibben.leg.uncertainty import drawn_plant, with_mass
 from mckibben.storage.files import check_seal, file_lock
 from tests.leg.conftest import FILE
 
@@ -230,6 +230,15 @@ def test_draws_scatter_about_the_nominal_leg(scenario: LegScenario) -> None:
     assert strength[0] == 1.0 and strength[1:].std() == pytest.approx(0.05, rel=0.1)
     mass = np.asarray(plant.leg.trunk.mass)
     assert mass[0] == 1.5 and mass[1:].std() == pytest.approx(0.03 * 1.5, rel=0.1)
+
+
+def test_draws_of_the_mass_scale_every_inertia() -> None:
+    factors = np.array([1.0, 1.2])
+    trunk = with_mass(Trunk(2.0, 0.02, freedom="floating", roll_inertia=0.03, yaw_inertia=0.012), factors)
+    link = with_mass(Link(0.4, 0.5, 0.19, 0.009, axial_inertia=0.0004), factors)
+    for body, inertias in ((trunk, (0.03, 0.02, 0.012)), (link, (0.009, 0.009, 0.0004))):
+        np.testing.assert_allclose(body.inertias, np.outer(inertias, factors))
+    assert with_mass(Trunk(2.0, 0.02), factors).roll_inertia is None
 
 
 @pytest.mark.slow

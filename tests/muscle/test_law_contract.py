@@ -11,6 +11,7 @@ import pytest
 from mckibben import catalog, muscle
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.component.base import field_quantities
+from mckibben.errors import DomainWarning, RangeError
 from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, scaled_law
 from mckibben.units import factor
 
@@ -67,6 +68,13 @@ def law(request) -> ForceLaw:
 @pytest.fixture(scope="module")
 def force(law):
     return answers(law)[0]
+
+
+def test_a_direct_call_warns_of_impossible_points_and_refuses_texts(law):
+    with pytest.warns(DomainWarning):
+        law.force(10.0, 3e5)
+    with pytest.raises(RangeError):
+        law.force("0.1", 3e5)
 
 
 @pytest.mark.slow

@@ -46,6 +46,14 @@ def test_extrapolation_is_part_of_a_file():
 
 
 @pytest.mark.slow
+def test_extrapolation_is_offered_only_where_the_specimen_allows_more():
+    specimen = BASE.joint.muscle1.specimen
+    rated = dataclasses.replace(specimen.domain, pressure_max=5 * bar, pressure_min=2 * bar)
+    found = envelope(scenario(specimen=dataclasses.replace(specimen, domain=rated)))
+    assert "--extrapolate" not in " ".join(found.remarks()) and "pressure_max" in found.remarks()[-1]
+
+
+@pytest.mark.slow
 def test_the_envelope_names_what_limits_it():
     found = envelope(scenario())
     lowest, highest, offer = found.remarks()

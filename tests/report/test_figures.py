@@ -111,7 +111,7 @@ def test_any_number_of_results_of_one_reference_can_be_drawn(reproduction):
     assert "pressure [bar]" in [axes.get_ylabel() for axes in one.axes]
     many = tracking({name: runs[key, StiffnessReference.STEP, name].result for name in CONTROLLERS})
     check(many)
-    assert set(texts(many)) >= {"desired", "attainable stiffness", *CONTROLLERS}
+    assert set(texts(many)) >= {"desired", "attainable at the desired angle", *CONTROLLERS}
 
 
 def test_the_attainable_band_is_behind_the_desired_stiffness(reproduction):

@@ -39,6 +39,7 @@ from mckibben.units import bar, cm, kPa, ms, percent, show
 Floats = NDArray[np.float64]
 
 _SLOWEST, _GAP = 10 * ms, 1.5  # longest sampling period, and interval in periods
+_ROUNDING = 1.001  # times in a file are rounded
 _BLOCK = 5 * ms  # samples are averaged over this time
 _SUBSTEPS = 2
 _SMOOTHING = 20 * ms  # of the rate of the pressure
@@ -53,6 +54,8 @@ _APART = 1.1  # ratio of volumes from which the dead volume is estimated
 _CRITICAL = 0.3
 _LEAK = 1e-3 * L_PER_S_BAR  # unit of the leak in the search
 _DEAD = 1 * cm**3
+_LARGEST, _BELOW = 10.0, 0.05  # bounds of the dead volume, in largest volumes and, below 0, in smallest ones
+_FACTOR = 1e4  # of h A, between the start of the search and its result
 _STAGES, _ITERATIONS, _TOLERANCE = 3, 60, 1e-5
 _FIRST_VARIANCE, _LEAST_VARIANCE = (1 * kPa) ** 2, (10e-3 * kPa) ** 2
 _ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
@@ -83,7 +86,9 @@ class AirFit:
     Attributes
     ----------
     wall_conductance
-        h A [W/K] of the wall, the parameter of valves with air. Its interval is logarithmic.
+        h A [W/K] of the wall at `contraction`; valves with air take it as constant. Its interval is logarithmic.
+    contraction
+        Mean contraction of the phases.
     leak
         Conductance C of the leak [m^3/(s*Pa)]; negative within the noise if there is none.
     dead_volume
@@ -99,6 +104,7 @@ class AirFit:
     """
 
     wall_conductance: JointEstimate
+    contraction: float
     leak: JointEstimate
     dead_volume: JointEstimate | None
     phases: tuple[ShutPhase, ...]
@@ -120,6 +126,7 @@ class AirFit:
                 name: {"value": one.value, "deviation": one.deviation, "interval": list(one.interval), "unit": one.unit}
                 for name, one in self.quantities.items()
             },
+            "contraction": self.contraction,
             "phases": [
                 {"begin": one.begin, "end": one.end, "contraction": one.contraction, "time_constant": constant}
                 for one, constant in zip(self.phases, self.time_constants, strict=True)
@@ -136,6 +143,7 @@ class AirFit:
         for name, one in self.quantities.items():
             low, high = (show(each, shown[one.unit], 3) for each in one.interval)
             lines.append(f"{name:17} {show(one.value, shown[one.unit], 3)}, 95 % interval {low} .. {high}")
+        lines[1] += f", at {self.contraction / percent:.3g} % contraction"
         lines.append(f"time constants    {min(self.time_constants):.3g} .. {max(self.time_constants):.3g} s")
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
@@ -160,9 +168,11 @@ def identify_air(
 
     .. math:: p = p_\infty + (p_0 - p_\infty) e^{-t/\tau}, \qquad \tau = \frac{p_\infty V}{(\kappa - 1) h A\, T_0}
 
-    so that tests at one length determine h A / V and C / V. The volume is that of the specimen plus the dead volume.
-    This is estimated if there are tests at lengths whose volumes differ by 10 % or more. The intervals contain standard
-    deviations of 5 K of the room, about 20 degrees C, and of 20 mbar of the zero of the sensor.
+    so that tests at one length determine h A / V and C / V. The volume is that of the specimen plus the dead volume. A
+    is proportional to the lateral area of the muscle as a cylinder of its volume and length, which grows with the
+    contraction: the result holds at the mean contraction of the phases. The dead volume is estimated if there are tests
+    at lengths whose volumes differ by 10 % or more. The intervals contain standard deviations of 5 K of the room, about
+    20 degrees C, and of 20 mbar of the zero of the sensor.
 
     Parameters
     ----------
@@ -179,7 +189,8 @@ def identify_air(
     Raises
     ------
     IdentificationError
-        If there is no recording, no phase with a shut valve, a saturated sensor, a length that changes, or a gap.
+        If there is no recording, no phase with a shut valve, a saturated sensor, a length that changes, or a gap;
+        or if the time constants contradict the volumes, so that a dead volume is negative or without bound.
     RangeError
         If the volume of the specimen is not known.
 
@@ -218,7 +229,16 @@ def identify_air(
         )
     volumes = np.array([phase.volume for phase in phases])
     observable = volumes.max() + dead_volume > _APART * (volumes.min() + dead_volume)
-    z, deviations, errors = _solve(_Problem.of(phases, dead_volume, estimates_dead_volume=observable))
+    at = float(np.mean([phase.contraction for phase in phases]))
+    areas = np.array([_wall_area(specimen, phase.contraction) for phase in phases]) / _wall_area(specimen, at)
+    problem = _Problem.of(phases, areas, dead_volume, estimates_dead_volume=observable)
+    try:
+        z, deviations, errors = _solve(problem)
+    except np.linalg.LinAlgError as error:
+        raise IdentificationError(
+            "the pressures do not determine the heat to the wall", remedy="check the contraction of each recording"
+        ) from error
+    _check(problem, z, deviations)
     notes = []
     if not observable:
         notes.append(
@@ -227,7 +247,10 @@ def identify_air(
         )
     conductance, leak, dead = math.exp(float(z[0])), float(z[1]) * _LEAK, float(z[2]) * _DEAD
     rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance
-    constants = tuple(float((one.pressures[-1] + ATMOSPHERE) * (one.volume + dead) / rate) for one in phases)
+    constants = tuple(
+        float((one.pressures[-1] + ATMOSPHERE) * (one.volume + dead) / (rate * area))
+        for one, area in zip(phases, areas, strict=True)
+    )
     residual = math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
     noise = math.sqrt(float(np.mean(np.concatenate([np.diff(one) for one in errors]) ** 2)) / 2)
     _warn(phases, constants, residual, noise)
@@ -236,6 +259,7 @@ def identify_air(
     leaking = math.hypot(_LEAK * float(deviations[1]), leak * _ROOM / 2)
     return AirFit(
         JointEstimate(conductance, wall, math.inf, "W/K", logarithmic=True),
+        at,
         JointEstimate(leak, leaking, math.inf, "m^3/(s*Pa)"),
         JointEstimate(dead, _DEAD * float(deviations[2]), math.inf, "m^3") if observable else None,
         tuple(phases),
@@ -244,6 +268,31 @@ def identify_air(
         noise,
         tuple(notes),
     )
+
+
+def _wall_area(specimen: Specimen, contraction: float) -> float:
+    """Lateral area [m^2] of a cylinder with the volume and length of a muscle."""
+    return 2 * math.sqrt(math.pi * float(specimen.volume(contraction)) * float(specimen.length_at(contraction)))
+
+
+def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
+    """Raise `IdentificationError` for estimates that no muscle can have."""
+    dead, spread = float(z[2]) * _DEAD, float(deviations[2]) * _DEAD
+    highest = _LARGEST * float(problem.volumes.max())
+    lowest = -max(3 * spread, _BELOW * float(problem.volumes.min()))
+    finite = bool(np.isfinite(z).all() and np.isfinite(deviations).all())
+    known = not problem.estimates_dead_volume or (lowest <= dead and dead + 2 * spread <= highest)
+    if not (finite and known and abs(z[0] - problem.start[0]) < math.log(_FACTOR)):
+        raise IdentificationError(
+            "the time constants of the temperature contradict the volumes: dead volume "
+            f"{show(dead, 'cm^3', 3)} +- {show(spread, 'cm^3', 3)}",
+            value=dead,
+            lower=0.0,
+            upper=highest,
+            unit="m^3",
+            remedy="check the contraction of each recording and the volume of the specimen, or identify each length by "
+            "itself with a measured dead volume",
+        )
 
 
 def _warn(phases: Sequence[ShutPhase], constants: Sequence[float], residual: float, noise: float) -> None:
@@ -260,6 +309,8 @@ def _warn(phases: Sequence[ShutPhase], constants: Sequence[float], residual: flo
 def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | None) -> list[ShutPhase]:
     """Parts of a recording between fast changes of the pressure in which this relaxes."""
     time, pressure = recording.time, recording.table["pressure"].to_numpy()
+    if time.size < 2:
+        return []
     for end, where in saturated_samples(pressure).items():
         if where.mean() > 1 * percent and pressure[where].mean() > _LOWEST:
             raise IdentificationError(
@@ -274,7 +325,7 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
             "the contraction is not known", remedy="record the length, or give the contraction (--contraction)"
         )
     period = float(np.median(np.diff(time)))
-    if period > _SLOWEST or np.diff(time).max() > _GAP * period:
+    if period > _ROUNDING * _SLOWEST or np.diff(time).max() > _GAP * period:
         raise IdentificationError(
             f"the samples of a recording are up to {show(float(np.diff(time).max()), 'ms', 3)} apart",
             value=float(np.diff(time).max()),
@@ -318,6 +369,8 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
 class _Problem(NamedTuple):
     """Phases side by side: pressures, shape (phases, blocks), which of them are fitted, and the start of the search.
 
+    `areas` are those of the wall, relative to that at which the conductance holds.
+
     Its parameters are conductance of the wall, leak, dead volume, zero of the sensor, and pressure and temperature at
     the start of each phase.
     """
@@ -325,12 +378,15 @@ class _Problem(NamedTuple):
     pressures: Floats
     used: NDArray[np.bool_]  # until the end of a phase
     volumes: Floats
+    areas: Floats
     periods: Floats
     start: Floats
     estimates_dead_volume: bool
 
     @classmethod
-    def of(cls, phases: Sequence[ShutPhase], dead_volume: float, *, estimates_dead_volume: bool) -> _Problem:
+    def of(
+        cls, phases: Sequence[ShutPhase], areas: Floats, dead_volume: float, *, estimates_dead_volume: bool
+    ) -> _Problem:
         longest = -(-max(len(one.pressures) for one in phases) // _PADDING) * _PADDING
         pressures, used = np.zeros((len(phases), longest)), np.zeros((len(phases), longest), bool)
         first, conductances = [], []
@@ -343,15 +399,15 @@ class _Problem(NamedTuple):
             room = one.volume + dead_volume
             conductances.append((end + ATMOSPHERE) * room / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
             first += [begin / bar, math.log((begin + ATMOSPHERE) / (end + ATMOSPHERE))]
-        shared = [math.log(float(np.median(conductances))), 0.0, dead_volume / _DEAD, 0.0]
+        shared = [math.log(float(np.median(np.array(conductances) / areas))), 0.0, dead_volume / _DEAD, 0.0]
         volumes, periods = (np.array([getattr(one, name) for one in phases]) for name in ("volume", "period"))
         start = np.array([*shared, *first])
-        return cls(pressures, used, volumes, periods, start, estimates_dead_volume)
+        return cls(pressures, used, volumes, areas, periods, start, estimates_dead_volume)
 
 
-def _simulated(z: Array, volumes: Array, periods: Array, blocks: int) -> Array:
+def _simulated(z: Array, volumes: Array, areas: Array, periods: Array, blocks: int) -> Array:
     """Pressures [Pa] of all phases, shape (phases, blocks)."""
-    conductance, leak, dead = jnp.exp(z[0]), z[1] * _LEAK, z[2] * _DEAD
+    conductance, leak, dead = jnp.exp(z[0]) * areas, z[1] * _LEAK, z[2] * _DEAD
     room, step = volumes + dead, periods / _SUBSTEPS
 
     def rates(state: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -370,11 +426,11 @@ def _simulated(z: Array, volumes: Array, periods: Array, blocks: int) -> Array:
     return lax.scan(follow, begin, None, blocks)[1].T
 
 
-def _sensitivities(z: Array, volumes: Array, periods: Array, like: Array) -> tuple[Array, Array]:
+def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like: Array) -> tuple[Array, Array]:
     """Pressures [Pa] of all phases and their derivatives."""
 
     def simulated(z: Array) -> tuple[Array, Array]:
-        found = _simulated(z, volumes, periods, like.shape[1])
+        found = _simulated(z, volumes, areas, periods, like.shape[1])
         return found, found
 
     slope, found = jax.jacfwd(simulated, has_aux=True)(z)
@@ -398,7 +454,9 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
         return z
 
     def errors_at(x: Floats) -> tuple[Floats, Floats]:
-        found, slope = _sensitivity_program(whole(x), problem.volumes, problem.periods, problem.pressures)
+        found, slope = _sensitivity_program(
+            whole(x), problem.volumes, problem.areas, problem.periods, problem.pressures
+        )
         return (np.asarray(found) - problem.pressures)[used], np.asarray(slope)[used][:, free]
 
     def terms(x: Floats) -> tuple[float, Floats, Floats]:

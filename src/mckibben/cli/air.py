@@ -10,16 +10,20 @@ from typer import Argument, Option
 from mckibben.cli.options import (
     Column,
     Decimal,
+    Displacement,
     Force,
+    ForceSign,
     InitialLength,
     Json,
     Out,
+    RecipeFile,
+    SkipCorrupt,
+    ZeroLength,
     echo,
     keeping,
     notify,
-    parse_columns,
-    parse_optional_quantity,
     parse_quantity,
+    recipe_of,
     report_reading,
     results_folder,
 )
@@ -35,9 +39,15 @@ def identify_air(
     dead_volume: Annotated[
         str, Option(metavar="VOLUME", help="Volume of tube and fittings up to the valve, if tests are at one length.")
     ] = "0 cm^3",
+    sample_rate: Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")] = "",
     initial_length: InitialLength = "",
+    displacement: Displacement = "",
+    zero_length: ZeroLength = "",
+    force_sign: ForceSign = None,
     column: Column = None,
+    skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
+    recipe: RecipeFile = None,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -45,24 +55,24 @@ def identify_air(
     """Identify heat to the wall, leak and dead volume: fill a muscle fast, shut the valve, watch; vent, shut, watch."""
     results_folder(out, ("results.json",), force)
     from mckibben.calibration import identify_air as run
-    from mckibben.dataset import read_recording
     from mckibben.study.inputs import specimen_named
 
-    read = [
-        read_recording(
-            path,
-            columns=parse_columns(column),
-            initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
-            decimal=decimal,  # type: ignore[arg-type]  # checked by the reader
-        )
-        for path in recordings
-    ]
-    found = run(
-        read,
-        specimen_named(specimen),
-        contraction=parse_optional_quantity("--contraction", contraction, "1"),
-        dead_volume=parse_quantity("--dead-volume", dead_volume, "m^3"),
+    how = recipe_of(
+        recipe,
+        column,
+        initial_length,
+        displacement,
+        zero_length,
+        "",
+        force_sign,
+        decimal,
+        contraction=contraction,
+        sample_rate=sample_rate,
     )
+    dead = parse_quantity("--dead-volume", dead_volume, "m^3")
+    muscle = specimen_named(specimen)
+    read = [how.recording(path, on_corrupt="report" if skip_corrupt else "raise") for path in recordings]
+    found = run(read, muscle, dead_volume=dead)
     if out:
         with keeping(out):
             write_json(out / "results.json", found.records())

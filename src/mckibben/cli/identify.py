@@ -6,7 +6,7 @@ import dataclasses
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Argument, Option
 
@@ -39,16 +39,15 @@ from mckibben.cli.options import (
 )
 from mckibben.errors import DatasetError, ParameterError, Problem, UnitError
 from mckibben.storage.files import atomic_write, make_subfolder, to_json, write_json
-from mckibben.units import bar, percent
+from mckibben.units import bar, percent, show
 
 if TYPE_CHECKING:
-    from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
+    from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recipe, Recording
     from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking
     from mckibben.muscle import MaxwellSlip
 
 
-_SHOWN = 40  # rows of the table
-# columns of the points, and the format of each in the table
+_SHOWN = 40  # rows of the table of points; below their columns, and the format of each
 _COLUMNS = {
     "time_s": ".5g",
     "pressure_bar": ".5g",
@@ -89,7 +88,7 @@ def points(
     displacement: Displacement = "",
     zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
-    force_sign: ForceSign = 1,
+    force_sign: ForceSign = None,
     specimen: Annotated[str, Option(metavar="NAME", help="Name of the specimen.")] = "",
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
@@ -114,18 +113,21 @@ def points(
         slack_force,
         force_sign,
         decimal,
-        contraction=parse_optional_quantity("--contraction", contraction, "1"),
-        sample_rate=parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
+        contraction=contraction,
+        sample_rate=sample_rate,
         specimen=specimen,
     )
     held = how.contraction if isometric else None
     reader = how.model_copy(update={"contraction": None}) if isometric else how
-    read = reader.recording(recording, on_corrupt="report" if skip_corrupt else "raise")
-    if save_recipe is not None:
-        how.to_yaml(save_recipe)
-        notify(f"wrote {save_recipe}; read the next file with: --recipe {save_recipe}", json)
     between = parse_optional_quantity("--gap", gap, "s")
     tolerance = parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1")
+    steady = {
+        "pressure_tolerance": parse_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
+        "force_tolerance": parse_optional_quantity("--force-tolerance", force_tolerance, "N"),
+        "dwell": parse_quantity("--dwell", dwell, "s"),
+        "settle": parse_quantity("--settle", settle, "s"),
+    }
+    read = reader.recording(recording, on_corrupt="report" if skip_corrupt else "raise")
     if isometric:
         found = read.isometric(
             pressures,
@@ -135,20 +137,16 @@ def points(
             gap=between,
         )
     else:
-        found = read.plateaus(
-            pressure_tolerance=parse_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
-            contraction_tolerance=0.001 if tolerance is None else tolerance,
-            force_tolerance=parse_optional_quantity("--force-tolerance", force_tolerance, "N"),
-            dwell=parse_quantity("--dwell", dwell, "s"),
-            settle=parse_quantity("--settle", settle, "s"),
-            gap=between,
-        )
+        found = read.plateaus(contraction_tolerance=0.001 if tolerance is None else tolerance, gap=between, **steady)  # type: ignore[arg-type]
     if out is not None:
         write = found.dataset.to_netcdf if out.suffix.lower() == ".nc" else found.dataset.to_csv
         write(out)
     _show_points(read, found, recording, json)
     if out is not None:
         notify(f"wrote {len(found.dataset)} points to {out}; fit a law with: mckibben identify {out}", json)
+    if save_recipe is not None:
+        how.to_yaml(save_recipe)
+        notify(f"wrote {save_recipe}; read the next file with: --recipe {save_recipe}", json)
 
 
 def _show_points(read: Recording, found: ExtractedPoints, paths: list[Path], json: bool) -> None:
@@ -247,7 +245,7 @@ def identify(
     displacement: Displacement = "",
     zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
-    force_sign: ForceSign = 1,
+    force_sign: ForceSign = None,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
@@ -270,21 +268,25 @@ def identify(
     law_type = law_type_named(law) if law != _ALL else None
     if (friction_form or no_drift) and not hysteresis:
         raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
+    if law_type is None and (profile or bootstrap or hysteresis or level != _LEVEL):
+        raise ParameterError(
+            "--level, --profile, --bootstrap and --hysteresis apply to a single law",
+            remedy="choose one, such as --law exponential",
+        )
+    form = _friction_form(friction_form) if friction_form else None
+    inner = _Inner(_positive("--diameter", diameter, "m"), _positive("--fill", fill, "m^3"))
+    if any(inner) and not out:
+        raise ParameterError("--diameter and --fill apply to muscle.yaml", remedy="add --out DIR")
     how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
     points = read_data(data, how, skip_corrupt=skip_corrupt)
+    inner.check(points.table.attrs.get("initial_length"))
     if law_type is None:
-        if profile or bootstrap or hysteresis or level != _LEVEL:
-            raise ParameterError(
-                "--level, --profile, --bootstrap and --hysteresis apply to a single law",
-                remedy="choose one, such as --law exponential",
-            )
-        _rank(data, points, json, out)
+        _rank(data, points, how, inner, json, out)
         return
     from mckibben.identification import identify as run
     from mckibben.identification import identify_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
-    form = _friction_form(friction_form) if friction_form else None
     friction = identify_hysteresis(law_type, points, drift=not no_drift, form=form) if hysteresis else None
     static = friction.corrected(points) if friction else points
     fit = run(law_type, static)
@@ -301,7 +303,7 @@ def identify(
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, fit, friction.friction if friction else None, diameter, fill)
+            kept = _keep_muscle(out, data, points, fit, inner, friction.friction if friction else None)
             how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
@@ -316,14 +318,41 @@ def identify(
         notify(f"wrote fit.yaml, recipe.yaml, data.nc, results.json, {figures} (.png, .svg) to {out}; {kept}", json)
 
 
+class _Inner(NamedTuple):
+    """Inner diameter [m] and measured volume [m^3] of a muscle at contraction 0, None if they are not given."""
+
+    diameter: float | None
+    fill: float | None
+
+    def check(self, length: float | None) -> None:
+        """Raise a `ParameterError` for a diameter above the initial length [m]."""
+        if self.diameter is not None and length and self.diameter > length:
+            raise ParameterError(
+                f"--diameter is {show(self.diameter, 'mm')}, more than the initial length, {show(length, 'mm')}",
+                value=self.diameter,
+                upper=length,
+                unit="m",
+                remedy="check both, such as --diameter '10 mm' --initial-length '200 mm'",
+            )
+
+
+def _positive(option: str, text: str, unit: str) -> float | None:
+    """Value of an option in SI units, None if it was not given."""
+    value = parse_optional_quantity(option, text, unit)
+    if value is not None and not 0 < value < math.inf:
+        raise ParameterError(
+            f"{option} {text!r} is not above 0", value=value, unit=unit, remedy="give a positive value"
+        )
+    return value
+
+
 def _keep_muscle(
     out: Path,
     data: list[str],
     points: IsobaricDataset,
     fit: Fit,
+    inner: _Inner,
     friction: MaxwellSlip | None = None,
-    diameter: str = "",
-    fill: str = "",
 ) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
     from mckibben.muscle.air import volume_terms
@@ -331,10 +360,9 @@ def _keep_muscle(
 
     attrs = points.table.attrs
     name, length = attrs["specimen"] or Path(data[0]).stem, attrs.get("initial_length")
-    wide = parse_optional_quantity("--diameter", diameter, "m")
-    volume = parse_optional_quantity("--fill", fill, "m^3")
-    if volume is None and wide is not None and length:
-        volume = math.pi / 4 * wide**2 * length
+    volume = inner.fill
+    if volume is None and inner.diameter is not None and length:
+        volume = math.pi / 4 * inner.diameter**2 * length
     terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
     text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction, volume_terms=terms)
     if not text:
@@ -364,7 +392,7 @@ def validate(
     displacement: Displacement = "",
     zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
-    force_sign: ForceSign = 1,
+    force_sign: ForceSign = None,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
@@ -392,7 +420,7 @@ def validate(
         notify(f"wrote results.json to {out}", json)
 
 
-def _rank(data: list[str], points: IsobaricDataset, json: bool, out: Path | None) -> None:
+def _rank(data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, json: bool, out: Path | None) -> None:
     from mckibben.identification import rank
 
     with progress() as report_progress:
@@ -417,7 +445,8 @@ def _rank(data: list[str], points: IsobaricDataset, json: bool, out: Path | None
                 if entry.fit:
                     entry.fit.to_yaml(make_subfolder(out, "fits") / f"{entry.law}.yaml")
             best.fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, best.fit)
+            kept = _keep_muscle(out, data, points, best.fit, inner)
+            how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             report.save(report.ranking(ranking), out, "ranking")
@@ -427,9 +456,8 @@ def _rank(data: list[str], points: IsobaricDataset, json: bool, out: Path | None
     else:
         _show(ranking)
     if out:
-        notify(
-            f"wrote fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png to {out}; {kept}", json
-        )
+        names = f"fit.yaml ({best.law}), fits/, recipe.yaml, data.nc, results.json, ranking.png and fit.png"
+        notify(f"wrote {names} to {out}; {kept}", json)
 
 
 def _show(ranking: Ranking) -> None:

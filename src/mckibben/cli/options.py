@@ -40,12 +40,16 @@ ZeroLength = Annotated[
 ]
 RecipeFile = Annotated[
     Path | None,
-    Option("--recipe", metavar="FILE", help="Read as the recipe of an earlier file says; other options go first."),
+    Option(
+        "--recipe",
+        metavar="FILE",
+        help="Read by the recipe of an earlier file; options on the command line take precedence.",
+    ),
 ]
 SlackForce = Annotated[
     str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
 ]
-ForceSign = Annotated[int, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")]
+ForceSign = Annotated[int | None, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")]
 Column = Annotated[
     list[str] | None, Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable.")
 ]
@@ -85,27 +89,43 @@ def recipe_of(
     displacement: str,
     zero_length: str,
     slack_force: str,
-    force_sign: int,
+    force_sign: int | None,
     decimal: str,
-    **others: Any,
+    *,
+    contraction: str = "",
+    sample_rate: str = "",
+    specimen: str = "",
 ) -> Recipe:
-    """The recipe of --recipe with the options that were given; `others` are None where they were not."""
+    """The recipe of --recipe with the options that were given."""
     from mckibben.dataset.reading import check_reading
     from mckibben.dataset.recipe import Recipe
 
     given = {
-        "columns": parse_columns(column),
         "initial_length": parse_optional_quantity("--initial-length", initial_length, "m"),
-        "displacement": displacement or None,
+        "displacement": displacement,
         "zero_length": parse_optional_quantity("--zero-length", zero_length, "m"),
         "slack_force": parse_optional_quantity("--slack-force", slack_force, "N"),
-        "force_sign": None if force_sign == 1 else force_sign,
-        "decimal": decimal or None,
-        **others,
+        "force_sign": force_sign,
+        "decimal": decimal,
+        "contraction": parse_optional_quantity("--contraction", contraction, "1"),
+        "sample_rate": parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
+        "specimen": specimen,
     }
-    check_reading(force_sign, decimal, displacement)
+    columns = parse_columns(column) or {}
+    check_reading(1 if force_sign is None else force_sign, decimal, displacement)
     recipe = Recipe.read(file) if file else Recipe()
+    asked = {_quantity(name) for name in columns.values()}
+    kept = {header: name for header, name in (recipe.columns or {}).items() if _quantity(name) not in asked}
+    given["columns"] = kept | columns or None
     return recipe.model_copy(update={name: one for name, one in given.items() if one not in (None, "")})
+
+
+def _quantity(name: str) -> str:
+    """The quantity of a name such as force_N, or the name itself if it is unknown."""
+    from mckibben.dataset.columns import parse_header
+
+    column = parse_header(name)
+    return column.quantity if column else name
 
 
 def read_data(data: list[str], recipe: Recipe, *, skip_corrupt: bool = False) -> IsobaricDataset:

@@ -91,7 +91,7 @@ def plan(
     displacement: Displacement = "",
     zero_length: ZeroLength = "",
     slack_force: SlackForce = "",
-    force_sign: ForceSign = 1,
+    force_sign: ForceSign = None,
     skip_corrupt: SkipCorrupt = False,
     decimal: Decimal = "",
     column: Column = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -210,8 +210,13 @@ class Layout:
     suspect: list[str] = field(default_factory=list)
 
 
-def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
-    """Find the columns of known quantities; `mapping` (name in the file to header) has priority."""
+def find_columns(
+    sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str], unread: Collection[str] = ()
+) -> Layout:
+    """Find the columns of known quantities; `mapping` (name in the file to header) has priority.
+
+    The quantities of `unread` are read only from mapped columns.
+    """
     layout = Layout(ignored=list(sheet.ignored))
     header = sheet.names
     shown = ", ".join(map(quoted, header[:_SHOWN])) + (f" ... ({len(header)} in all)" if len(header) > _SHOWN else "")
@@ -242,7 +247,7 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
         for channel in sheet.channels
     ]
     lengths = {"contraction", "length"} & {column.quantity for column in columns if column}
-    known = asked | ({"displacement"} if lengths else set())  # not to be read from another column
+    known = asked | {*unread} | ({"displacement"} if lengths else set())  # not to be read from another column
     for index, (channel, column) in enumerate(zip(sheet.channels, columns, strict=True)):
         text = channel.name
         mapped = text in mapping

@@ -10,8 +10,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from mckibben.dataset.sheet import RawTable
-from mckibben.dataset.text import check_last_line, decode, parse_numbers, read_text, split_numbers
+from mckibben.dataset.sheet import RawTable, count_rows, numeric_bytes, parse_numbers
+from mckibben.dataset.text import check_last_line, decode, read_text, split_numbers
 from mckibben.errors import DatasetError
 
 _HEAD = 2**16  # bytes from which header, delimiter and decimal sign are determined
@@ -34,26 +34,23 @@ def read_large_text(path: Path, known: Callable[[str, str], bool], decimal: str)
         lines = head.splitlines(keepends=True)
         first = sheet.channels[0].lines[0]
         start, body = sum(map(len, lines[: first - 1])), b"".join(lines[first - 1 :])
-        allowed = b"0123456789+-eE\r\n" + sheet.delimiter.encode()
-        sign = b"," if b"," in body and sheet.delimiter != "," else b"."
-        if sign in body or sheet.delimiter == ",":
-            allowed += sign
+        sign = "," if b"," in body and sheet.delimiter != "," else "."
+        certain = sheet.delimiter == "," or sign.encode() in body  # otherwise a first 1.234 may follow
+        allowed = numeric_bytes(sheet.delimiter, sign if certain else "")
         counts: list[int] = []  # of rows in each piece
         tail = b""
         for piece in _pieces(file, start, end):
-            if piece.translate(None, allowed) or (b"\r" in piece and piece.count(b"\r") != piece.count(b"\r\n")):
+            if piece.translate(None, allowed):
                 return None
-            counts.append(piece.count(b"\n") + (not piece.endswith(b"\n")))
+            counts.append(count_rows(piece))
             tail = piece[-_HEAD:]
         rows = sum(counts)
         numbers = np.empty((len(sheet.channels), rows))
         at = 0
         try:
             for piece, count in zip(_pieces(file, start, end), counts, strict=True):
-                raw = piece.replace(b"\r\n", b"\n") if b"\r" in piece else piece
-                raw = raw.replace(b",", b".") if sign == b"," else raw
-                part = parse_numbers(raw, sheet.delimiter, count, len(numbers))
-                if part.shape != (count, len(numbers)) or not np.isfinite(part).all():
+                part = parse_numbers(piece, sheet.delimiter, sign, len(numbers))
+                if len(part) != count:
                     return None
                 numbers[:, at : at + count] = part.T
                 at += count

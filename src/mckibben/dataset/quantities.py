@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +31,14 @@ _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _SIGN_REMEDY = (
     "give displacement='shortening' (command line: --displacement shortening) or 'lengthening', the direction in which "
     "it is positive, and zero_length (command line: --zero-length), the length at 0, if it is not the initial length"
+)
+_ZERO_REMEDY = (
+    "check its unit, initial_length, displacement and zero_length (options --initial-length, --displacement, "
+    "--zero-length)"
+)
+_NO_DISPLACEMENT = (
+    "displacement and zero_length (options --displacement, --zero-length) have no effect: no column is read as a "
+    "displacement"
 )
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
 _LISTED = 10_000  # problems of an error
@@ -70,6 +78,7 @@ class ColumnConverter:
         *,
         displacement: str = "",
         zero_length: float | None = None,
+        unread: Collection[str] = (),
     ) -> None:
         self.sheet = sheet
         self.displacement, self.zero_length = displacement, zero_length
@@ -78,7 +87,7 @@ class ColumnConverter:
         self.mapping = mapping
         self.initial_length = initial_length
         self.force_sign = 1
-        layout = find_columns(sheet, mapping, needed)
+        layout = find_columns(sheet, mapping, needed, unread)
         self.places = layout.places
         self.ignored = layout.ignored
         self.problems = layout.problems + sheet.problems
@@ -122,8 +131,11 @@ class ColumnConverter:
         """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
         self.measured = {name: data[name] for name in ("length", "displacement") if name in data}
-        if (moved := data.pop("displacement", None)) is not None:
-            data["length"] = self._length(moved)
+        moved = data.pop("displacement", None)
+        if moved is None and (self.displacement or self.zero_length is not None):
+            self.suspect.append(_NO_DISPLACEMENT)
+        if moved is not None and (length := self._length(moved)) is not None:
+            self._compare_lengths(length, data.setdefault("length", length))
         if "force" in data:
             data["force"] *= force_sign
             self.force_sign = force_sign
@@ -294,13 +306,21 @@ class ColumnConverter:
         for row in np.flatnonzero(bad):
             self._problem(message.format(values[row]), self.lines[int(row)], name, remedy)
 
-    def _length(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Length at displacements [m]."""
+    def _compare_lengths(self, moved: NDArray[np.float64], length: NDArray[np.float64]) -> None:
+        """Check lengths from displacements against a column of lengths."""
+        apart = np.abs(moved - length)
+        for row in np.flatnonzero(apart > np.maximum(_LENGTH_ROUNDING[0], _LENGTH_ROUNDING[1] * np.abs(length)))[:1]:
+            text = f"gives the length {moved[row] / mm:.5g} mm, the column of lengths {length[row] / mm:.5g} mm"
+            self._problem(text, self.lines[int(row)], "displacement", f"assign one of the two, or {_ZERO_REMEDY}")
+
+    def _length(self, displacement: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Length at displacements [m]; None if the length at 0 is unknown."""
         if not self.displacement:
             self._problem("may be positive for a shorter or for a longer muscle", None, "displacement", _SIGN_REMEDY)
         self.zero_length = self.initial_length if self.zero_length is None else self.zero_length
-        if self.zero_length is None:  # `_contraction` reports it
-            return displacement
+        if self.zero_length is None:
+            self._problem("is needed for displacements", None, "initial_length", _LENGTH_REMEDY)
+            return None
         return self.zero_length + displacement * (1 if self.displacement == "lengthening" else -1)
 
     def _contraction(self, length: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -314,7 +334,8 @@ class ColumnConverter:
         for row in np.flatnonzero((np.abs(contraction) >= 1) & ((length > 0) | ("displacement" in self.measured))):
             times = f"{length[row]:g} m is {length[row] / initial:.3g} times the initial length"
             name = "displacement" if "displacement" in self.measured else "length"
-            self._problem(times, self.lines[int(row)], name, "check its unit and initial_length")
+            remedy = _ZERO_REMEDY if name == "displacement" else "check its unit and initial_length"
+            self._problem(times, self.lines[int(row)], name, remedy)
         return contraction
 
     def _compare(self, contraction: NDArray[np.float64], length: NDArray[np.float64]) -> None:

@@ -21,6 +21,7 @@ from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
 from mckibben.muscle import Specimen
+from mckibben.units import mm
 
 _NEEDED = ("pressure", "contraction", "force")
 
@@ -63,7 +64,7 @@ def read_dataset(
     ----------
     path
         File, or a list of files in the order of the test. Their rows are joined before pressure levels, directions and
-        offset are estimated; no stroke extends across two files.
+        offset are estimated; no stroke extends across two files, and repeats are numbered on.
     columns
         Header of the file to one of the names above: ``{"Druck [bar]": "pressure_bar"}``. In files with
         groups or structs: ``group/channel``, ``struct.field``, ``matrix(:,2)``, ``sheet/header``.
@@ -115,11 +116,11 @@ def read_dataset(
         )
         read.append(found)
     parts, ours, slack_known = zip(*read, strict=True)
-    dataset, source = _joined(parts, path)
+    dataset, source = _joined(parts, path, slack_known)
     if all(ours):
         return check_dataset(dataset, source, only_warn=True)
     files = np.repeat(np.arange(len(parts)), list(map(len, parts)))
-    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=any(slack_known), files=files)), source)
+    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files)), source)
 
 
 def _read_points(
@@ -202,7 +203,7 @@ def _made(
     return kind(made.table.assign_attrs(found)) if found else made
 
 
-def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
+def _joined(parts: Sequence[Kind], path: FilePaths, slack_known: Sequence[bool]) -> tuple[Kind, str]:
     """Points or samples of several files as one dataset or recording, and its name for messages."""
     names = [str(one) for one in _paths(path)]
     if len(parts) == 1:
@@ -212,8 +213,13 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     attrs = dict(tables[0].attrs)
     for name in ("specimen", "initial_length"):
         if len(values := list(dict.fromkeys(table.attrs.get(name) for table in tables))) > 1:
-            shown = " and ".join(str(value or "unknown") for value in values)
-            raise DatasetError(source, [Problem(f"differs between the files: {shown}", field=name, remedy="give it")])
+            shown = " and ".join(_shown(value) for value in values)
+            remedy = _DIFFERENT_REMEDY[name]
+            raise DatasetError(source, [Problem(f"differs between the files: {shown}", field=name, remedy=remedy)])
+    if any(slack_known) and not all(slack_known):  # an offset was subtracted from some of the forces only
+        known = ", ".join(one for one, yes in zip(names, slack_known, strict=True) if yes)
+        text = f"is known for {known} only, and forces of the other files may have an offset"
+        raise DatasetError(source, [Problem(text, field="slack_force", remedy=_SLACK_REMEDY)])
     attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
     attrs["slack_force"] = max(table.attrs["slack_force"] for table in tables)
     for name in (*OF_FILE, "preprocessing"):
@@ -224,23 +230,47 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     if lost := sorted({name for name in columns for table in tables if name in table} - {*kept}):
         warnings.warn(f"{source}: not all files have {', '.join(lost)}: left out", McKibbenWarning, stacklevel=3)
     tables = [table[kept] for table in tables]
-    dimension = next(iter(parts[0].schema.values())).dims[0]
-    joined = xr.concat(_one_after_another(tables) if "time" in kept else tables, dimension)
+    if "repeat" in kept:
+        tables = _distinct_repeats(tables)
+    if "time" in kept:
+        tables = _one_after_another(tables, apart=isinstance(parts[0], Recording))
+    joined = xr.concat(tables, next(iter(parts[0].schema.values())).dims[0])
     return type(parts[0])(joined.assign_attrs(attrs)), source
 
 
+_DIFFERENT_REMEDY = {
+    "specimen": "give specimen (command line: a recipe with the line `specimen: NAME`), or read files of one specimen",
+    "initial_length": "give initial_length (command line: --initial-length '180 mm')",
+}
+_SLACK_REMEDY = "give slack_force (command line: --slack-force '1 N'), which then applies to all files as they are"
 _PAUSE = 20  # intervals between two files
 
 
-def _one_after_another(tables: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-    """Tables whose clocks go on: the time of one that starts again is moved behind the one before."""
+def _shown(value: object) -> str:
+    return f"{value / mm:g} mm" if isinstance(value, float) else str(value or "unknown")
+
+
+def _distinct_repeats(tables: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    """Tables whose repeats go on from file to file, since no stroke extends across two."""
+    found, first = [], 0
+    for table in tables:
+        found.append(table.assign(repeat=table["repeat"] + first))
+        first = max(first, int(found[-1]["repeat"].max()) + 1) if table["repeat"].size else first
+    return found
+
+
+def _one_after_another(tables: Sequence[xr.Dataset], *, apart: bool) -> list[xr.Dataset]:
+    """Tables whose clocks go on: the time of one that starts again is moved behind the one before.
+
+    With `apart`, a file that follows without a pause is moved too, so that no plateau extends across two.
+    """
+    steps = [np.diff(table["time"].to_numpy()) for table in tables]
+    pause = _PAUSE * max((float(np.median(one[one > 0])) for one in steps if (one > 0).any()), default=1 / _PAUSE)
     found: list[xr.Dataset] = []
     for table in tables:
         time = table["time"].to_numpy()
         before = found[-1]["time"].to_numpy() if found else time[:0]
-        if len(before) and len(time) and time[0] <= before[-1]:
-            steps = np.diff(before)
-            pause = _PAUSE * float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        if len(before) and len(time) and (time[0] <= before[-1] or (apart and time[0] < before[-1] + pause)):
             table = table.assign(time=table["time"] - time[0] + before[-1] + pause)
         found.append(table)
     return found
@@ -295,7 +325,8 @@ def read_recording(
 ) -> Recording:
     """Read a raw recording from a file of any format of `read_dataset`, with its columns and arguments.
 
-    Of several files, the samples are joined: no plateau extends across two of them. Required are pressure and force.
+    Of several files, the samples are joined: no plateau extends across two of them, since a file whose clock goes on is
+    moved by a pause of 20 sampling intervals. Required are pressure and force.
     The time is a column, or follows from `sample_rate` or the waveforms of a TDMS file. A length or displacement is
     converted to a contraction. A file named ``*.nc`` was written by `Recording.to_netcdf`.
 
@@ -321,7 +352,7 @@ def read_recording(
     for one in _paths(path):
         found = _read_samples(one, on_corrupt=on_corrupt, decimal=decimal, **arguments, **numbers)  # type: ignore[arg-type]
         parts.append(found)
-    return _joined(parts, path)[0]
+    return _joined(parts, path, [bool(part.table.attrs["slack_force"]) for part in parts])[0]
 
 
 def _read_samples(
@@ -358,6 +389,7 @@ def _read_samples(
         decimal,
         displacement=displacement,
         zero_length=zero_length,
+        unread=() if contraction is None else ("displacement",),
     )
     attrs = file.attributes(path, specimen, slack_force)
     data = {name: values for name, values in file.columns(force_sign).items() if name in _KEPT}

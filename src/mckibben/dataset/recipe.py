@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import os
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator
 
 from mckibben.config.fields import OneOf
-from mckibben.config.model import DocumentModel
+from mckibben.config.model import DocumentModel, fail_validation
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.quantities import OnCorrupt
 from mckibben.dataset.reading import FilePaths, read_dataset, read_recording
@@ -15,8 +18,14 @@ from mckibben.units import BoundedInt, Contraction, Force, Length, SampleRate
 _OF_SAMPLES = ("contraction", "sample_rate")
 
 
+def _check_sign(value: int) -> int:
+    if value not in (-1, 1):
+        fail_validation(f"{value} is neither 1 nor -1", "write -1 for a load cell that reads a pull as negative")
+    return value
+
+
 class Recipe(DocumentModel):
-    """How the files of a logger are read: the arguments of `read_dataset` and `read_recording`, in SI.
+    """Settings for reading the files of a logger: the arguments of `read_dataset` and `read_recording`, in SI units.
 
     `read` and `to_yaml` know the units. `contraction` and `sample_rate` apply to recordings only. A `ScenarioError`
     lists all mistakes of a file, a pydantic `ValidationError` those of arguments.
@@ -41,9 +50,16 @@ class Recipe(DocumentModel):
     contraction: Contraction | None = None
     sample_rate: SampleRate | None = None
     slack_force: Force | None = None
-    force_sign: Annotated[int, BoundedInt(-1, 1)] | None = None
+    force_sign: Annotated[int, BoundedInt(-1, 1), AfterValidator(_check_sign)] | None = None
     decimal: Annotated[str, OneOf((".", ","))] | None = None
     specimen: str | None = None
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
+        """Read YAML text; one without any line but comments is the recipe of a file that needs no options."""
+        if all(not line.strip() or line.lstrip().startswith("#") for line in text.splitlines()):
+            return cls()
+        return super().parse(text, source=source, folder=folder)
 
     def dataset(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> IsobaricDataset:
         """Read points, see `read_dataset`."""

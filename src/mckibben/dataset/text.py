@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import COMMENTS, RawColumn, RawTable
+from mckibben.dataset.sheet import COMMENTS, RawColumn, RawTable, numeric_bytes, parse_numbers
 from mckibben.errors import DatasetError, Problem
 
 _DELIMITERS = (",", ";", "\t")
 _PREAMBLE = 60  # lines searched for a header
 _MOST_COLUMNS = 4096
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
-_LARGE = 2**20  # characters of numbers, from which pandas reads them
 _JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
@@ -170,59 +166,25 @@ def _numbers(lines: list[str], stream: _Lines, first: int, sheet: RawTable, deci
     skipped = 1 + _is_units(under)
     body = "".join(lines[skipped:]) + stream.text[stream.at :]
     sign = "," if "," in body and sheet.delimiter != "," else "."
-    allowed = f"0123456789+-eE\r\n{sign}" + (" \t" if sheet.delimiter == " " else sheet.delimiter)
-    if '"' in lines[0] or not body.isascii() or body.encode().translate(None, allowed.encode()):
+    if '"' in lines[0] or not body.isascii() or body.encode().translate(None, numeric_bytes(sheet.delimiter, sign)):
         return None
     if sign in body and sheet.delimiter != "," and not decimal and not _DECISIVE[re.escape(sign)].search(body):
         return None  # 1.234 may be 1234
     if decimal not in ("", sign) and sign in body:
         return None
-    body = body.replace("\r\n", "\n").replace(",", "." if sign == "," else ",")
-    count = body.count("\n") + (not body.endswith("\n"))
-    if "\r" in body or not body.strip():
-        return None
     raw = body.encode()
     del body  # of a large text
     try:
-        numbers = parse_numbers(raw, sheet.delimiter, count, len(header))
+        numbers = parse_numbers(raw, sheet.delimiter, sign, len(header))
     except ValueError:  # an empty cell, or rows of unequal length: parsed one by one
         return None
-    if numbers.shape != (count, len(header)) or not np.isfinite(numbers).all():
-        return None
+    count = len(numbers)
     units = under if skipped > 1 else [""] * len(header)
     rows = range(first + skipped, first + skipped + count)
     columns = np.ascontiguousarray(numbers.T)
     return [
         RawColumn(name, column, rows, unit=unit) for name, column, unit in zip(header, columns, units, strict=False)
     ]
-
-
-def parse_numbers(raw: bytes, delimiter: str, rows: int, columns: int) -> NDArray[np.float64]:
-    """Numbers of a text; raises `ValueError` if a cell has none, or rows are of unequal length."""
-    if len(raw) < _LARGE or delimiter == " ":
-        return np.loadtxt(io.TextIOWrapper(io.BytesIO(raw)), delimiter=None if delimiter == " " else delimiter, ndmin=2)
-    import pandas as pd  # three times as fast, but takes 0.3 s to import
-
-    if raw.count(delimiter.encode()) != rows * (columns - 1):
-        raise ValueError("rows of unequal length")
-    major, minor = map(int, pd.__version__.split(".")[:2])
-    exact: Any = {} if (major, minor) >= (3, 1) else {"float_precision": "round_trip"}  # the default from then on
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", pd.errors.ParserWarning)
-        try:
-            table = pd.read_csv(
-                io.BytesIO(raw),
-                sep=delimiter,
-                header=None,
-                names=[*map(str, range(columns))],
-                index_col=False,
-                dtype=np.float64,
-                na_filter=False,
-                **exact,
-            )
-        except pd.errors.ParserWarning as warning:
-            raise ValueError("rows of unequal length") from warning
-    return table.to_numpy()
 
 
 class _Row(NamedTuple):

@@ -34,7 +34,7 @@ _SIGNIFICANT = 0.01  # probability of a misfit of a right law
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class IntervalCalibration:
     """Scores of left-out points, and the misfit of the law.
 
     Attributes
@@ -54,7 +54,7 @@ class Calibration:
     misfit: tuple[float, float]
 
     @classmethod
-    def of(cls, regression: Regression) -> Calibration:
+    def of(cls, regression: Regression) -> IntervalCalibration:
         """Calibration of a regression; its law is fitted once for each block left out."""
         points = regression.points
         levels = pressure_blocks(points)[0]
@@ -63,17 +63,18 @@ class Calibration:
         misfit = _misfit(regression, pressure)
         return cls(pressure.scores, contraction.scores, np.unique(points.contraction), misfit)
 
-    def quantile(self, level: float, contraction: Floats) -> Floats | None:
+    def quantile(self, level: float, contraction: Floats, students: float) -> Floats | None:
         """Half width of a prediction interval in standard deviations, by contraction; None without enough scores.
 
         At a measured contraction it is that of left-out pressures; in the middle between two, that of left-out
-        contractions, if it is larger.
+        contractions, if it is larger. Where there are too few scores for the level, it is that of Student's t,
+        `students`, or the largest score, if that is larger.
         """
         check_level(level)
-        at_measured, between = _quantile(self.pressure, level), _quantile(self.contraction, level)
-        if at_measured is None:
+        if len(self.pressure) < _FEWEST:
             return None
-        between = at_measured if between is None else max(at_measured, between)
+        at_measured, other = (_quantile(one, level, students) for one in (self.pressure, self.contraction))
+        between = max(at_measured, other)
         above = np.clip(np.searchsorted(self.measured, contraction), 1, max(len(self.measured) - 1, 1))
         low, high = self.measured[above - 1], self.measured[np.minimum(above, len(self.measured) - 1)]
         apart = np.minimum(np.abs(contraction - low), np.abs(contraction - high))
@@ -112,11 +113,12 @@ def _left_out(regression: Regression, labels: NDArray[np.str_]) -> _LeftOut:
     return _LeftOut(np.sort(scores), float(np.mean(squares)) if squares else 0.0, blocks)
 
 
-def _quantile(scores: Floats, level: float) -> float | None:
+def _quantile(scores: Floats, level: float, students: float) -> float:
     """Conformal quantile of ascending scores: the smallest that holds for one more point at this level."""
-    if len(scores) < _FEWEST:
-        return None
-    return float(scores[min(int(np.ceil(level * (len(scores) + 1))), len(scores)) - 1])
+    rank = int(np.ceil(level * (len(scores) + 1)))
+    if len(scores) < _FEWEST or rank > len(scores):
+        return float(max(students, scores.max(initial=0.0)))
+    return float(scores[rank - 1])
 
 
 def _misfit(regression: Regression, left_out: _LeftOut) -> tuple[float, float]:

@@ -25,6 +25,7 @@ from mckibben.identification.intervals import (
     force_gradients,
     parameter_interval,
     t_interval,
+    t_quantile,
 )
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
@@ -34,7 +35,7 @@ from mckibben.notebook import draw, html_table
 from mckibben.units import bar, factor, percent, show
 
 if TYPE_CHECKING:
-    from mckibben.identification.calibration import Calibration
+    from mckibben.identification.calibration import IntervalCalibration
 
 
 @dataclass(frozen=True)
@@ -264,7 +265,8 @@ class Fit:
         variance, blocks = self.calibration.misfit
         misfit = np.full_like(freedom, variance), np.full_like(freedom, blocks)
         confidence = t_interval(level, value, [of_law, misfit])
-        quantile = self.calibration.quantile(level, np.broadcast_to(contraction, value.shape).ravel())
+        students = float(t_quantile(level, residual_freedom))
+        quantile = self.calibration.quantile(level, np.broadcast_to(contraction, value.shape).ravel(), students)
         if quantile is None:
             return ForceIntervals(confidence, t_interval(level, value, [of_law, scatter, misfit]))
         model = regression.error_model(Grouping.POINT)
@@ -274,11 +276,11 @@ class Fit:
         return ForceIntervals(replace(confidence, lower=lower, upper=upper), prediction)
 
     @cached_property
-    def calibration(self) -> Calibration:
+    def calibration(self) -> IntervalCalibration:
         """Errors at left-out pressures and contractions, by which the intervals of the force are calibrated."""
-        from mckibben.identification.calibration import Calibration
+        from mckibben.identification.calibration import IntervalCalibration
 
-        return Calibration.of(self.require_regression())
+        return IntervalCalibration.of(self.require_regression())
 
     def require_regression(self) -> Regression:
         """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""

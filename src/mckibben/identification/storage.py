@@ -280,7 +280,7 @@ class _Data(ConfigModel):
     set_pressure: tuple[Annotated[float, Number(nan=True)], ...] | None = None
     direction: tuple[str, ...] | None = None
     phase: tuple[str, ...] | None = None
-    repeat: tuple[int, ...] | None = None
+    repeat: tuple[Annotated[int, BoundedInt(0, 2**53)], ...] | None = None
     prior_scales: tuple[Annotated[float, Number()], ...] | None = None
 
     @model_validator(mode="after")

@@ -9,6 +9,7 @@ import equinox as eqx
 
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive
+from mckibben.errors import RangeError
 from mckibben.units import Distance, Inertia, Mass, PositiveMass
 
 Freedom = Literal["fixed", "vertical", "planar", "free", "spatial", "floating"]
@@ -56,6 +57,7 @@ class Trunk(Component):
             check_positive("Trunk", "kg*m^2", inertia=self.inertia)
         if self.freedom == "floating":
             check_positive("Trunk", "kg*m^2", roll_inertia=self.roll_inertia, yaw_inertia=self.yaw_inertia)
+            _check_inertias("Trunk", "inertia", self.inertias)
 
     @property
     def motions(self) -> tuple[str, ...]:
@@ -95,6 +97,7 @@ class Link(Component):
         super().__check_init__()
         if all(isinstance(one, Real) for one in (self.mass, self.centre, self.inertia)) and self.mass > 0:
             check_positive("Link", "kg*m^2", inertia_about_joint=self.inertia_about_joint)
+        _check_inertias("Link", "axial_inertia", self.inertias)
 
     @property
     def inertia_about_joint(self) -> Any:
@@ -105,3 +108,19 @@ class Link(Component):
     def inertias(self) -> tuple[Any, Any, Any]:
         """Principal inertias about the centre of mass [kg*m^2], the axial one last."""
         return self.inertia, self.inertia, self.axial_inertia
+
+
+def _check_inertias(owner: str, field: str, inertias: tuple[Any, Any, Any]) -> None:
+    """Raise `RangeError` if a principal inertia is above the sum of the others, as in no body."""
+    if not all(isinstance(one, Real) for one in inertias):
+        return
+    *others, largest = sorted(float(one) for one in inertias)
+    if largest > sum(others) * (1 + 1e-9):
+        raise RangeError(
+            f"{owner}: a principal inertia of {largest:g} kg*m^2 is above the sum of the others",
+            field=field,
+            value=largest,
+            upper=sum(others),
+            unit="kg*m^2",
+            remedy="give inertias about the centre of mass of which none is above the sum of the other two",
+        )

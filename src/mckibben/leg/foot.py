@@ -38,8 +38,9 @@ class FootStiffness(NamedTuple):
 
     @property
     def direction(self) -> float:
-        """Angle [rad] of the softest axis from the forward direction, in the plane of walking, -pi/2 to pi/2."""
-        return float(np.arctan2(self.axes[-1, 0], self.axes[0, 0]))
+        """Angle [rad] of the axis that is softest in the plane of walking from the forward direction, -pi/2 to pi/2."""
+        plane = stiffness_of(self.compliance[np.ix_([0, -1], [0, -1])])
+        return float(np.arctan2(plane.axes[1, 0], plane.axes[0, 0]))
 
     def ellipse(self, force: float = 1.0, points: int = 181) -> Floats:
         """Return the displacements [m] by forces of one size [N] in the plane of walking, shape (2 or 3, points)."""

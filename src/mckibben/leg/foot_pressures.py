@@ -16,10 +16,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.component.checks import check_within
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
 from mckibben.joint import RigidTendon
 from mckibben.leg.foot import FootStiffness, foot_jacobian, foot_stiffness, movable, stiffness_of
-from mckibben.leg.mechanism import Leg
+from mckibben.leg.mechanism import Leg, check_contractions
 from mckibben.muscle import PressureAffineLaw
 from mckibben.numerics.compiled import compiled
 from mckibben.units import bar
@@ -36,6 +37,8 @@ _WEIGHT = 1e5
 _CENTRED = 1e-6
 """Weight of the distance of a pressure from the middle of its range: it selects among equal solutions."""
 _SINGULAR = 1e-6
+_SURE = 0.01
+"""Relative difference of error and bound below which the error is called the least possible."""
 
 
 class StiffnessMap(NamedTuple):
@@ -125,7 +128,11 @@ class FootPressures(NamedTuple):
         text = f"main axes {_listed(found)} N/m, wanted {_listed(wanted)} N/m: "
         if self.exact:
             return text + "exact"
-        text += f"relative error {self.error:.3g}; no pressures have less than {self.least:.3g}"
+        text += f"relative error {self.error:.3g}"
+        if self.least >= (1 - _SURE) * self.error:
+            text += f", the least possible (bound {self.least:.3g})"
+        elif self.least > 0:  # 0 without a certificate
+            text += f"; no pressures have less than {self.least:.3g}"
         return text if self.limits else text + ", within the limits or beyond them"
 
 
@@ -193,8 +200,8 @@ def pressures_for_foot_stiffness(
     Raises
     ------
     RangeError
-        If the matrix is not positive definite, a law is not affine in pressure, the leg has not as many movable joints
-        as directions, or it is stretched.
+        If an angle is beyond a stop of its joint, the matrix is not positive definite, a law is not affine in pressure,
+        the leg has not as many movable joints as directions, or it is stretched.
     UnreachableError
         If no pressures give the torques; with the joint and its attainable range.
 
@@ -213,6 +220,7 @@ def pressures_for_foot_stiffness(
     from scipy.linalg import sqrtm
     from scipy.optimize import lsq_linear
 
+    _check_angles(leg, angles)
     affine, free = stiffness_map(leg, angles), movable(leg)
     jacobian, geometric = foot_jacobian(leg, angles, force)
     wanted = _checked(wanted, len(jacobian))
@@ -318,6 +326,16 @@ def _checked(wanted: ArrayLike, directions: int) -> Floats:
     return matrix
 
 
+def _check_angles(leg: Leg, angles: Sequence[float]) -> None:
+    """Raise `RangeError` for angles beyond stops, and for contractions outside the domains of the muscles."""
+    for joint, angle in zip(leg.joints, angles, strict=True):
+        if joint.locked is None:
+            low, high = joint.lower - 1e-9, joint.upper + 1e-9
+            check_within(joint.name, low, high, "rad", remedy="choose an angle between its stops", angle=angle)
+    for name, unit in zip(leg.muscle_names, leg.routed_muscles(leg.held(tuple(angles))), strict=True):
+        check_contractions(name, unit.muscle, jnp.atleast_1d(unit.path), ["this posture"])
+
+
 def _square(jacobian: Floats) -> Floats:
     """The Jacobian of the movable joints; raise unless it can be inverted."""
     directions, joints = jacobian.shape
@@ -350,6 +368,14 @@ def _pressure_ranges(
         if slope > 0:
             below["slack"] = float((minimum_tension - offset) / slope)
             above["rated force"] = float((muscle.specimen.force_limit - offset) / slope)
+        elif offset < minimum_tension:
+            raise UnreachableError(
+                f"{name}: it is slack, and pressure does not tighten it",
+                value=float(offset),
+                lower=minimum_tension,
+                unit="N",
+                remedy="choose a posture that stretches it more, or a shorter spring",
+            )
         lower, upper = max(below, key=lambda key: below[key]), min(above, key=lambda key: above[key])
         low, high = below[lower], above[upper]
         if low > high:

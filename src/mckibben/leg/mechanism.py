@@ -371,7 +371,7 @@ def _check_paths(joint: LegJoint) -> None:
     if not isinstance(pair.tendon, RigidTendon):
         return  # a spring takes up lengths beyond the range of the muscle
     for number, (muscle, path) in enumerate(zip((pair.muscle1, pair.muscle2), paths, strict=True), 1):
-        _check_contractions(f"{joint.name}, muscle {number}", muscle, path, [f"{a / deg:.4g} deg" for a in angles])
+        check_contractions(f"{joint.name}, muscle {number}", muscle, path, [f"{a / deg:.4g} deg" for a in angles])
 
 
 def _check_biarticular(one: BiarticularMuscle, first: LegJoint, second: LegJoint) -> None:
@@ -381,10 +381,10 @@ def _check_biarticular(one: BiarticularMuscle, first: LegJoint, second: LegJoint
         return
     paths = [sum((part for part, _ in one.parts(*corner)), start=jnp.zeros(())) for corner in corners]
     places = [f"{a / deg:.4g}, {b / deg:.4g} deg" for a, b in corners]
-    _check_contractions(one.name, one.muscle, jnp.stack(paths), places)
+    check_contractions(one.name, one.muscle, jnp.stack(paths), places)
 
 
-def _check_contractions(owner: str, muscle: Muscle, paths: Array, places: Sequence[str]) -> None:
+def check_contractions(owner: str, muscle: Muscle, paths: Array, places: Sequence[str]) -> None:
     """Raise where a path of a muscle is longer or shorter than its domain permits."""
     numbers = muscle.specimen.initial_length, muscle.domain.contraction_min, muscle.domain.contraction_max
     if not all(isinstance(one, Real) for one in numbers):

@@ -47,8 +47,8 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
         strength = factors(spec.strength) * (1.0 if muscle.strength is None else muscle.strength)
         return dataclasses.replace(muscle, strength=strength)
 
-    trunk = _with_mass(leg.trunk, factors(spec.mass))
-    links = tuple(_with_mass(link, factors(spec.mass)) for link in leg.links)
+    trunk = with_mass(leg.trunk, factors(spec.mass))
+    links = tuple(with_mass(link, factors(spec.mass)) for link in leg.links)
     joints = []
     for joint in leg.joints:
         muscles = drawn(joint.muscles.muscle1), drawn(joint.muscles.muscle2)
@@ -61,9 +61,12 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
     return eqx.tree_at(lambda x: x.leg, plant, leg)
 
 
-def _with_mass(body: Any, factors: NDArray[np.float64]) -> Any:
-    """A body with mass and inertia times factors."""
-    return eqx.tree_at(lambda x: (x.mass, x.inertia), body, (body.mass * factors, body.inertia * factors))
+def with_mass(body: Any, factors: NDArray[np.float64]) -> Any:
+    """A body with mass and inertias times factors."""
+    names = ("mass", "inertia", "roll_inertia", "yaw_inertia", "axial_inertia")
+    known = [name for name in names if getattr(body, name, None) is not None]
+    scaled = [getattr(body, name) * factors for name in known]
+    return eqx.tree_at(lambda x: [getattr(x, name) for name in known], body, scaled)
 
 
 def _fit_draws(fit: Fit, rng: np.random.Generator, count: int) -> dict[str, NDArray[np.float64]]:

@@ -82,30 +82,27 @@ class Envelope:
         ]
 
     def remarks(self) -> list[str]:
-        """What limits the attainable stiffness, and what it leaves out, in words."""
+        """Return the limits of the attainable stiffness and remarks on the joint, as text."""
         return [*self._limits(), *self.scenario.joint.remarks] if self.static.exists else []
 
     def _limits(self) -> list[str]:
-        """What limits the attainable stiffness at either end."""
-        static, joint = self.static, self.scenario.plant().supplied_joint
-        angles, found, extend = static.angles[static.inside], [], False
+        """Active limits at both ends of the attainable stiffness, and remedies."""
+        static, plant = self.static, self.scenario.plant()
+        joint = plant.supplied_joint
+        angles, found, remedies = static.angles[static.inside], [], dict[str, None]()
         for end, pressures in (("lowest", static.pressures_at_lowest), ("highest", static.pressures_at_highest)):
             here = pressures[:, static.inside]
             tensions = joint.tensions(angles, (here[0], here[1]))
             counts: Counter[str] = Counter()
-            given = zip((joint.muscle1, joint.muscle2), self.scenario.plant().muscles, here, tensions, strict=True)
+            given = zip((joint.muscle1, joint.muscle2), plant.muscles, here, tensions, strict=True)
             for supplied, muscle, pressure, tension in given:
                 for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
                     counts[reason] += int(holds.sum())
+                    if _MEASURED in reason and holds.any() and not muscle.extrapolate:
+                        remedies[_remedy(muscle, highest="highest" in reason)] = None
             reasons = [reason for reason, count in counts.most_common() if count]
-            extend |= not joint.muscle1.extrapolate and any(_MEASURED in reason for reason in reasons)
             found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
-        if extend:
-            found.append(
-                "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
-                "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
-            )
-        return found
+        return found + list(remedies)
 
     def records(self) -> dict[str, Any]:
         """The results as plain data; angles in deg, pressures in bar, all else in SI."""
@@ -157,8 +154,23 @@ _MEASURED = "measured pressure"
 _AT_LIMIT = 1.0  # Pa, N
 
 
+def _remedy(muscle: Muscle, *, highest: bool) -> str:
+    """Remedy for a law that ends at the measured pressures."""
+    rated, law = muscle.specimen.domain, muscle.law.domain
+    further = law.pressure_max < rated.pressure_max < math.inf if highest else rated.pressure_min < law.pressure_min
+    if further:
+        return (
+            "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
+            "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
+        )
+    return (
+        "to apply the law at higher pressures, give the muscle the rated pressure of its specimen, such as `specimen: "
+        "{domain: {pressure_max: 8 bar}}`, and `extrapolate: true`"
+    )
+
+
 def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:
-    """What bounds a muscle, and where it does, at pressures [Pa] and tensions [N]."""
+    """Masks of the active limits of a muscle at pressures [Pa] and tensions [N], by name."""
     law, rated = muscle.law.domain, muscle.domain
     low, high, top = float(rated.pressure_min), float(supplied.domain.pressure_max), float(rated.pressure_max)
     least = f"the lowest {_MEASURED}" if low == law.pressure_min and low > 0 else "venting"

@@ -33,12 +33,19 @@ def data_named(
             raise NotInCatalogError(
                 f"{name} is a dataset of the catalog",
                 value=name,
-                remedy="columns, initial length, specimen and slack force are for files",
+                remedy="leave out the options that read files (--column, --initial-length, --displacement, "
+                "--zero-length, --slack-force, --force-sign, --decimal, --recipe)",
             )
         return catalog.dataset(name)
     for name in names:
         if Path(name).exists():
             continue
+        if name in known:
+            raise NotInCatalogError(
+                f"{name} is a dataset of the catalog, which cannot be joined with others",
+                value=name,
+                remedy="give one dataset of the catalog, or files only",
+            )
         close = difflib.get_close_matches(name, known, 1) or [one for one in known if name and one.startswith(name)]
         if close or not re.search(r"[./\\]", name):
             raise NotInCatalogError(
