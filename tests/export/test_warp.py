@@ -54,7 +54,7 @@ def angles_in_warp(model, data, muscles, worlds, commands):
         d.ctrl.assign(np.tile([*now, *[0.0] * (model.nu - 2)], (worlds, 1)).astype(np.float32))
         for _ in range(round(PERIOD / STEP)):
             warp.step(m, d)
-        angles.append(d.qpos.numpy()[:, 0])
+        angles.append(d.qpos.numpy()[:, 0].copy())  # on the CPU a view
     return np.array(angles)
 
 
