@@ -36,6 +36,7 @@ from mckibben.plant import Actuator, JointPlant, PlantState
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
+COMMAND_DELAY = "delay of the commands"  # among the omitted parts
 
 
 class Transmission(NamedTuple):
@@ -115,11 +116,10 @@ def joint_model(
 
     The actuators are those of the plugin, or have forces and rates that callbacks set, also those of all valves.
     """
-    check_valve(plant.valve)
-    check_tendon(plant.joint)
+    check_parts(plant)
     moved = transmissions(plant.joint.geometry)
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
-    left_out += [] if plant.command_delay is None else ["delay of the commands"]
+    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
     left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo has its own model"]
     for number, one in enumerate(moved, 1):
         if not one.tendon:
@@ -130,6 +130,25 @@ def joint_model(
     point = mass_point(plant.load)
     xml = _mjcf(plant, name, timestep, moved, muscles, point, start, acts, plugin=plugin)
     return JointModel(xml, module, muscles, (*left_out, *point.chosen))
+
+
+def check_parts(plant: JointPlant) -> None:
+    """Raise an error that lists all parts of a plant that MuJoCo does not support."""
+    found: list[ExportError] = []
+    for check in (
+        lambda: check_valve(plant.valve),
+        lambda: check_tendon(plant.joint),
+        lambda: mass_point(plant.load),
+    ):
+        try:
+            check()
+        except ExportError as error:
+            found.append(error)
+    if len(found) > 1:
+        parts, remedies = "; ".join(one.message for one in found), ", ".join(one.remedy for one in found)
+        raise ExportError(parts, field=found[0].field, remedy=remedies) from found[0]
+    if found:
+        raise found[0]
 
 
 def check_valve(valve: Actuator) -> None:

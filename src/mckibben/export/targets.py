@@ -33,13 +33,7 @@ TARGETS = {
     "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures", ()),
 }
 """Function of each format, ``(scenario, name, folder, **options) -> Exported``, its description and options."""
-_NAMES = {
-    "fmu": "plant",
-    "fmu-muscle": "muscle",
-    "mjcf": "joint",
-    "warp": "joint",
-    "osim": "joint",
-}  # except for controllers
+_NAMES = {"fmu": "plant", "fmu-muscle": "muscle"} | dict.fromkeys(("mjcf", "warp", "osim"), "joint")
 
 
 def export(

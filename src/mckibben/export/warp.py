@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+import equinox as eqx
+
 import mckibben
 from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
 from mckibben.export.controller_files import filled
-from mckibben.export.mjcf import joint_model
+from mckibben.export.mjcf import COMMAND_DELAY, joint_model
 from mckibben.export.muscle_plugin import PluginMuscle
 from mckibben.export.targets import Exported
+from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario
 
 
@@ -20,13 +23,30 @@ def warp_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.needed_substeps()
     start = plant.complete_state(scenario.initial(plant))
+    made = warp_joint(plant, name, timestep, start, scenario.name)
+    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *made.left_out)
+    return Exported({**made.files, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
+
+
+def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState, title: str = "") -> Exported:
+    """MJCF and module of a plant, which starts in a state, for time steps [s]. Raises `ExportError`.
+
+    The strength of each muscle is a parameter, also if it is not set.
+    """
+    one, two = plant.joint.muscle1, plant.joint.muscle2
+    numbers = [1.0 if each.strength is None else each.strength for each in (one, two)]
+    plant = eqx.tree_at(
+        lambda plant: (plant.joint.muscle1.strength, plant.joint.muscle2.strength),
+        plant,
+        numbers,
+        is_leaf=lambda leaf: leaf is None,
+    )
     model = joint_model(plant, name, timestep, start, plugin=False)
-    kept = [one for one in model.left_out if one != "delay of the commands"]
-    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *kept)
-    delay = float(plant.command_delay or 0.0)
-    text = warp_muscles(model.module, model.muscles, scenario.name, timestep, delay, left_out)
-    files = {f"{name}.xml": model.xml, f"{name}_warp.py": text, "scenario.yaml": scenario.dumps(folder=folder)}
-    return Exported(files, left_out)
+    left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
+    text = warp_muscles(
+        model.module, model.muscles, title or name, timestep, float(plant.command_delay or 0.0), left_out
+    )
+    return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
 
 
 def warp_muscles(
@@ -34,8 +54,8 @@ def warp_muscles(
     muscles: tuple[PluginMuscle, ...],
     title: str,
     timestep: float,
-    delay: float = 0.0,
-    left_out: tuple[str, ...] = (),
+    delay: float,
+    left_out: tuple[str, ...],
 ) -> str:
     """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
     functions = {one.name: one for one in module.functions}
