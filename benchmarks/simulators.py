@@ -50,8 +50,8 @@ def simulators(folder: Path, *, quick: bool) -> Table:
         inverted(bench.timed()),
         (
             f"Pre-contracted knee with 20 ms valves, {SUBSTEPS} Runge-Kutta steps per control period of 1 ms. The "
-            "ratio is per joint and period. MuJoCo is one joint on one core; MuJoCo Warp is made for GPUs and runs here on "
-            "its CPU device, in 32 bits.",
+            "ratio is per joint and period. MuJoCo is one joint on one core; MuJoCo Warp is made for GPUs and runs "
+            "here on its CPU device, in 32 bits.",
             f"Deviation: the largest of the angle from the simulation over {CHECKED} periods.",
         ),
     )
