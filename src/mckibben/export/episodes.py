@@ -17,10 +17,10 @@ from mckibben.errors import ExportError
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled_as_given, numeric
-from mckibben.numerics.runtime import batch_options
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import FlatTree, compile_flat
 from mckibben.scenario import Scenario, batched, initial_state, valid_rows
+from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import SimulationProblem
 from mckibben.study.benchmark.suite import Suite
@@ -267,34 +267,46 @@ class SingleProgram:
         return _step(values)
 
 
+def _begun(shared: Any, lane: Any) -> tuple[Episode, Array]:
+    (fixed, settings, history), (varying, start) = shared, lane
+    return begin(eqx.combine(varying, fixed), start, settings.period, history)
+
+
+def _advanced(shared: Any, lane: Any) -> tuple[Episode, EpisodeStep]:
+    (fixed, settings, counts), (varying, episode, action) = shared, lane
+    return advance(eqx.combine(varying, fixed), episode, action, settings, *counts)
+
+
+_BEGIN, _ADVANCE = BatchFunction(_begun), BatchFunction(_advanced)
+
+
 class ManyProgram:
-    """Compiled episodes of many joints, one per array column; finished episodes restart."""
+    """Episodes of many joints, compiled as C, or by XLA without a C compiler; finished episodes restart."""
 
-    def __init__(self, plants: Plants, settings: Settings, **counts: int) -> None:
-        flat = _FlatEpisodes(plants, settings, **counts)
-        table = jax.tree.map(jnp.asarray, (plants.varying, plants.starts))
-        plants = plants._replace(varying=table[0], starts=table[1])  # others are constants of the program
+    def __init__(self, plants: Plants, settings: Settings, *, substeps: int, repeat: int, history: int) -> None:
+        self._plants = plants
+        self._shared = (plants.fixed, settings, history), (plants.fixed, settings, (substeps, repeat))
 
-        def begin(rows: Array) -> tuple[Array, Array]:
-            return jax.vmap(lambda row: flat.begin(*plants.row(row)), out_axes=1)(rows)
-
-        def advance(rows: Array, episodes: Array, actions: Array, over: Array) -> tuple[Array, Array]:
-            go_on = jax.vmap(lambda row, *given: flat.advance(plants.at(row), *given), in_axes=(0, 1, 1), out_axes=1)
-            moved = go_on(rows, episodes, actions.T)
-            return jax.tree.map(lambda new, old: jnp.where(over, new, old), begin(rows), moved)
-
-        options = batch_options()
-        self._begin, self._advance = (jax.jit(one, compiler_options=options) for one in (begin, advance))
-
-    def begin(self, rows: Any) -> EpisodeStep:
-        """Begin all episodes with the plants of the given rows."""
-        self._episodes, values = self._begin(rows)
-        return _step(np.asarray(values).T)
+    def begin(self, rows: Any) -> Any:
+        """Begin all episodes with the plants of the given rows; return their observations, shape (n, size)."""
+        table = self._plants.varying, self._plants.starts
+        self._varying, starts = jax.tree.map(lambda one: np.moveaxis(np.asarray(one)[rows], 0, -1), table)
+        (self._episodes, observations), _ = _BEGIN("auto", self._shared[0], (self._varying, starts))
+        return np.asarray(observations).T
 
     def advance(self, rows: Any, actions: Any, over: Any) -> EpisodeStep:
         """Advance; finished episodes restart with the plants of the given rows and ignore their action."""
-        self._episodes, values = self._advance(rows, self._episodes, np.asarray(actions, float), over)
-        return _step(np.asarray(values).T)
+        lanes = self._varying, self._episodes, np.asarray(actions, float).T
+        (moved, step), _ = _ADVANCE("auto", self._shared[1], lanes)
+        step = EpisodeStep(np.asarray(step.observation).T, *map(np.asarray, step[1:]))
+        if over.any():
+            first = self.begin(rows)
+            moved = jax.tree.map(lambda new, old: np.where(over, new, old), self._episodes, moved)
+            ended = over.reshape(-1, 1)
+            rest = (np.where(over, 0, one).astype(one.dtype) for one in step[1:])
+            step = EpisodeStep(np.where(ended, first, step.observation), *rest)
+        self._episodes = moved
+        return step
 
 
 def _content(plant: JointPlant, state: PlantState) -> Array:

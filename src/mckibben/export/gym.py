@@ -203,7 +203,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         super().reset(seed=seed)
         self._rows = self._draw()
         self._steps, self._over = np.zeros(self.num_envs, int), np.zeros(self.num_envs, bool)
-        observations = self._program.begin(self._rows).observation
+        observations = self._program.begin(self._rows)
         return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
