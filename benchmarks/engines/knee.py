@@ -46,11 +46,11 @@ class Knee(NamedTuple):
     control: Callable[..., tuple[tuple[Any, ...], Any, Any, Any]]  # memory, setpoints, state: memory, u1, u2, estimate
 
 
-def knee(maths: Maths, k: Numbers) -> Knee:
+def knee(maths: Maths, k: Numbers, substeps: int = SUBSTEPS) -> Knee:
     """The knee over one kind of number. Closures, because looking names up costs more than sums in plain Python."""
     sin, cos, exp, sqrt, where_positive, clip = maths
     a1, a2, b1, b2, c1, c2, decay, l0, H, r, connector, inertia, damping, gravity, hanging, lag, low, high = k[:18]
-    h = PERIOD / SUBSTEPS
+    h = PERIOD / substeps
 
     def lengths(angle: Any) -> tuple[Any, ...]:
         s, c = sin(angle), cos(angle)

@@ -35,9 +35,9 @@ MODEL = """
 """
 
 
-def every_stage(problem: Problem) -> Callable[[], NDArray[np.float64]]:
+def every_stage(problem: Problem, substeps: int = SUBSTEPS) -> Callable[[], NDArray[np.float64]]:
     """RK4 with the torque as a passive force: the reference's own method, with Python called at each of four stages."""
-    model, torque, control, init = _parts(problem, "RK4")
+    model, torque, control, init = _parts(problem, "RK4", substeps)
 
     def passive(_: mujoco.MjModel, data: mujoco.MjData) -> None:
         p1, p2 = data.act
@@ -47,22 +47,22 @@ def every_stage(problem: Problem) -> Callable[[], NDArray[np.float64]]:
         data = _at_start(model, problem)
         mujoco.set_mjcb_passive(passive)
         try:
-            return _episode(problem, data, control, init, lambda: mujoco.mj_step(model, data, nstep=SUBSTEPS))
+            return _episode(problem, data, control, init, lambda: mujoco.mj_step(model, data, nstep=substeps))
         finally:
             mujoco.set_mjcb_passive(None)
 
     return run
 
 
-def every_step(problem: Problem) -> Callable[[], NDArray[np.float64]]:
-    """MuJoCo's default, semi-implicit Euler, the torque set before each step of 0.25 ms: another method, less exact."""
-    model, torque, control, init = _parts(problem, "Euler")
+def every_step(problem: Problem, substeps: int = SUBSTEPS) -> Callable[[], NDArray[np.float64]]:
+    """MuJoCo's default, semi-implicit Euler, the torque set before each step: another method, less exact."""
+    model, torque, control, init = _parts(problem, "Euler", substeps)
 
     def run() -> NDArray[np.float64]:
         data = _at_start(model, problem)
 
         def advance() -> None:
-            for _ in range(SUBSTEPS):
+            for _ in range(substeps):
                 p1, p2 = data.act
                 data.qfrc_applied[0] = torque(float(data.qpos[0]), float(p1) * bar, float(p2) * bar)
                 mujoco.mj_step(model, data)
@@ -72,11 +72,11 @@ def every_step(problem: Problem) -> Callable[[], NDArray[np.float64]]:
     return run
 
 
-def _parts(problem: Problem, integrator: str) -> tuple:
+def _parts(problem: Problem, integrator: str, substeps: int) -> tuple:
     numbers = problem.numbers
     text = MODEL.format(
         integrator=integrator,
-        step=PERIOD / SUBSTEPS,
+        step=PERIOD / substeps,
         damping=numbers.damping,
         inertia=numbers.inertia,
         lag=numbers.time_constant,

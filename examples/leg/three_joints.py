@@ -2,15 +2,19 @@
 
 The trunk is held and the foot hangs in the air. Each joint follows a sine and a step of its stiffness while the others
 move; valves with a lag of 20 ms, encoders of 0.022 deg, noise of the pressures of 2 kPa. Run it with
-`python examples/leg/three_joints.py`; it prints the errors of each joint.
+`python examples/leg/three_joints.py [DIR]`; it prints the errors of each joint, and writes the controllers as C to
+folders of DIR.
 """
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import numpy as np
 
 import mckibben as mk
 from mckibben.control import Reference, Sine, Step
+from mckibben.export import export_leg_controller
 from mckibben.leg import CoupledControl, JointwiseControl, LegPlant, LegStart, TimedReference, read_leg, simulate_leg
 from mckibben.leg.dynamics import joint_equations
 from mckibben.plant import FirstOrderValve, SampledSensors
@@ -67,11 +71,15 @@ def controllers(of: LegPlant) -> dict[str, JointwiseControl]:
     }
 
 
+def start(of: LegPlant) -> LegStart:
+    """All joints at 0 with the first stiffness of their steps."""
+    pressures = of.leg.pressures_for((0.0,) * 3, (0.0,) * 3, [STEPS[joint.name][0] for joint in of.leg.joints])
+    return LegStart((0.0,) * 3, pressures, clearance=0.5)
+
+
 def errors(of: LegPlant, controller: JointwiseControl) -> dict[str, tuple[float, float]]:
     """RMS errors of the angle [rad] and of the stiffness [N*m/rad] of each joint by its name, after 0.3 s."""
-    pressures = of.leg.pressures_for((0.0,) * 3, (0.0,) * 3, [STEPS[joint.name][0] for joint in of.leg.joints])
-    start = LegStart((0.0,) * 3, pressures, clearance=0.5)
-    run = simulate_leg(of, controller, start, duration=DURATION, control_period=PERIOD, substeps=4)
+    run = simulate_leg(of, controller, start(of), duration=DURATION, control_period=PERIOD, substeps=4)
     late, found = run["time"] > 0.3, {}
     for i, (joint, reference) in enumerate(zip(of.leg.joints, references(), strict=True)):
         angle, wanted = run["angle"][i], reference(run["time"])
@@ -86,3 +94,6 @@ if __name__ == "__main__":
     for name, controller in controllers(leg).items():
         rows = errors(leg, controller).items()
         print(f"{name}:", "; ".join(f"{joint} {angle / deg:.3f} deg, {k:.3f} N*m/rad" for joint, (angle, k) in rows))
+        if sys.argv[1:]:
+            folder = Path(sys.argv[1]) / name.replace(" ", "-")
+            export_leg_controller(leg, controller, start(leg), folder, duration=DURATION, control_period=PERIOD)

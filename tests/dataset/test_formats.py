@@ -89,7 +89,7 @@ def test_headers_as_people_write_them(header, put):
         ("Pressure (psia)", "line 1, Pressure (psia): 'psia' is absolute; a gauge pressure is needed"),
         ("p [bar abs]", "line 1, p [bar abs]: 'bar abs' is absolute; a gauge pressure is needed"),
         ("Pressure [mPa]", "line 1, Pressure [mPa]: 'mPa' is not a unit of pressure here"),
-        ("Pressure", "line 1: no column for pressure; the file has 'Pressure', 'force_N'"),
+        ("Pressure", "line 1, Pressure: has no unit"),
         ("P / W", "line 1: no column for pressure; the file has 'P / W', 'force_N'"),
     ],
 )

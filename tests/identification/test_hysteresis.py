@@ -276,3 +276,22 @@ def test_noise_of_the_length_hides_no_turning_point():
     assert loop_half_width(data, ~data.slack) == pytest.approx(8.0, abs=0.2)
     travel = dataclasses.replace(paths, overshot=True).travel
     assert np.count_nonzero(np.abs(travel) > 0.5) == 2
+
+
+@pytest.mark.slow
+def test_noise_of_the_length_larger_than_its_steps_is_no_reversal_of_the_friction():
+    protocol = dataclasses.replace(PROTOCOL, pressures=np.array([3.0, 4.0, 5.0]) * bar, step=0.1 * mm, samples=4)
+    data = SimulatedIsobaricTest(MUSCLE, regulator_offset=0.0).run(protocol, seed=3).plateau_means()
+    noise = np.random.default_rng(3).normal(0, 50e-6 / SPECIMEN.initial_length, len(data))
+    noisy = IsobaricDataset(data.table.assign(contraction=data.table["contraction"] + noise))
+    found = identify_hysteresis(LAW, noisy)
+    assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.15)
+    assert found.friction.half_width == pytest.approx(12.0, rel=0.02)
+
+
+def test_rows_out_of_order_are_refused_whatever_their_directions_say():
+    data = SimulatedIsobaricTest(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
+    shuffled = IsobaricDataset(data.table.drop_vars("time").isel(point=np.lexsort((data.contraction, data.levels))))
+    with pytest.raises(IdentificationError) as refused:
+        LoadingPaths.of(shuffled)
+    assert refused.value.remedy

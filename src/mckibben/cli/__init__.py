@@ -68,7 +68,6 @@ app = typer.Typer(
 )
 
 
-@app.command()
 def reproduce(
     out: Annotated[Path, Option(metavar="DIR", help="Folder of the report.")] = Path("mckibben-report"),
     quick: Annotated[bool, Option("--quick", help="Fewer repeats, seeds and tuning steps.")] = False,
@@ -98,14 +97,6 @@ def reproduce(
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
-app.command()(check)
-app.command()(points)
-app.command()(identify)
-app.command()(identify_air)
-app.command()(validate)
-
-
-@app.command()
 def simulate(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     animate: Annotated[
@@ -175,22 +166,6 @@ def simulate(
         raise typer.Exit(1)
 
 
-app.command()(envelope)
-app.command()(stiffness)
-app.command()(margins)
-app.command()(oracle)
-app.command()(plan)
-app.command()(sweep)
-app.command()(merge)
-app.command()(tune)
-app.command()(compare)
-app.command()(calibrate)
-app.command()(export)
-app.add_typer(rig)
-app.add_typer(leg)
-
-
-@app.command()
 def web(
     port: Annotated[int, Option(min=1, max=65535, help="Port of the address.")] = 8080,
     no_browser: Annotated[bool, Option("--no-browser", help="Do not open a browser.")] = False,
@@ -205,7 +180,6 @@ def web(
     start(port, show=not no_browser, ready=lambda address: echo(f"{address} (Ctrl-C ends it)"))
 
 
-@app.command()
 def laws(json: Json = False) -> None:
     """List the force laws and the published parameter sets."""
 
@@ -228,7 +202,6 @@ def laws(json: Json = False) -> None:
     table("Published parameter sets", ("name", "law", "domain"), sets)
 
 
-@app.command()
 def specimens(json: Json = False) -> None:
     """List the specimens and measured datasets of the catalog."""
 
@@ -267,6 +240,21 @@ def _listing(name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     from mckibben.storage.private import listing
 
     return listing(programs_folder(), name, build)
+
+
+_PANELS = {
+    "The paper": (reproduce,),
+    "Muscles, data and test rig": (points, identify, identify_air, validate, plan, laws, specimens, rig),
+    "Joint, leg and control": (simulate, envelope, stiffness, margins, oracle, calibrate, leg),
+    "Studies": (tune, compare, sweep, merge),
+    "Other programs": (web, export, check),
+}
+for _panel, _commands in _PANELS.items():
+    for _command in _commands:
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, rich_help_panel=_panel)
+        else:
+            app.command(rich_help_panel=_panel)(_command)
 
 
 @app.callback(invoke_without_command=True)

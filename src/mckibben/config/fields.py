@@ -97,11 +97,6 @@ def relative_path(path: Path, folder: Path) -> str:
         return path.as_posix()
 
 
-def read_table(value: Any, info: ValidationInfo) -> Path:
-    """The path of a CSV file."""
-    return read_path(value, info, ".csv")
-
-
 def read_title(value: Any) -> str:
     """One line of text."""
     if not isinstance(value, str) or not value.strip():
@@ -116,4 +111,3 @@ Flag = Annotated[bool, BeforeValidator(read_flag)]
 FilePath = Annotated[
     Path, BeforeValidator(lambda value, info: read_path(value, info, "")), PlainSerializer(write_path, when_used="json")
 ]
-TablePath = Annotated[Path, BeforeValidator(read_table), PlainSerializer(write_path, when_used="json")]

@@ -164,12 +164,15 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
         spelled = _bare(next(filter(None, (match["a"], match["b"], match["c"], match["d"]))))
     elif not spelled and is_unit(text.rpartition("_")[2]):  # F_N
         name, _, spelled = text.rpartition("_")
-    quantity = _NAMES.get(name) or _NAMES.get(name.lower() if len(name) > 1 else "")
-    if (key := name.lower().replace(" ", "_")) in ACCEPTED:
-        quantity = key
-    if quantity and spelled:
+    if (quantity := _named(name)) and spelled:
         found.append((quantity, spelled))
     return found
+
+
+def _named(name: str) -> str:
+    """Quantity of a name without a unit; empty if there is none."""
+    key = name.lower().replace(" ", "_")
+    return key if key in ACCEPTED else _NAMES.get(name) or _NAMES.get(name.lower() if len(name) > 1 else "", "")
 
 
 def _name(header: str) -> str:
@@ -272,7 +275,22 @@ def find_columns(
                 remedy = f"correct one of them, or assign it by {_BY_NAME}"
                 problem(f"is in {column.unit} by its name, but in {unit} by its unit", text, remedy)
     for name in needed:
-        if name not in layout.places and not (name == "contraction" and {"length", "displacement"} & {*layout.places}):
+        kinds = {"contraction", "length", "displacement"} if name == "contraction" else {name}
+        if kinds & {*layout.places}:
+            continue
+        without = [
+            (channel.name, found)
+            for channel in sheet.channels
+            if not channel.unit
+            and channel.name in layout.ignored
+            and channel.name not in mapping
+            and (found := _named(channel.label)) in kinds
+        ]
+        for text, found in without:
+            unit = ACCEPTED[found][0]
+            named = f"columns={{{text!r}: '{found}_{unit}'}} (command line: --column '{text}={found}_{unit}')"
+            problem("has no unit", text, f"write it in the header, such as '{text} [{unit}]', or give {named}")
+        if not without:
             others = f" (or {names('length')}), or displacement_mm"
             wanted = names(name) + (others if name == "contraction" else "")
             remedy = f"name it {wanted}, or assign it by {_BY_NAME}"

@@ -10,51 +10,76 @@ from string import Template
 import mckibben
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.javascript import write_js
-from mckibben.export.controller import controller_functions, controller_module, controller_program
+from mckibben.export.controller import ControllerModule, controller_functions, controller_module, controller_program
 from mckibben.export.targets import Exported
 from mckibben.scenario import Scenario
 
+_LISTED = """\
+| `scenario.yaml` | its source |
+| `sketch/$name/` | sketch for Arduino and Teensy, with the sensors and valves to be filled in |
+"""
 _TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relative to the largest one
 
 
 def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False) -> Exported:
     """The controller of a scenario as C99, with a program that checks it and a sketch for microcontrollers."""
-    made = controller_module(scenario, name)
-    module, text = made.module, scenario.dumps(folder=folder)
-    version = mckibben.__version__
+    made, text = controller_module(scenario, name), scenario.dumps(folder=folder)
     comment = (
-        f"Controller of the scenario {scenario.name!r}, written by mckibben {version}.\n"
+        f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
-    title = comment_text(" ".join(scenario.name.split()))
-    sources = write_c(module, comment, single=single, wide=("setpoint",), units=made.units)
+    title = f'the scenario "{scenario.name}"'
+    files = program_files(made, name, title, comment, scenario.control_period, single=single, listed=_LISTED)
+    values = {
+        "name": name,
+        "title": comment_text(" ".join(scenario.name.split())),
+        "microseconds": f"{scenario.control_period * 1e6:.0f}",
+    }
+    sketch = {
+        f"sketch/{name}/{name}.ino": filled("sketch.ino", values),
+        f"sketch/{name}/{name}.h": files[f"{name}.h"],
+        f"sketch/{name}/{name}.c": files[f"{name}.c"],
+    }
+    return Exported({**files, "scenario.yaml": text, **sketch}, made.left_out)
+
+
+def program_files(
+    made: ControllerModule, name: str, title: str, comment: str, period: float, *, single: bool, listed: str = ""
+) -> dict[str, str]:
+    """A controller as C99, with a program that replays a recorded run and times the steps."""
+    sources = write_c(made.module, comment, single=single, wide=("setpoint",), units=made.units)
     table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
+    real = "float" if single else "double"
+    lines: dict[str, list[str]] = {"setpoint": [], "measurement": [], "commands": []}
+    for index, column in enumerate(made.columns):
+        part, member = column.split(".")
+        lines[part].append(
+            f"compare((double)commands.{member}, row[{index}]);"
+            if part == "commands"
+            else f"{part}->{member} = {'' if part == 'setpoint' else f'({real})'}row[{index}];"
+        )
     left_out = "".join(f"- {one}\n" for one in made.left_out)
     values = {
         "name": name,
-        "title": scenario.name,
-        "version": version,
-        "real": "float" if single else "double",
+        "title": title,
+        "version": mckibben.__version__,
         "rows": str(len(made.recording)),
         "columns": str(len(made.columns)),
         "tolerance": _TOLERANCES[single],
-        "period": f"{scenario.control_period * 1e3:g} ms",
-        "microseconds": f"{scenario.control_period * 1e6:.0f}",
+        "inputs": "\n    ".join(lines["setpoint"] + lines["measurement"]),
+        "comparisons": "\n        ".join(lines["commands"]),
+        "listed": Template(listed).substitute(name=name),
+        "period": f"{period * 1e3:g} ms",
         "left_out": f"\nNot in this program:\n\n{left_out}" if left_out else "",
     }
-    files = {
+    return {
         f"{name}.h": sources.header,
         f"{name}.c": sources.source,
-        "scenario.yaml": text,
         "replay.csv": "\n".join(table) + "\n",
         "README.md": filled("README.md", values),
         "replay.c": filled("replay.c", values),
         "Makefile": filled("Makefile", values),
-        f"sketch/{name}/{name}.ino": filled("sketch.ino", {**values, "title": title}),
-        f"sketch/{name}/{name}.h": sources.header,
-        f"sketch/{name}/{name}.c": sources.source,
     }
-    return Exported(files, made.left_out)
 
 
 def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:

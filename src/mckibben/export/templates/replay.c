@@ -12,7 +12,7 @@
 enum { ROWS = $rows, COLUMNS = $columns };
 static const double TOLERANCE = $tolerance; /* of a command, relative to the largest one */
 
-static double table[ROWS][COLUMNS];
+static double table[ROWS][COLUMNS], deviation, largest;
 
 static int read_table(const char *path)
 {
@@ -37,11 +37,13 @@ static int read_table(const char *path)
 
 static void inputs(const double *row, ${name}_setpoint *setpoint, ${name}_measurement *measurement)
 {
-    setpoint->angle = row[0];
-    setpoint->stiffness = row[1];
-    measurement->angle = ($real)row[2];
-    measurement->pressures_0 = ($real)row[3];
-    measurement->pressures_1 = ($real)row[4];
+    $inputs
+}
+
+static void compare(double command, double recorded)
+{
+    deviation = fmax(deviation, fabs(command - recorded));
+    largest = fmax(largest, fabs(recorded));
 }
 
 int main(int count, char **arguments)
@@ -49,11 +51,11 @@ int main(int count, char **arguments)
     static $name controller;
     ${name}_setpoint setpoint;
     ${name}_measurement measurement;
-    ${name}_commands commands = {0, 0};
+    static ${name}_commands commands;
     ${name}_telemetry telemetry;
     const long steps = count > 2 ? strtol(arguments[2], NULL, 10) : 1000000;
-    double deviation = 0, largest = 0;
-    int row;
+    const double *row;
+    int number;
     long step;
     clock_t start;
     if (count < 2 || !read_table(arguments[1]))
@@ -61,12 +63,11 @@ int main(int count, char **arguments)
     ${name}_defaults(&controller);
     inputs(table[0], &setpoint, &measurement);
     ${name}_init(&controller, &measurement);
-    for (row = 1; row < ROWS; ++row) {
-        inputs(table[row], &setpoint, &measurement);
+    for (number = 1; number < ROWS; ++number) {
+        row = table[number];
+        inputs(row, &setpoint, &measurement);
         ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
-        deviation = fmax(deviation, fabs((double)commands.pressure1 - table[row][5]));
-        deviation = fmax(deviation, fabs((double)commands.pressure2 - table[row][6]));
-        largest = fmax(largest, fmax(fabs(table[row][5]), fabs(table[row][6])));
+        $comparisons
     }
     printf("%d steps: largest deviation of a command %.3g Pa, %.3g of the largest command\n", ROWS - 1, deviation,
            deviation / largest);

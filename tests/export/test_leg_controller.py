@@ -1,0 +1,59 @@
+"""Controllers of all joints of a leg as C99: they repeat the recorded run."""
+
+import dataclasses
+import shutil
+import subprocess
+from typing import Any
+
+import pytest
+
+from mckibben.codegen.native import compiler
+from mckibben.control import DecouplingControl, PolePlacement, Reference, Sine, Step
+from mckibben.errors import ExportError
+from mckibben.export import export_leg_controller
+from mckibben.joint import GeneralLoad
+from mckibben.leg import CoupledControl, LegPlant, LegStart, PressureSchedule, TimedReference, read_leg
+from mckibben.plant import FirstOrderValve, SampledSensors
+from mckibben.units import deg, kPa, ms
+
+DURATION, PERIOD = 0.4, 2 * ms
+
+
+@pytest.fixture(scope="module")
+def plant():
+    leg = read_leg("lei-leg")
+    held = dataclasses.replace(leg, trunk=dataclasses.replace(leg.trunk, freedom="fixed"))
+    return LegPlant(held, FirstOrderValve(20 * ms), sensors=SampledSensors(0.022 * deg, 2 * kPa, seed=1))
+
+
+@pytest.fixture(scope="module")
+def start(plant):
+    zero = (0.0,) * len(plant.leg.joints)
+    return LegStart(zero, plant.leg.pressures_for(zero, zero, [14.5] * len(zero)), clearance=0.5)
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.skipif(compiler() is None or shutil.which("make") is None, reason="there is no cc or make")
+@pytest.mark.slow
+def test_it_repeats_the_recorded_run_of_three_joints(plant, start, single, tmp_path):
+    load = GeneralLoad(0.05, 0.0, 0.3)
+    each = tuple(
+        DecouplingControl(one.muscles, load, PolePlacement(30.0), valve=plant.valve) for one in plant.leg.joints
+    )
+    reference = TimedReference((Reference(Sine(4 * deg, 1.0), Step(14.5, 15.5, 0.2)),) * len(each))
+    controller = CoupledControl(each, reference, leg=plant.leg)
+    export_leg_controller(
+        plant, controller, start, tmp_path, duration=DURATION, control_period=PERIOD, name="leg", single=single
+    )
+    subprocess.run(["make", "-s", "replay"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("200 steps")
+    assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if single else 1e-11)
+
+
+def test_a_controller_without_setpoints_is_refused(plant, start, tmp_path):
+    schedule: Any = PressureSchedule(tuple((one,) for one in start.pressures))
+    with pytest.raises(ExportError) as refused:
+        export_leg_controller(plant, schedule, start, tmp_path, duration=DURATION, control_period=PERIOD)
+    assert (refused.value.field, refused.value.value) == ("controller", "PressureSchedule")
+    assert not list(tmp_path.iterdir())
