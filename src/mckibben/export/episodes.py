@@ -208,7 +208,7 @@ def advance(
     zero = jnp.zeros(())
     first = EpisodeStep(jnp.zeros(len(OBSERVATION)), zero, jnp.asarray(False), zero, zero)
     episode, _, step = lax.fori_loop(0, repeat, one, (episode, _content(plant, episode.state), first))
-    seen = jnp.concatenate([jnp.concatenate([step.observation, action])[None], episode.seen[:-1]])
+    seen = jnp.concatenate([jnp.concatenate([step.observation, jnp.clip(action, -1, 1)])[None], episode.seen[:-1]])
     step = step._replace(observation=seen.ravel()[:-2], reward=step.reward / repeat)
     return episode._replace(seen=seen), step
 
