@@ -25,7 +25,8 @@ from rows import Row, Table
 from tables import as_markdown, as_text
 from timing import failure
 
-SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "reading", "identification", "leg")
+SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "reading", "identification", "leg",
+            "simulators")  # fmt: skip
 
 
 def main() -> int:
@@ -83,6 +84,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from precision import precision
     from reading import reading
     from reference import reference_problem
+    from simulators import simulators
     from single import single
 
     problem = reference_problem()
@@ -96,6 +98,7 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "reading": lambda: reading(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
         "leg": lambda: leg(folder, quick=quick),
+        "simulators": lambda: simulators(folder, quick=quick),
     }
 
 

@@ -1,85 +1,148 @@
-"""Steps per second of the exported environments and of the MuJoCo model, and its deviation from the simulation.
+"""Control periods per second of the exported joint: environments, MuJoCo with the plugin, and MuJoCo Warp.
 
-    python benchmarks/simulators.py [--seconds 2]
+    python benchmarks/simulators.py
 
-All of `examples/pre-contracted-step-pid.yaml`: control periods of 1 ms with 4 Runge-Kutta steps, from random commands.
+All of `examples/pre-contracted-step-pid.yaml`: control periods of 1 ms with 4 Runge-Kutta steps.
 """
 
-import argparse
-import tempfile
-import time
+from __future__ import annotations
 
-import mujoco
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
+from rows import Candidate, Table
+from tables import as_text
+from timing import Bench, inverted
 
 from mckibben.export import export
-from mckibben.export.gym import JointEnv, JointVectorEnv
-from mckibben.export.mujoco import load_mujoco
 from mckibben.scenario import Scenario, run_scenario
 
-SCENARIO = "examples/pre-contracted-step-pid.yaml"
+SCENARIO, SUBSTEPS = "examples/pre-contracted-step-pid.yaml", 4
 RANDOM = ["load.mass2=+-50 %"]
-SIZES = (1, 64, 1024, 8192)
+SIZES = (64, 1024, 8192)
+WORLDS = (64, 4096)
+CHECKED = 1000  # periods
+BASE = "MuJoCo with the plugin"
+Advance = Callable[[NDArray[np.float64]], Any]
 
 
-def rate(step, seconds, each=1):
-    """Steps a second of calls that make `each` of them."""
-    step()
-    count, start = 0, time.perf_counter()
-    while time.perf_counter() - start < seconds:
-        step()
-        count += each
-    return count / (time.perf_counter() - start)
+def simulators(folder: Path, *, quick: bool) -> Table:
+    """The table of simulators."""
+    bench = Bench(rounds=3 if quick else 9, budget=2.0 if quick else 6.0)
+    scenario = Scenario.read(SCENARIO).model_copy(update={"substeps": SUBSTEPS})
+    result = run_scenario(scenario).result
+    commands = np.stack([result["command1"], result["command2"]], -1)[:CHECKED]
+    angles = np.asarray(result["angle"])[1 : CHECKED + 1]
+    bench.add(BASE, lambda: in_mujoco(scenario, folder / "mjcf", commands, angles), install="mujoco")
+    bench.add("environments", environments, install="gymnasium")
+    bench.add("MuJoCo Warp", lambda: in_warp(scenario, folder / "warp", commands, angles), install="mujoco-warp")
+    return Table(
+        "Exported joint in simulators",
+        "1000 control periods",
+        "speed",
+        "angle [rad]",
+        inverted(bench.timed()),
+        (
+            f"Pre-contracted knee with 20 ms valves, {SUBSTEPS} Runge-Kutta steps per control period of 1 ms. The "
+            "ratio is per joint and period. MuJoCo is one joint on one core; MuJoCo Warp is made for GPUs and runs "
+            "here on its CPU device, in 32 bits.",
+            f"Deviation: the largest of the angle from the simulation over {CHECKED} periods.",
+        ),
+    )
 
 
-def environments(seconds):
-    """Rows of the table of environments."""
-    draw = np.random.default_rng(0)
-    env = JointEnv(SCENARIO, random_plant=RANDOM)
-    env.reset(seed=0)
-    action = draw.uniform(-1, 1, 2).astype(np.float32)
-    yield "JointEnv", rate(lambda: env.step(action), seconds)
-    for size in SIZES:
-        envs = JointVectorEnv(SCENARIO, size, random_plant=RANDOM)
-        envs.reset(seed=0)
-        actions = draw.uniform(-1, 1, (size, 2)).astype(np.float32)
-        yield (
-            f"JointVectorEnv, {size} joints",
-            rate(lambda envs=envs, actions=actions: envs.step(actions), seconds, size),
-        )
+def in_mujoco(
+    scenario: Scenario, folder: Path, commands: NDArray[np.float64], angles: NDArray[np.float64]
+) -> Candidate:
+    """A joint in MuJoCo."""
+    import mujoco
 
+    from mckibben.export.mujoco import load_mujoco
 
-def in_mujoco(seconds):
-    """Rows for MuJoCo, and the largest deviation of the angle over 2 s [rad]."""
-    scenario = Scenario.read(SCENARIO).model_copy(update={"substeps": 4})
-    with tempfile.TemporaryDirectory() as folder:
-        export(scenario, "mjcf", folder)
-        model = load_mujoco(folder)
+    export(scenario, "mjcf", folder)
+    model = load_mujoco(folder)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    result = run_scenario(scenario).result
-    commands = np.stack([result["command1"], result["command2"]], -1)
-    deviation = 0.0
-    for period in range(2000):
-        deviation = max(deviation, abs(data.qpos[0] - result["angle"][period]))
-        data.ctrl[:] = commands[period]
-        mujoco.mj_step(model, data, nstep=scenario.substeps)
-    step = lambda: mujoco.mj_step(model, data, nstep=4)  # noqa: E731
-    return rate(step, seconds), deviation
+
+    def advance(command: NDArray[np.float64]) -> float:
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, nstep=SUBSTEPS)
+        return data.qpos[0]
+
+    deviation = float(np.abs([advance(one) for one in commands] - angles).max())
+    return Candidate(BASE, repeated(advance, commands), len(commands) / 1000, deviation, 1e-9, base=BASE)
 
 
-def main():
-    """Measure and print."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--seconds", type=float, default=2.0)
-    seconds = options.parse_args().seconds
-    print("| | control periods a second |\n|---|---|")
-    for name, found in environments(seconds):
-        print(f"| {name} | {found:,.0f} |")
-    found, deviation = in_mujoco(seconds)
-    print(f"| MuJoCo with the plugin | {found:,.0f} |")
-    print(f"\nlargest deviation of MuJoCo's angle over 2 s: {deviation:.2g} rad")
+def environments() -> list[Candidate]:
+    """Environments of many joints, with commands from the first."""
+    from mckibben.export.gym import JointEnv, JointVectorEnv
+
+    draw, made = np.random.default_rng(0), []
+    for size in (1, *SIZES):
+        env = (
+            JointVectorEnv(SCENARIO, size, random_plant=RANDOM) if size > 1 else JointEnv(SCENARIO, random_plant=RANDOM)
+        )
+        env.reset(seed=0)
+        actions = draw.uniform(-1, 1, (size, 2) if size > 1 else 2).astype(np.float32)
+        name = f"JointVectorEnv, {size} joints" if size > 1 else "JointEnv"
+        run = repeated(lambda _, env=env, actions=actions: env.step(actions), range(200))
+        made.append(Candidate(name, run, 200 * size / 1000, base=BASE))
+    return made
+
+
+def in_warp(
+    scenario: Scenario, folder: Path, commands: NDArray[np.float64], angles: NDArray[np.float64]
+) -> list[Candidate]:
+    """Joints in MuJoCo Warp on its CPU device."""
+    import mujoco
+    import mujoco_warp
+    import warp
+
+    warp.config.quiet = True
+    export(scenario, "warp", folder)
+    spec = spec_from_file_location("joint_warp", folder / "joint_warp.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["joint_warp"] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    model = mujoco.MjModel.from_xml_path(str(folder / "joint.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    made = []
+    for worlds in WORLDS:
+        m, d = mujoco_warp.put_model(model), mujoco_warp.put_data(model, data, nworld=worlds)
+        module.Muscles(model, worlds).install(m)
+
+        def advance(command: NDArray[np.float64], m: Any = m, d: Any = d, worlds: int = worlds) -> float:
+            d.ctrl.assign(np.tile(command, (worlds, 1)).astype(np.float32))
+            for _ in range(SUBSTEPS):
+                mujoco_warp.step(m, d)
+            return float(d.qpos.numpy()[-1, 0])
+
+        deviation = None
+        if not made:
+            deviation = float(np.abs([advance(one) for one in commands] - angles).max())
+        run = repeated(advance, commands[:5])
+        made.append(Candidate(f"MuJoCo Warp, {worlds} joints", run, 5 * worlds / 1000, deviation, 1e-5, base=BASE))
+    return made
+
+
+def repeated(advance: Advance, given: Any) -> Callable[[], None]:
+    """A run of one control period for each command."""
+
+    def run() -> None:
+        for one in given:
+            advance(one)
+
+    return run
 
 
 if __name__ == "__main__":
-    main()
+    with tempfile.TemporaryDirectory() as temporary:
+        print(as_text(simulators(Path(temporary), quick=False)))

@@ -9,6 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
 from mckibben.scenario import with_values
+from mckibben.study.benchmark.suite import Suite
 from mckibben.units import bar
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")
@@ -104,6 +105,33 @@ def test_it_moves_as_the_plant_does_and_the_reward_is_the_documented_one(scenari
         assert not terminated
 
 
+def test_a_history_has_the_last_observations_and_the_actions_between_them(scenario, env):
+    deep = JointEnv(scenario, random_plant=RANDOM, repeat=REPEAT, reward=REWARD, plants=8, history=3)
+    draw, rows = np.random.default_rng(3), []
+    start, now = env.reset(options={"plant": 2})[0], deep.reset(options={"plant": 2})[0]
+    np.testing.assert_allclose(now, [*start, 0, 0, *start, 0, 0, *start], rtol=1e-6)
+    for _ in range(3):
+        action = draw.uniform(-1, 1, 2).astype(np.float32)
+        rows.append((env.step(action)[0], action))
+        now = deep.step(action)[0]
+    (before2, _), (before1, action1), (latest, action) = rows
+    np.testing.assert_allclose(now, [*latest, *action, *before1, *action1, *before2], rtol=1e-6, atol=1e-7)
+    assert len(deep.metadata["observation_units"]) == deep.observation_space.shape[0] == 22
+    assert deep.observation_space.contains(now)
+
+
+@pytest.mark.slow
+def test_a_suite_gives_its_conditions():
+    suite = Suite.read("examples/comparison/knee.yaml")
+    made = JointVectorEnv(suite, 2, plants=6, history=2, random_plant=["command_delay=0..3 ms"])
+    plant = made.joint.plants.varying.plant
+    for values in (plant.load.mass2, plant.valve.time_constant, plant.sensors.seed, plant.command_delay):
+        assert len(np.unique(values)) == made.joint.plants.rows > 3
+    observation, _ = made.reset(seed=0)
+    assert made.observation_space.contains(observation)
+    assert np.isfinite(made.step(made.action_space.sample())[1]).all()
+
+
 def test_air_costs(env, scenario):
     free = JointEnv(scenario, random_plant=RANDOM, repeat=REPEAT, reward=REWARD._replace(air_price=0.0), plants=8)
     action = np.array([1.0, 1.0], np.float32)
@@ -183,6 +211,9 @@ def test_mistakes_are_refused(scenario):
     with pytest.raises(ExportError) as caught:
         JointEnv(scenario, repeat=0)
     assert caught.value.field == "repeat"
+    with pytest.raises(ExportError) as caught:
+        JointEnv(scenario, history=101)
+    assert caught.value.field == "history"
     with pytest.raises(ExportError) as caught:
         JointEnv(scenario, random_plant=["controller.position.kp=+-50 %"])
     assert caught.value.field == "random_plant"

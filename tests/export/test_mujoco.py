@@ -16,7 +16,7 @@ from mckibben.codegen.c import write_c
 from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.mjcf import joint_model
-from mckibben.export.mujoco import build_plugin, load_mujoco
+from mckibben.export.mujoco import build_plugin, import_mujoco, load_mujoco
 from mckibben.export.muscle_plugin import plugin_source
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.scenario import run_scenario
@@ -196,6 +196,22 @@ def test_a_return_spring_needs_no_command(runs):
         mujoco.mj_forward(model, data)
         wanted = float(plants["spring"].joint.torque(angle, (0.0, 3e5)))
         assert data.qfrc_actuator[0] == pytest.approx(wanted, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [(ModuleNotFoundError(name="mujoco"), "mckibben"), (ImportError("core bindings are missing"), "mujoco-core")],
+    ids=["missing", "damaged"],
+)
+def test_a_missing_or_damaged_mujoco_is_an_error_with_its_remedy(error, remedy, monkeypatch):
+    def fails(name):
+        raise error
+
+    monkeypatch.setattr("mckibben.export.mujoco.import_module", fails)
+    with pytest.raises(ExportError) as caught:
+        import_mujoco()
+    assert caught.value.field == "mujoco"
+    assert remedy in caught.value.remedy
 
 
 def test_what_mujoco_cannot_hold_is_refused(knee):

@@ -1,4 +1,4 @@
-"""Writer of the statements of a graph in C99 or JavaScript."""
+"""Writer of the statements of a graph, in the syntax of C99 and JavaScript unless a subclass has another."""
 
 from __future__ import annotations
 
@@ -120,13 +120,13 @@ class Writer:
         text = self._expression(value)
         if stored is not None and id(value) in self.shared:
             self.name(value, stored(value))
-            return [f"{indent}{self.text(value)} = {text[0]};"]
+            return [f"{indent}{self.assigned(self.text(value), text[0])}"]
         if self._uses[id(value)] < 2 and len(text[0]) <= _LONGEST:
             self._texts[id(value)] = text
             return []
         name = self._new("t")
         self.name(value, name)
-        return [f"{indent}{self.constant(value)} {name} = {text[0]};"]
+        return [f"{indent}{self.declared(self.constant(value), name, text[0])}"]
 
     def _loop(self, loop: ForLoop, indent: str) -> list[str]:
         carried = [one for one in loop.carried if id(one) in self._needed]
@@ -140,30 +140,29 @@ class Writer:
         for one in carried:
             self._carried[id(one)] = self._new("x")
             initial = self.converted(one.initial, one.uniform)
-            lines.append(
-                f"{indent}{self.variable(one.initial.kind, one.uniform)} {self._carried[id(one)]} = {initial};"
-            )
+            kind = self.variable(one.initial.kind, one.uniform)
+            lines.append(f"{indent}{self.declared(kind, self._carried[id(one)], initial)}")
         index, inside = self._new("i"), indent + "    "
         self.name(loop.index, index)
-        further = f"{index} < {loop.length}" if loop.going is None else self._carried[id(loop.going)]
-        lines.append(f"{indent}for ({self.language.types[Kind.INTEGER]} {index} = 0; {further}; ++{index}) {{")
+        going = None if loop.going is None else self._carried[id(loop.going)]
+        lines += [f"{indent}{line}" for line in self.loop_head(index, loop.length, going)]
         lines += self.scope(loop.scope, inside)
         for array in arrays:
             for place, element in enumerate(array.elements):
                 at = self._place(loop.row, len(array.elements), place)
-                lines.append(f"{inside}{self.store(array, at, element)};")
+                lines.append(f"{inside}{self.store(array, at, element)}{self.end}")
         updates = [(self._carried[id(one)], one.following, one.uniform) for one in carried]
         swapped = {}
         for target, following, uniform in updates:
             if following.operation == "carried" and self.text(following) != target:
                 swapped[target] = self._new("t")
                 kind, text = self.variable(following.kind, uniform), self.converted(following, uniform)
-                lines.append(f"{inside}{kind} {swapped[target]} = {text};")
+                lines.append(f"{inside}{self.declared(kind, swapped[target], text)}")
         for target, following, uniform in updates:
             text = swapped.get(target, self.converted(following, uniform))
             if text != target:
-                lines.append(f"{inside}{target} = {text};")
-        return [*lines, f"{indent}}}"]
+                lines.append(f"{inside}{self.assigned(target, text)}")
+        return lines + [f"{indent}{line}" for line in self.loop_end(index, going)]
 
     def _branch(self, branch: Branch, indent: str) -> list[str]:
         chosen = [one for one in branch.chosen if id(one) in self._needed]
@@ -172,13 +171,35 @@ class Writer:
         lines = []
         for one in chosen:
             self.name(one, self._new("y"))
-            lines.append(f"{indent}{self.variable(one.kind, one.uniform)} {self.text(one)};")
-        for head, scope, values in zip(("if ({}) {{", "}} else {{"), branch.scopes, branch.values, strict=True):
+            lines.append(f"{indent}{self.declared(self.variable(one.kind, one.uniform), self.text(one))}")
+        for head, scope, values in zip(self.branch_heads, branch.scopes, branch.values, strict=True):
             lines.append(indent + head.format(self.text(branch.condition)))
             lines += self.scope(scope, indent + "    ")
             for one in chosen:
-                lines.append(f"{indent}    {self.text(one)} = {self.converted(values[one.data[1]], one.uniform)};")
-        return [*lines, f"{indent}}}"]
+                assigned = self.assigned(self.text(one), self.converted(values[one.data[1]], one.uniform))
+                lines.append(f"{indent}    {assigned}")
+        return lines + [f"{indent}{line}" for line in self.block_end]
+
+    end = ";"
+    branch_heads = "if ({}) {{", "}} else {{"
+    block_end: Sequence[str] = ("}",)
+
+    def declared(self, kind: str, name: str, text: str | None = None) -> str:
+        """Declaration of a variable, with or without a value."""
+        return f"{kind} {name}{'' if text is None else f' = {text}'}{self.end}"
+
+    def assigned(self, target: str, text: str) -> str:
+        """Assignment to a variable or an element."""
+        return f"{target} = {text}{self.end}"
+
+    def loop_head(self, index: str, length: int, going: str | None) -> list[str]:
+        """First lines of a loop of a given length, or while a variable is true."""
+        further = f"{index} < {length}" if going is None else going
+        return [f"for ({self.language.types[Kind.INTEGER]} {index} = 0; {further}; ++{index}) {{"]
+
+    def loop_end(self, index: str, going: str | None) -> Sequence[str]:
+        """Last lines of a loop."""
+        return self.block_end
 
     def variable(self, kind: Kind, uniform: bool) -> str:
         """Declared type of a variable, which may be uniform over lanes."""

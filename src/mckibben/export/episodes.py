@@ -17,12 +17,13 @@ from mckibben.errors import ExportError
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled_as_given, numeric
-from mckibben.numerics.runtime import batch_options
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import FlatTree, compile_flat
 from mckibben.scenario import Scenario, batched, initial_state, valid_rows
+from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import SimulationProblem
+from mckibben.study.benchmark.suite import Suite
 from mckibben.study.parameters import parse_sweeps, sample
 from mckibben.units import atm, bar, deg, litre
 
@@ -88,21 +89,32 @@ class Plants(NamedTuple):
 
 
 class Episode(NamedTuple):
-    """Number of control periods so far, state of the plant, and the last measurement."""
+    """Number of control periods so far, state of the plant, and the last measurement.
+
+    `seen` has a row for each observation of the history, the latest first: 6 elements, and the action before it.
+    """
 
     period: Array
     state: PlantState
     measured: Measurement
+    seen: Array
 
 
 class EpisodeStep(NamedTuple):
-    """Result of a step: observation (6,), reward, whether the episode failed; true stiffness, and air [L]."""
+    """Result of a step: observation (8 history - 2,), reward, whether the episode failed; stiffness, and air [L]."""
 
     observation: Any
     reward: Any
     failed: Any
     stiffness: Any
     air: Any
+
+
+def conditions_of(suite: Suite) -> tuple[str, ...]:
+    """Variations of a suite's plants and of its first reference, with another sensor noise in each plant."""
+    varied = (*suite.conditions, *next(iter(suite.references.values())).over)
+    noise = suite.has_noise and "sensors.seed" not in {one.partition("=")[0].strip() for one in varied}
+    return (*varied, "sensors.seed=0..1000000") if noise else varied
 
 
 def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
@@ -147,12 +159,23 @@ def _starts(plants: Plants, rows: Any) -> tuple[PlantState, Array]:
     return jax.vmap(start)(rows)
 
 
-def begin(problem: SimulationProblem, start: PlantState, period: Array) -> tuple[Episode, Array]:
-    """The start of an episode, and the first observation."""
+def names_of(history: int) -> dict[str, str]:
+    """Elements of an observation with the last observations and the actions between them, and their units."""
+    found = dict(OBSERVATION)
+    for back in range(1, history):
+        found |= {f"action{number}_before{back}": "1" for number in (1, 2)}
+        found |= {f"{name}_before{back}": unit for name, unit in OBSERVATION.items()}
+    return found
+
+
+def begin(problem: SimulationProblem, start: PlantState, period: Array, history: int) -> tuple[Episode, Array]:
+    """The start of an episode, and the first observation, which is repeated as its history, with actions of 0."""
     state, measured = problem.plant.sample(start, period)
     measured = jax.tree.map(jnp.asarray, measured)
     zero = jnp.zeros_like(measured.angle)
-    return Episode(jnp.asarray(0), state, measured), _observation(measured, zero, problem.reference(zero))
+    now = _observation(measured, zero, problem.reference(zero))
+    seen = jnp.tile(jnp.concatenate([now, jnp.zeros(2)]), (history, 1))
+    return Episode(jnp.asarray(0), state, measured, seen), seen.ravel()[:-2]
 
 
 def advance(
@@ -168,7 +191,7 @@ def advance(
         state = plant.follow(episode.state, commands, period, substeps)
         state, measured = plant.sample(state, period)
         velocity = (measured.angle - episode.measured.angle) / period
-        following = Episode(episode.period + 1, state, measured)
+        following = Episode(episode.period + 1, state, measured, episode.seen)
         setpoint = problem.reference(following.period * period)
         stiffness = plant.joint.evaluate(state.angle, state.pressures)[1]
         angle_error, stiffness_error = state.angle - setpoint.angle, stiffness - setpoint.stiffness
@@ -185,20 +208,22 @@ def advance(
     zero = jnp.zeros(())
     first = EpisodeStep(jnp.zeros(len(OBSERVATION)), zero, jnp.asarray(False), zero, zero)
     episode, _, step = lax.fori_loop(0, repeat, one, (episode, _content(plant, episode.state), first))
-    return episode, step._replace(reward=step.reward / repeat)
+    seen = jnp.concatenate([jnp.concatenate([step.observation, jnp.clip(action, -1, 1)])[None], episode.seen[:-1]])
+    step = step._replace(observation=seen.ravel()[:-2], reward=step.reward / repeat)
+    return episode._replace(seen=seen), step
 
 
 class _FlatEpisodes:
     """`begin` and `advance` with episode and `EpisodeStep` packed as arrays."""
 
-    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
-        self._layout = FlatTree.like(jax.eval_shape(lambda: begin(*plants.row(0), settings.period)[0]))
+    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int, history: int) -> None:
+        self._settings, self._counts, self._history = settings, (substeps, repeat), history
+        self._layout = FlatTree.like(jax.eval_shape(lambda: begin(*plants.row(0), settings.period, history)[0]))
         self.size = self._layout.size
-        self._settings, self._counts = settings, (substeps, repeat)
 
     def begin(self, problem: SimulationProblem, start: PlantState) -> tuple[Array, Array]:
         """Begin an episode."""
-        episode, observation = begin(problem, start, self._settings.period)
+        episode, observation = begin(problem, start, self._settings.period, self._history)
         return self._layout.pack(episode, jnp), jnp.concatenate([observation, jnp.zeros(len(EpisodeStep._fields) - 1)])
 
     def advance(self, problem: SimulationProblem, episode: Array, action: Array) -> tuple[Array, Array]:
@@ -209,15 +234,15 @@ class _FlatEpisodes:
 
 def _step(values: Any) -> EpisodeStep:
     """`EpisodeStep` from an array with its elements along the last axis."""
-    values = np.asarray(values)
-    return EpisodeStep(values[..., : len(OBSERVATION)], *np.moveaxis(values[..., len(OBSERVATION) :], -1, 0))
+    values, others = np.asarray(values), len(EpisodeStep._fields) - 1
+    return EpisodeStep(values[..., :-others], *np.moveaxis(values[..., -others:], -1, 0))
 
 
 class SingleProgram:
     """Compiled episodes of one joint, whose parameters are arguments."""
 
-    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
-        flat, self._plants = _FlatEpisodes(plants, settings, substeps, repeat), plants
+    def __init__(self, plants: Plants, settings: Settings, **counts: int) -> None:
+        flat, self._plants = _FlatEpisodes(plants, settings, **counts), plants
         numbers, starts = self._layouts = tuple(map(FlatTree.like, plants.row(0)))
 
         def first(packed: Array, start: Array) -> tuple[Array, Array]:
@@ -242,34 +267,46 @@ class SingleProgram:
         return _step(values)
 
 
+def _begun(shared: Any, lane: Any) -> tuple[Episode, Array]:
+    (fixed, settings, history), (varying, start) = shared, lane
+    return begin(eqx.combine(varying, fixed), start, settings.period, history)
+
+
+def _advanced(shared: Any, lane: Any) -> tuple[Episode, EpisodeStep]:
+    (fixed, settings, counts), (varying, episode, action) = shared, lane
+    return advance(eqx.combine(varying, fixed), episode, action, settings, *counts)
+
+
+_BEGIN, _ADVANCE = BatchFunction(_begun), BatchFunction(_advanced)
+
+
 class ManyProgram:
-    """Compiled episodes of many joints, one per array column; finished episodes restart."""
+    """Episodes of many joints, compiled as C, or by XLA without a C compiler; finished episodes restart."""
 
-    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int) -> None:
-        flat = _FlatEpisodes(plants, settings, substeps, repeat)
-        table = jax.tree.map(jnp.asarray, (plants.varying, plants.starts))
-        plants = plants._replace(varying=table[0], starts=table[1])  # others are constants of the program
+    def __init__(self, plants: Plants, settings: Settings, *, substeps: int, repeat: int, history: int) -> None:
+        self._plants = plants
+        self._shared = (plants.fixed, settings, history), (plants.fixed, settings, (substeps, repeat))
 
-        def begin(rows: Array) -> tuple[Array, Array]:
-            return jax.vmap(lambda row: flat.begin(*plants.row(row)), out_axes=1)(rows)
-
-        def advance(rows: Array, episodes: Array, actions: Array, over: Array) -> tuple[Array, Array]:
-            go_on = jax.vmap(lambda row, *given: flat.advance(plants.at(row), *given), in_axes=(0, 1, 1), out_axes=1)
-            moved = go_on(rows, episodes, actions.T)
-            return jax.tree.map(lambda new, old: jnp.where(over, new, old), begin(rows), moved)
-
-        options = batch_options()
-        self._begin, self._advance = (jax.jit(one, compiler_options=options) for one in (begin, advance))
-
-    def begin(self, rows: Any) -> EpisodeStep:
-        """Begin all episodes with the plants of the given rows."""
-        self._episodes, values = self._begin(rows)
-        return _step(np.asarray(values).T)
+    def begin(self, rows: Any) -> Any:
+        """Begin all episodes with the plants of the given rows; return their observations, shape (n, size)."""
+        table = self._plants.varying, self._plants.starts
+        self._varying, starts = jax.tree.map(lambda one: np.moveaxis(np.asarray(one)[rows], 0, -1), table)
+        (self._episodes, observations), _ = _BEGIN("auto", self._shared[0], (self._varying, starts))
+        return np.asarray(observations).T
 
     def advance(self, rows: Any, actions: Any, over: Any) -> EpisodeStep:
         """Advance; finished episodes restart with the plants of the given rows and ignore their action."""
-        self._episodes, values = self._advance(rows, self._episodes, np.asarray(actions, float), over)
-        return _step(np.asarray(values).T)
+        lanes = self._varying, self._episodes, np.asarray(actions, float).T
+        (moved, step), _ = _ADVANCE("auto", self._shared[1], lanes)
+        step = EpisodeStep(np.asarray(step.observation).T, *map(np.asarray, step[1:]))
+        if over.any():
+            first = self.begin(rows)
+            moved = jax.tree.map(lambda new, old: np.where(over, new, old), self._episodes, moved)
+            ended = over.reshape(-1, 1)
+            rest = (np.where(over, 0, one).astype(one.dtype) for one in step[1:])
+            step = EpisodeStep(np.where(ended, first, step.observation), *rest)
+        self._episodes = moved
+        return step
 
 
 def _content(plant: JointPlant, state: PlantState) -> Array:

@@ -20,19 +20,22 @@ from numpy.typing import NDArray
 from mckibben.errors import ExportError
 from mckibben.export.episodes import (
     LIMITS,
-    OBSERVATION,
     ManyProgram,
     RewardTerms,
     Settings,
     SingleProgram,
+    conditions_of,
+    names_of,
     plants_of,
 )
 from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
+from mckibben.study.benchmark.suite import Suite
 from mckibben.units import bar
 
 Floats = NDArray[np.float32]
 DEFAULT_REWARD = RewardTerms()
+_MOST_HISTORY = 100
 
 
 class _Joint:
@@ -40,13 +43,17 @@ class _Joint:
 
     def __init__(
         self,
-        scenario: Scenario | str | os.PathLike[str],
+        scenario: Scenario | Suite | str | os.PathLike[str],
         random_plant: Sequence[str],
         repeat: int,
+        history: int,
         reward: RewardTerms,
         plants: int,
         plants_seed: int,
     ) -> None:
+        if isinstance(scenario, Suite):
+            random_plant = (*conditions_of(scenario), *random_plant)
+            scenario = scenario.example()
         self.scenario = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
         nominal = self.scenario.plant()
         if reward.air_price and not all(
@@ -62,9 +69,12 @@ class _Joint:
         if isinstance(repeat, bool) or not isinstance(repeat, int) or not 1 <= repeat <= periods:
             remedy = f"choose a whole number, 1 to {periods}"
             raise ExportError(f"repeat is {repeat!r}", field="repeat", value=repeat, remedy=remedy)
+        if isinstance(history, bool) or not isinstance(history, int) or not 1 <= history <= _MOST_HISTORY:
+            remedy = f"choose a whole number, 1 to {_MOST_HISTORY}"
+            raise ExportError(f"history is {history!r}", field="history", value=history, remedy=remedy)
         self.plants = plants_of(self.scenario, random_plant, plants, plants_seed)
         self.most_steps = -(-periods // repeat)
-        self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat}
+        self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat, "history": history}
         direct, unit, shown = nominal.valve.direct, bar, "bar"
         rated = [one.specimen.domain for one in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
         ranges = [(float(one.pressure_min), float(one.pressure_max)) for one in rated]
@@ -73,12 +83,13 @@ class _Joint:
         low, high = np.array(ranges).T
         terms = RewardTerms(*map(float, reward))
         self.settings = numeric(Settings(self.scenario.control_period, low, high, terms))
-        limit = np.array([LIMITS[name] for name in OBSERVATION], np.float32)
+        names = names_of(history)
+        limit = np.array([LIMITS.get(name.split("_before")[0], 1.0) for name in names], np.float32)
         self.observation_space = Box(-limit, limit, dtype=np.float32)
         self.action_space = Box(-1, 1, (2,), dtype=np.float32)
         self.metadata = {
             "render_modes": [],
-            "observation_units": OBSERVATION,
+            "observation_units": names,
             "action_ranges": {f"command{i}": (one[0] / unit, one[1] / unit, shown) for i, one in enumerate(ranges, 1)},
             "step": repeat * self.scenario.control_period,  # s
             "left_out": ("controller of the scenario", "its reference beyond the current period"),
@@ -98,12 +109,17 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
     Parameters
     ----------
     scenario
-        Scenario, or its file.
+        Scenario, or its file; or a benchmark suite, whose conditions, and variations of its first reference, are then
+        part of `random_plant`, each plant with its own sensor noise.
     random_plant
         Variations as for ``mckibben sweep``, such as ``load.mass2=+-50 %``: an episode uses one of `plants` plants,
-        drawn with `plants_seed`. Parameters of the reference, of sensors and of disturbances may vary as well.
+        drawn with `plants_seed`. Parameters of the reference, of sensors, of disturbances and the delay of the commands
+        may vary as well.
     repeat
         Control periods per step.
+    history
+        Observations in an observation, latest first, with the actions between them (at most 100), for plants with
+        delays.
     reward
         Terms of the reward, see `RewardTerms`.
 
@@ -119,17 +135,18 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
 
     def __init__(
         self,
-        scenario: Scenario | str | os.PathLike[str],
+        scenario: Scenario | Suite | str | os.PathLike[str],
         *,
         random_plant: Sequence[str] = (),
         repeat: int = 1,
+        history: int = 1,
         reward: RewardTerms = DEFAULT_REWARD,
         plants: int = 256,
         plants_seed: int = 0,
         render_mode: None = None,
     ) -> None:
         self.render_mode = render_mode
-        self.joint = _Joint(scenario, random_plant, repeat, reward, plants, plants_seed)
+        self.joint = _Joint(scenario, random_plant, repeat, history, reward, plants, plants_seed)
         self.observation_space, self.action_space = self.joint.observation_space, self.joint.action_space
         self.metadata = self.joint.metadata
         self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
@@ -162,18 +179,19 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
 
     def __init__(
         self,
-        scenario: Scenario | str | os.PathLike[str],
+        scenario: Scenario | Suite | str | os.PathLike[str],
         num_envs: int = 1,
         *,
         random_plant: Sequence[str] = (),
         repeat: int = 1,
+        history: int = 1,
         reward: RewardTerms = DEFAULT_REWARD,
         plants: int = 256,
         plants_seed: int = 0,
         render_mode: None = None,
     ) -> None:
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.joint = _Joint(scenario, random_plant, repeat, reward, plants, plants_seed)
+        self.joint = _Joint(scenario, random_plant, repeat, history, reward, plants, plants_seed)
         self.single_observation_space, self.single_action_space = self.joint.observation_space, self.joint.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -185,7 +203,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         super().reset(seed=seed)
         self._rows = self._draw()
         self._steps, self._over = np.zeros(self.num_envs, int), np.zeros(self.num_envs, bool)
-        observations = self._program.begin(self._rows).observation
+        observations = self._program.begin(self._rows)
         return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:

@@ -36,6 +36,7 @@ from mckibben.plant import Actuator, JointPlant, PlantState
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
+COMMAND_DELAY = "delay of the commands"  # among the omitted parts
 
 
 class Transmission(NamedTuple):
@@ -104,24 +105,50 @@ class JointModel(NamedTuple):
 
 
 def joint_model(
-    plant: JointPlant, name: str = "joint", timestep: float = 2.5e-4, start: PlantState | None = None
+    plant: JointPlant,
+    name: str = "joint",
+    timestep: float = 2.5e-4,
+    start: PlantState | None = None,
+    *,
+    plugin: bool = True,
 ) -> JointModel:
-    """MJCF of a plant, and the functions of its muscles; `start` is its keyframe. Raises `ExportError`."""
-    check_valve(plant.valve)
-    check_tendon(plant.joint)
+    """MJCF of a plant, and the functions of its muscles; `start` is its keyframe. Raises `ExportError`.
+
+    The actuators are those of the plugin, or have forces and rates that callbacks set, also those of all valves.
+    """
+    check_parts(plant)
     moved = transmissions(plant.joint.geometry)
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
-    left_out += [] if plant.command_delay is None else ["delay of the commands"]
+    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
     left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo has its own model"]
     for number, one in enumerate(moved, 1):
         if not one.tendon:
             left_out.append(f"tendon of muscle {number}: path not supported by MuJoCo; its torque acts on the joint")
     plant = dataclasses.replace(plant, command_delay=None)
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
-    module, muscles, acts = muscle_module(plant, moved, start, name)
+    module, muscles, acts = muscle_module(plant, moved, start, name, filters=plugin)
     point = mass_point(plant.load)
-    xml = _mjcf(plant, name, timestep, moved, muscles, point, start, [number for each in acts for number in each])
+    xml = _mjcf(plant, name, timestep, moved, muscles, point, start, acts, plugin=plugin)
     return JointModel(xml, module, muscles, (*left_out, *point.chosen))
+
+
+def check_parts(plant: JointPlant) -> None:
+    """Raise an error that lists all parts of a plant that MuJoCo does not support."""
+    found: list[ExportError] = []
+    for check in (
+        lambda: check_valve(plant.valve),
+        lambda: check_tendon(plant.joint),
+        lambda: mass_point(plant.load),
+    ):
+        try:
+            check()
+        except ExportError as error:
+            found.append(error)
+    if len(found) > 1:
+        parts, remedies = "; ".join(one.message for one in found), ", ".join(one.remedy for one in found)
+        raise ExportError(parts, field=found[0].field, remedy=remedies) from found[0]
+    if found:
+        raise found[0]
 
 
 def check_valve(valve: Actuator) -> None:
@@ -139,13 +166,18 @@ def check_tendon(joint: AntagonisticJoint) -> None:
 
 
 def muscle_module(
-    plant: JointPlant, moved: tuple[Transmission, Transmission], start: PlantState, name: str
+    plant: JointPlant,
+    moved: tuple[Transmission, Transmission],
+    start: PlantState,
+    name: str,
+    *,
+    filters: bool = True,
 ) -> tuple[SourceModule, tuple[PluginMuscle, PluginMuscle], list[Any]]:
-    """The functions of both muscles, their kinds, and their activations at the start."""
+    """The functions of both muscles, their kinds, and their activations at the start; `filters`: with MuJoCo's own."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
-    filters = [is_filter(plant.valve.for_muscle(index)) for index in (0, 1)]
-    first, second = (_functions(fixed, index, one, start, filters[index]) for index, one in enumerate(moved))
+    filtered = [filters and is_filter(plant.valve.for_muscle(index)) for index in (0, 1)]
+    first, second = (_functions(fixed, index, one, start, filtered[index]) for index, one in enumerate(moved))
     for one in (first, second):
         one.add_to(module)
     return module, (first.summary, second.summary), [first.activations, second.activations]
@@ -215,11 +247,35 @@ def plugin_actuator(
     module: str, number: int, name: str, target: str, dynamics: str, limits: tuple[float, float]
 ) -> str:
     """Actuator of a muscle; without a command range, as for a return spring, it has no limits."""
-    limited = f'"true" ctrlrange="{numbers_text(limits)}"' if limits[0] < limits[1] else '"false"'
     return (
-        f'<plugin name={quoteattr(name)} {target} plugin="mckibben.{module}" {dynamics} ctrllimited={limited}>'
+        f'<plugin name={quoteattr(name)} {target} plugin="mckibben.{module}" {dynamics} {_limited(limits)}>'
         f'<config key="muscle" value="{number}"/></plugin>'
     )
+
+
+def _limited(limits: tuple[float, float]) -> str:
+    """Attributes for the range of an actuator's commands."""
+    return f'ctrllimited="true" ctrlrange="{numbers_text(limits)}"' if limits[0] < limits[1] else 'ctrllimited="false"'
+
+
+def callback_actuators(
+    muscles: Sequence[PluginMuscle], targets: Sequence[str], limits: Sequence[tuple[float, float]]
+) -> list[str]:
+    """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation.
+
+    They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
+    """
+    dynamics = ['dyntype="integrator" ' if muscle.activations else "" for muscle in muscles]
+    main = [
+        f'<general name="muscle{number}" {target} {kind}gaintype="user" biastype="user" {_limited(limited)}/>'
+        for number, (target, kind, limited) in enumerate(zip(targets, dynamics, limits, strict=True), 1)
+    ]
+    rest = [
+        f'<general name="muscle{number}_state{place}" joint="joint" dyntype="integrator" gainprm="0"/>'
+        for number, muscle in enumerate(muscles, 1)
+        for place in range(1, muscle.activations)
+    ]
+    return main + rest
 
 
 def keyframe(**numbers: Any) -> str:
@@ -243,7 +299,7 @@ def mjcf_document(
     separator = "\n    "
     return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
 <mujoco model="{name}">
-  <extension>{f'<plugin plugin="mckibben.{name}"/>' if actuators else ""}</extension>
+  <extension>{f'<plugin plugin="mckibben.{name}"/>' if any("<plugin" in one for one in actuators) else ""}</extension>
   <compiler angle="radian" autolimits="true"/>
   <option timestep="{timestep!r}" integrator="RK4" gravity="0 0 {-gravity!r}"/>
   {scene}
@@ -268,20 +324,28 @@ def _mjcf(
     point: MassPoint,
     start: PlantState,
     acts: list[Any],
+    *,
+    plugin: bool,
 ) -> str:
     """MJCF of the joint in a vertical plane: its x and y are turned so that gravity points to the hanging angle."""
     sine, cosine = math.sin(float(plant.load.hanging_angle)), math.cos(float(plant.load.hanging_angle))
     mass, distance, rest, _ = point
     inertial = f'pos="0 {-distance!r} 0" mass="{mass!r}" diaginertia="{rest!r} {rest!r} {rest!r}"'
-    actuators = []
     both = plant.joint.muscle1, plant.joint.muscle2
-    for number, (one, summary, muscle) in enumerate(zip(moved, muscles, both, strict=True), 1):
-        target = f'tendon="muscle{number}"' if one.tendon else 'joint="joint"'
-        dynamics, limits = (
-            summary.dynamics(plant.valve.for_muscle(number - 1)),
-            command_range(plant.valve.for_muscle(number - 1), muscle),
-        )
-        actuators.append(plugin_actuator(name, number, f"muscle{number}", target, dynamics, limits))
+    valves = [plant.valve.for_muscle(index) for index in (0, 1)]
+    targets = [f'tendon="muscle{number}"' if one.tendon else 'joint="joint"' for number, one in enumerate(moved, 1)]
+    limits = [command_range(valve, muscle) for valve, muscle in zip(valves, both, strict=True)]
+    if plugin:
+        actuators = [
+            plugin_actuator(name, number, f"muscle{number}", target, summary.dynamics(valve), limited)
+            for number, (target, summary, valve, limited) in enumerate(
+                zip(targets, muscles, valves, limits, strict=True), 1
+            )
+        ]
+        states = [*acts[0], *acts[1]]
+    else:
+        actuators = callback_actuators(muscles, targets, limits)
+        states = [*acts[0][:1], *acts[1][:1], *acts[0][1:], *acts[1][1:]]
     fixed, moving = (
         "\n    ".join(filter(None, (getattr(one, part) for one in moved))) for part in ("fixed_sites", "moving_sites")
     )
@@ -299,7 +363,7 @@ def _mjcf(
       </body>
     </body>
   </worldbody>"""
-    commands = [0.0, 0.0] if plant.valve.direct else start.pressures
+    commands = [*([0.0, 0.0] if plant.valve.direct else start.pressures), *[0.0] * (len(actuators) - 2)]
     return mjcf_document(
         name,
         timestep=timestep,
@@ -308,7 +372,7 @@ def _mjcf(
         tendons=[one.tendon for one in moved if one.tendon],
         actuators=actuators,
         sensors='<jointpos name="angle" joint="joint"/><jointvel name="velocity" joint="joint"/>',
-        start=keyframe(qpos=[start.angle], qvel=[start.velocity], act=acts, ctrl=commands),
+        start=keyframe(qpos=[start.angle], qvel=[start.velocity], act=states, ctrl=commands),
     )
 
 

@@ -43,12 +43,17 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
 
 
 def import_mujoco() -> Any:
-    """MuJoCo; raises `ExportError` without it."""
+    """MuJoCo; raises `ExportError` without it, or if its packages do not fit each other."""
     try:
         return import_module("mujoco")
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco":
+            raise
         remedy = "install it: pip install 'mckibben[mujoco]'"
         raise ExportError("MuJoCo is not installed", field="mujoco", remedy=remedy) from error
+    except ImportError as error:  # of MuJoCo 4, installed over MuJoCo 3
+        remedy = "install its packages again: pip install --force-reinstall --no-deps mujoco mujoco-core mujoco-studio"
+        raise ExportError("the packages of MuJoCo are damaged", field="mujoco", remedy=remedy) from error
 
 
 def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:

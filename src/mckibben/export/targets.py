@@ -29,10 +29,11 @@ TARGETS = {
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller as an FMU, for co-simulation", _FMI),
     "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "force of a muscle as an FMU", _FMI),
     "mjcf": ("mckibben.export.mjcf:mjcf_files", "joint and muscles for MuJoCo, with the C of a plugin", ()),
+    "warp": ("mckibben.export.warp:warp_files", "joint and muscles for MuJoCo Warp, in Python", ()),
     "osim": ("mckibben.export.osim:osim_files", "joint and muscles for OpenSim, at constant pressures", ()),
 }
 """Function of each format, ``(scenario, name, folder, **options) -> Exported``, its description and options."""
-_NAMES = {"fmu": "plant", "fmu-muscle": "muscle", "mjcf": "joint", "osim": "joint"}  # except for controllers
+_NAMES = {"fmu": "plant", "fmu-muscle": "muscle"} | dict.fromkeys(("mjcf", "warp", "osim"), "joint")
 
 
 def export(

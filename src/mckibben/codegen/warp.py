@@ -1,0 +1,164 @@
+"""Writer for NVIDIA Warp: functions in Python that Warp compiles for the CPU or a GPU, in 32 bits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mckibben.codegen.graph import Kind, Value
+from mckibben.codegen.source_module import Function, SourceModule, element, identifier, inputs_of
+from mckibben.codegen.writer import Language, Text, Writer
+from mckibben.errors import ExportError
+
+_LARGEST, _SMALLEST = 3.4e38, 1.18e-38  # of a 32-bit number
+_ATOM = 8
+_TYPES = {Kind.REAL: "float", Kind.INTEGER: "int", Kind.BOOLEAN: "bool"}
+_ZEROS = {"float": "0.0", "int": "0", "bool": "False"}
+_SAME = ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt", "floor",
+         "ceil", "cbrt", "pow", "abs", "max", "min")  # fmt: skip
+
+
+def write_warp(module: SourceModule) -> str:
+    """Write a module as functions of Warp: `prepare`, a kernel over the worlds, and the functions.
+
+    Each world has its parameters: the functions take `model` (a struct of arrays), `world`, and the elements of their
+    arguments, and return the elements of their results. Raises `ExportError` for operations on bits.
+    """
+    writer = _Writer(module.scopes, WARP, module.results())
+    needed = {value.data for value in inputs_of(module.graph.root) if writer.is_needed(value)}
+    counts = dict.fromkeys(Kind, 0)
+
+    def stored(value: Value) -> str:
+        counts[value.kind] += 1
+        return f"model.{value.kind.value}[world, {counts[value.kind] - 1}]"
+
+    lines, places = [], {}
+    for one in module.members:
+        names = [element("parameters", one, number) for number in range(one.size)]
+        if needed.intersection(names):
+            values = [float(value) for value in one.value.flat]
+            lines.append(f"    {one.path.removeprefix(module.prefix)!r}: ({len(places)}, {values!r}),")
+            places |= {name: f"model.parameters[world, {len(places) + place}]" for place, name in enumerate(names)}
+    for value in inputs_of(module.graph.root):
+        if value.data in places:
+            writer.name(value, places[value.data])
+    prepare = ["@wp.kernel", "def prepare(model: Model):", "    world = wp.tid()"]
+    prepare += [*writer.scope(module.graph.root, stored=stored), ""]
+    functions = [_function(one, writer) for one in module.functions]
+    return "\n".join(
+        [
+            "# name: place of the first element, and the elements, of which each world has its own",
+            "PARAMETERS = {",
+            *lines,
+            "}",
+            f"PREPARED = {tuple(counts.values())!r}  # numbers, integers and booleans that follow from the parameters",
+            "",
+            "",
+            *sorted(writer.helpers),
+            *prepare,
+            "",
+            *functions,
+        ]
+    )
+
+
+def _function(function: Function, writer: _Writer) -> str:
+    given = [
+        (identifier(element(name, one, number)), _TYPES[one.kind])
+        for name, members in function.arguments.items()
+        for one in members
+        for number in range(one.size)
+    ]
+    for value in inputs_of(function.scope):
+        writer.name(value, identifier(value.data))
+    lines = writer.scope(function.scope)
+    values = [writer.text(value) for values in function.values.values() for value in values]
+    arguments = ", ".join(["model: Model", "world: int", *(f"{name}: {kind}" for name, kind in given)])
+    text = [f"# {function.text}", "@wp.func", f"def {function.name}({arguments}):"]
+    return "\n".join([*text, *lines, f"    return {', '.join(values)}", "\n"])
+
+
+class _Writer(Writer):
+    """Writes Python; its conditional expressions and logical operators are those of Warp."""
+
+    end = ""
+    branch_heads = "if {}:", "else:"
+    block_end = ()
+
+    def declared(self, kind: str, name: str, text: str | None = None) -> str:
+        if not kind:
+            return f"{name} = {text}"
+        return f"{name} = {kind}({_ZEROS[kind] if text is None else text})"  # a variable that changes, not an alias
+
+    def loop_head(self, index: str, length: int, going: str | None) -> list[str]:
+        return [f"for {index} in range({length}):"] if going is None else [f"{index} = int(0)", f"while {going}:"]
+
+    def loop_end(self, index: str, going: str | None) -> Sequence[str]:
+        return [] if going is None else [f"    {index} += 1"]
+
+    def _operation(self, value: Value) -> Text:
+        name = value.operation
+        if name in ("select", "not") or (name in ("and", "or") and value.kind is Kind.BOOLEAN):
+            texts = [self._argument(value, one)[0] for one in value.arguments]
+            if name == "select":
+                return f"wp.where({', '.join(texts)})", _ATOM
+            return (f"(not ({texts[0]}))" if name == "not" else f"(({texts[0]}) {name} ({texts[1]}))"), _ATOM
+        if name not in WARP.functions and name in ("bits", "from_bits", "from_bits_32", "single"):
+            raise ExportError(f"{name} needs 64-bit integers", field=name, remedy="export to C")
+        return super()._operation(value)
+
+
+def _literal(number: Any, kind: Kind) -> str:
+    if kind is not Kind.REAL:
+        return str(number)
+    if math.isnan(number):
+        return "wp.nan"
+    if abs(number) > _LARGEST:
+        return "wp.inf" if number > 0 else "-wp.inf"
+    return repr(float(f"{number:.9g}" if abs(number) >= _SMALLEST else 0.0))
+
+
+def _conversion(text: str, source: Kind, target: Kind) -> str:
+    if target is Kind.BOOLEAN:
+        return f"{text} != {'0.0' if source is Kind.REAL else '0'}"
+    return f"{_TYPES[target]}({text})"
+
+
+def _array(name: str, kind: Kind, size: int, elements: Sequence[str] | None, constant: bool) -> str:
+    given = f"{', '.join(elements)}, " if elements else ""
+    return f"{name} = wp.vector({given}length={size}, dtype={_TYPES[kind]})"
+
+
+def _helper(name: str, arguments: str, *lines: str) -> str:
+    typed = ", ".join(f"{one}: float" for one in arguments.split(", "))
+    return "\n".join(["@wp.func", f"def {name}({typed}):", *(f"    {line}" for line in lines), "\n"])
+
+
+WARP = Language(
+    types=_TYPES,
+    constants=dict.fromkeys(Kind, ""),
+    functions={
+        **{name: f"wp.{name}" for name in _SAME},
+        "round": "wp.rint",
+        "rem": "wp.mod",
+        "is_finite": "wp.isfinite",
+        "sign": "sign",
+        "expm1": "expm1",
+        "log1p": "log1p",
+    },
+    helpers={
+        "sign": _helper("sign", "x", "return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))"),
+        # W. Kahan: exact to rounding, as the error of exp and log cancels
+        "expm1": _helper(
+            "expm1", "x", "y = wp.exp(x)", "z = y - 1.0", "if z == -1.0 or not wp.isfinite(y):", "    return z",
+            "return wp.where(z == 0.0, x, z * x / wp.log(y))",
+        ),
+        "log1p": _helper(
+            "log1p", "x", "y = 1.0 + x", "z = y - 1.0", "return wp.where(z == 0.0, x, wp.log(y) * x / z)"
+        ),
+    },
+    literal=_literal,
+    conversion=_conversion,
+    array=_array,
+)  # fmt: skip

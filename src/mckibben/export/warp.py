@@ -1,0 +1,133 @@
+"""A joint for MuJoCo Warp: MJCF, and its muscles as a module of Warp with parameters for each world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import equinox as eqx
+
+import mckibben
+from mckibben.codegen.source_module import Function, SourceModule
+from mckibben.codegen.warp import write_warp
+from mckibben.export.controller_files import filled
+from mckibben.export.mjcf import COMMAND_DELAY, joint_model
+from mckibben.export.muscle_plugin import PluginMuscle
+from mckibben.export.targets import Exported
+from mckibben.plant import JointPlant, PlantState
+from mckibben.scenario import Scenario
+
+
+def warp_files(scenario: Scenario, name: str, folder: Path) -> Exported:
+    """The plant of a scenario as MJCF, and its muscles for MuJoCo Warp."""
+    plant = scenario.plant()
+    timestep = scenario.control_period / scenario.needed_substeps()
+    start = plant.complete_state(scenario.initial(plant))
+    made = warp_joint(plant, name, timestep, start, scenario.name)
+    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *made.left_out)
+    return Exported({**made.files, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
+
+
+def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState, title: str = "") -> Exported:
+    """MJCF and module of a plant, which starts in a state, for time steps [s]. Raises `ExportError`.
+
+    The strength of each muscle is a parameter, also if it is not set.
+    """
+    one, two = plant.joint.muscle1, plant.joint.muscle2
+    numbers = [1.0 if each.strength is None else each.strength for each in (one, two)]
+    plant = eqx.tree_at(
+        lambda plant: (plant.joint.muscle1.strength, plant.joint.muscle2.strength),
+        plant,
+        numbers,
+        is_leaf=lambda leaf: leaf is None,
+    )
+    model = joint_model(plant, name, timestep, start, plugin=False)
+    left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
+    text = warp_muscles(
+        model.module, model.muscles, title or name, timestep, float(plant.command_delay or 0.0), left_out
+    )
+    return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
+
+
+def warp_muscles(
+    module: SourceModule,
+    muscles: tuple[PluginMuscle, ...],
+    title: str,
+    timestep: float,
+    delay: float,
+    left_out: tuple[str, ...],
+) -> str:
+    """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
+    functions = {one.name: one for one in module.functions}
+    kernels, anchor = [], 0
+    for number, muscle in enumerate(muscles, 1):
+        kernels.append(_kernels(functions, muscle, number, anchor))
+        anchor += muscle.anchors
+    numbers = range(1, len(muscles) + 1)
+    return filled(
+        "warp-muscles.txt",
+        {
+            "title": title.replace("\\", "/").replace('"""', "'"),
+            "version": mckibben.__version__,
+            "name": module.name,
+            "left_out": "".join(f"- {one}\n" for one in left_out),
+            "timestep": repr(timestep),
+            "delay": repr(delay),
+            "functions": write_warp(module),
+            "kernels": "".join(kernels),
+            "actuators": _tuple(f'"muscle{number}"' for number in numbers),
+            "anchors": _tuple(str(muscle.anchors) for muscle in muscles),
+            "dynamics": _tuple(f"dynamics{number}" for number in numbers),
+            "forces": _tuple(f"forces{number}" for number in numbers),
+        },
+    )
+
+
+def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: int, anchor: int) -> str:
+    """Kernels of a muscle, whose anchors begin at a column of those of all muscles."""
+    index = number - 1
+    columns = ["first", *(f"rest + {place}" for place in range(muscle.activations - 1))]
+    places = {
+        "act": [f"act[world, {column}]" for column in columns],
+        "anchors": [f"anchors[world, {anchor + place}]" for place in range(muscle.anchors)],
+    }
+    single = {
+        "length": "length[world, actuator]",
+        "velocity": "velocity[world, actuator]",
+        "command": f"command[world, {index}]",
+    }
+
+    def call(name: str) -> str:
+        given = [
+            single.get(one.name) or places[one.name][place]
+            for members in functions[name].arguments.values()
+            for one in members
+            for place in range(one.size)
+        ]
+        return f"{name}({', '.join(['model', 'world', *given])})"
+
+    def assigned(name: str, targets: Mapping[str, Sequence[str]], condition: str = "") -> str:
+        """Statements that store the results of a function."""
+        if name not in functions:
+            return ""
+        (members,) = functions[name].results.values()
+        stored = [targets[one.name][place] for one in members for place in range(one.size)]
+        results = [f"r{place}" for place in range(len(stored))]
+        lines = [f"{', '.join(results)} = {call(name)}"]
+        lines += [f"{target} = {result}" for target, result in zip(stored, results, strict=True)]
+        lines = [f"if {condition}:", *(f"    {line}" for line in lines)] if condition else lines
+        return "\n".join(f"    {line}" for line in lines)
+
+    values = {
+        "k": str(number),
+        "index": str(index),
+        "settled": assigned(f"settled{number}", places, "later"),
+        "unset": assigned(f"unset{number}", places, "begun"),
+        "rates": assigned(f"rates{number}", {"act": [f"act_dot[world, {column}]" for column in columns]}),
+        "force": f"    force[world, actuator] = {call(f'force{number}')}",
+    }
+    return filled("warp-muscle.txt", values)
+
+
+def _tuple(items: Iterable[str]) -> str:
+    return f"({', '.join(items)},)"
