@@ -134,6 +134,7 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Pres
     --------
     Steps between 1, 2 and 3 bar at 100 N/bar, of which 8 % follow with 4 s:
 
+    >>> import numpy as np
     >>> time = np.arange(0, 120, 0.01)
     >>> pressure, delayed = 1e5 * (1 + np.array([0, 1, 2, 1, 0, 2])[(time // 20).astype(int)]), np.full(len(time), 1e5)
     >>> for k in range(1, len(time)):
@@ -141,7 +142,7 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Pres
     >>> noise = np.random.default_rng(1).normal(0, 0.2, len(time))
     >>> force = 1e-3 * (pressure + 0.08 * (delayed - pressure)) + noise
     >>> identify_pressure_creep(Recording.of(time=time, pressure=pressure, force=force, contraction=0.05))
-    <PressureCreepFit: 8.01 %, 4.02 s, 6 plateaus>
+    <PressureCreepFit: 8.02 %, 4 s, 6 plateaus>
     """
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     fit = DelayedShareFit.of([RecordedBins.of(one) for one in given])
