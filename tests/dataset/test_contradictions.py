@@ -38,10 +38,19 @@ def test_a_row_of_units_that_contradicts_the_header_is_refused(put, units, field
     assert refused(put(f"pressure_bar,force_N,contraction_percent\n{units}\n{ROWS}")) == [field]
 
 
-@pytest.mark.parametrize("header", ["p [psia]", "Absolute pressure [bar]", "p_abs_bar", "p [bar(a)]"])
+@pytest.mark.parametrize("header", ["p [psia]", "p [bar(a)]", "p (kPa abs)"])
 def test_an_absolute_pressure_is_refused_even_if_it_is_assigned(put, header):
     path = put(f"{header},force_N,contraction_percent\n{ROWS}")
     assert refused(path, columns={header: "pressure_bar"}) == [header]
+
+
+@pytest.mark.parametrize("header", ["Absolute pressure [bar]", "p_abs_bar"])
+def test_a_name_that_may_mean_an_absolute_pressure_is_a_warning(put, header):
+    path = put(f"{header},force_N,contraction_percent\n{ROWS}")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert read_dataset(path, columns={header: "pressure_bar"}).pressure[0] == 2e5
+    assert any("absolute" in str(one.message) for one in said)
 
 
 @pytest.mark.parametrize("header", ["F [10 N]", "force [kg]", "Effort (daN)", "force (x10 N)"])
@@ -75,6 +84,20 @@ def test_a_constant_length_gives_way_to_a_displacement(put):
 def test_another_header_within_a_file_is_refused(put, other):
     path = put(f"pressure_bar,force_N,contraction_percent\n{ROWS}{other}\n{ROWS}")
     assert refused(path, on_corrupt="report") == [7]
+
+
+def test_rows_of_dashes_are_left_out_and_repeated_headers_with_units_passed_over(put):
+    head = "pressure,force,contraction\nbar,N,%\n"
+    with pytest.warns(McKibbenWarning, match="1 of 7 rows"):
+        data = read_dataset(put(f"{head}{ROWS}-,-,-\n{head}5,300,0\n"), on_corrupt="report")
+    assert len(data) == 6
+
+
+def test_a_last_row_of_words_is_left_out_with_and_without_empty_cells(put):
+    for end in ("Ende der Messung", "Ende der Messung,,"):
+        with pytest.warns(McKibbenWarning, match="left out"):
+            data = read_dataset(put(f"pressure_bar,force_N,contraction_percent\n{ROWS}{end}\n"))
+        assert len(data) == 5
 
 
 def test_sheets_with_times_of_their_own_are_not_read_row_by_row(tmp_path):

@@ -59,3 +59,12 @@ def test_a_law_that_fits_worse_than_the_loops_are_wide_gets_no_friction(rig):
     assert found.hysteresis is None and found.note
     assert found.fit.law == mk.identify(ReynoldsLaw, rig).law
     assert float(identify_with_friction(ReynoldsLaw, rig, friction=True).friction.half_width) > 15.0
+
+
+def test_reversed_directions_are_named(rig):
+    other = {"loading": "unloading", "unloading": "loading"}
+    directions = [other[str(one)] for one in rig.table["direction"].to_numpy()]
+    found = identify_with_friction(
+        ExponentialLaw, mk.IsobaricDataset(rig.table.assign(direction=("point", directions)))
+    )
+    assert found.hysteresis is None and "below" in found.note

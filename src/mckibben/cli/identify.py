@@ -327,8 +327,8 @@ def _show(ranking: Ranking) -> None:
     for one in ranking.outliers:
         echo(f"left out, as it contradicts the points around it: {one}")
     if shows_hysteresis(ranking.points):
-        law = ranking.best.law
-        echo(f"loading and unloading differ; laws are ranked without friction, which --law {law} fits with the law")
+        law = _short(ranking.best)
+        echo(f"loading and unloading differ; laws are ranked without friction: fit it with --law {law}")
     for name, reason in ranking.missing.items():
         echo(f"no cross-validation over {name}s: {reason}")
     if not ranking.blocks:

@@ -336,10 +336,12 @@ def _compare_units(
         match = _WITH_UNIT.fullmatch(channel.label)
         named = next(filter(None, match.groups()[1:])) if match else "_".join(channel.label.split("_")[1:])
         named = _bare(named) if _is_contradiction(_bare(named)) else ""
-    absolute = any(map(_is_absolute, (_bare(channel.unit), named))) or (mapped and _ABSOLUTE_NAME.search(channel.label))
-    if column.quantity.endswith("pressure") and absolute:
-        problem("is an absolute pressure; a gauge pressure is needed", channel.name, _SUBTRACT)
-        return
+    if column.quantity.endswith("pressure"):
+        if any(map(_is_absolute, (_bare(channel.unit), named))):
+            problem("is an absolute pressure; a gauge pressure is needed", channel.name, _SUBTRACT)
+            return
+        if mapped and _ABSOLUTE_NAME.search(channel.label):
+            layout.suspect.append(f"{channel.name!r} is read as a gauge pressure; if it is absolute, {_SUBTRACT}")
     for stated, where in ((_bare(channel.unit), "the file has"), (named, "its name says")):
         if not stated or not column.unit or _same_unit(stated, column.unit, column.quantity):
             continue

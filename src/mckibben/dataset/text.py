@@ -206,17 +206,18 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     if skipped > 1 and len(rows) > 2 and _has_no_number(rows[2]):  # the comments of Origin, under names and units
         sheet.suspect.append(f"line {rows[2].line} has no number; it is left out")
         del rows[2]
-    while len(rows) > skipped and len(rows[-1].cells) != len(header) and _has_no_number(rows[-1]):
+    while len(rows) > skipped and _is_remark(rows[-1], len(header)):
         sheet.suspect.append(f"line {rows[-1].line}, after the last row, has no number; it is left out")
         del rows[-1]
     units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
-    first_name = header[0]
+    repeated = [header, units] if units else [header]
     rows = [
         row
         for row in rows[skipped:]
-        if row.cells[0].strip() != first_name or [cell.strip() for cell in row.cells] != header
+        if row.cells[0].strip() not in {one[0] for one in repeated}
+        or [cell.strip() for cell in row.cells] not in repeated
     ]
-    for row in (others := [row for row in rows if _is_other_header(row, units, known)]):
+    for row in (others := [row for row in rows if _is_other_header(row, known)]):
         remedy = "split the file there, and read the parts one by one"
         sheet.problems.append(Problem("is another header or row of units", line=row.line, remedy=remedy))
     rows = [row for row in rows if row not in others] if others else rows
@@ -255,12 +256,14 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     ]
 
 
-def _is_other_header(row: _Row, units: Sequence[str], known: _Known) -> bool:
+def _is_other_header(row: _Row, known: _Known) -> bool:
     """True for a row that changes names or units in the middle of a file."""
     if not _has_no_number(row):
         return False
     cells = [cell.strip() for cell in row.cells]
-    return sum(known(cell, "") for cell in cells) > 1 or (_is_units(cells) and cells != list(units))
+    return sum(known(cell, "") for cell in cells) > 1 or (
+        _is_units(cells) and any(is_unit(cell) and cell != "-" for cell in cells)
+    )
 
 
 _COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
@@ -274,6 +277,12 @@ def _is_comment(row: _Row, sheet: RawTable) -> bool:
     if len(rest) > 1 and all(map(_NUMBER.fullmatch, rest)):
         sheet.suspect.append(f"line {row.line} is a comment and looks like a row; it is left out")
     return True
+
+
+def _is_remark(row: _Row, columns: int) -> bool:
+    """True for a row without a number that has another count of cells, or words in the first one alone."""
+    alone = columns > 1 and not any(map(str.strip, row.cells[1:]))
+    return _has_no_number(row) and (len(row.cells) != columns or alone)
 
 
 def _has_no_number(row: _Row) -> bool:

@@ -22,7 +22,7 @@ _BACKWARDS = (
     0.01  # of the range of the lengths, allowed against the direction: noise, and ambiguous labels at reversals
 )
 _REVERSALS = 0.3  # per move; a stroke has a few moves at least
-_SIGNIFICANT = 3.0  # standard errors
+_SIGNIFICANT = 0.99865  # one-sided level of a difference: three standard errors of many pairs
 _SPEEDS = 1.3  # ratio of the upper to the lower quartile that distinguishes viscous from dry friction
 _CLIPPED = 0.25  # of the slack points at exactly the lowest force
 _REPEATED = 0.01  # of a step: a smaller move does not count
@@ -32,6 +32,10 @@ _NEAR = 0.2  # of a step: positions as close are the same, with noise of the len
 _FAR = 1.0  # m: exceeds any presliding length
 _SLACK = 2  # fewest slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
+
+
+class ReversedDirectionsError(IdentificationError):
+    """Loading is significantly below unloading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,14 +244,24 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
             lower=2,
             remedy="measure the same positions in both directions, and give nominal pressures (set_pressure)",
         )
-    middle, error = float(np.median(gaps)), 1.25 * float(np.std(gaps)) / np.sqrt(len(gaps))
-    if not middle > _SIGNIFICANT * error:
+    from scipy.special import stdtrit
+
+    middle, count = float(np.median(gaps)), len(gaps)
+    error = max(1.25 * float(np.std(gaps, ddof=1)) / np.sqrt(count), np.finfo(float).eps * abs(middle))
+    if not abs(middle) > float(stdtrit(count - 1, _SIGNIFICANT)) * error:
         raise IdentificationError(
-            f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N: the data show no "
-            "hysteresis",
+            f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N from {count} pairs of "
+            "points: the data show no hysteresis",
             value=middle,
             unit="N",
             remedy="fit the law alone (`identify`), or measure with less noise",
+        )
+    if middle < 0:
+        raise ReversedDirectionsError(
+            f"loading is {-middle:.2g} N below unloading, which friction cannot be",
+            value=middle,
+            unit="N",
+            remedy="exchange the directions: loading is being stretched, unloading is shortening",
         )
     return middle / 2
 

@@ -10,7 +10,7 @@ from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.friction_forms import FrictionForm
 from mckibben.identification.hysteresis import HysteresisFit, identify_hysteresis
-from mckibben.identification.loading_path import loop_half_width
+from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
 from mckibben.muscle import ForceLaw, MaxwellSlip
 
 
@@ -64,8 +64,11 @@ def identify_with_friction(
     IdentificationError
         As `identify` and, with `friction`, `identify_hysteresis`.
     """
-    note, found = "", None
-    gap = _half_gap(dataset) if friction is None else 0.0
+    note, found, gap = "", None, 0.0
+    try:
+        gap = _half_gap(dataset) if friction is None else 0.0
+    except ReversedDirectionsError as error:
+        note = f"fitted without friction: {error}"
     if friction or gap:
         try:
             found = identify_hysteresis(law, dataset, drift=drift, form=form)
@@ -91,15 +94,23 @@ def identify_with_friction(
 
 def shows_hysteresis(dataset: IsobaricDataset) -> bool:
     """Whether forces at the same pressure and contraction differ significantly between loading and unloading."""
-    return _half_gap(dataset) > 0
+    try:
+        return _half_gap(dataset) > 0
+    except ReversedDirectionsError:
+        return False
 
 
 def _half_gap(dataset: IsobaricDataset) -> float:
-    """Half of the difference between loading and unloading [N], 0 if it is not significant."""
+    """Half of the difference between loading and unloading [N], 0 if it is not significant.
+
+    Raises `ReversedDirectionsError` if loading is significantly below unloading.
+    """
     if len(dataset.directions) < 2:
         return 0.0
     means = dataset.plateau_means()
     try:
         return loop_half_width(means, ~means.slack)
+    except ReversedDirectionsError:
+        raise
     except IdentificationError:
         return 0.0
