@@ -59,9 +59,11 @@ def check_points(
     slack_force: float,
     initial_length: float | None,
     specimen: Specimen | None = None,
+    measured: Floats | None = None,
 ) -> Findings:
-    """Check points of a muscle, and of its specimen where it is known."""
+    """Check points of a muscle, and of its specimen where it is known; `measured` are forces with their offset."""
     problems, warnings = [], []
+    measured = force if measured is None else measured
     found = list(_sign(force)) if len(force) else []
     if found and found[0][1]:
         problems.append(found[0][0])  # the other numbers are meaningless
@@ -71,9 +73,9 @@ def check_points(
             *_contractions(contraction, force > slack_force, initial_length),
             *check_pressures(float(pressure.max())),
             *_forces(pressure, force, specimen),
-            *_clipped("force", force, 1.0, "N"),
+            *_clipped("force", measured, 1.0, "N"),
             *_clipped("pressure", pressure, bar, "bar"),
-            *_zeros(pressure, contraction, force),
+            *_zeros(pressure, contraction, force, measured),
             *_copies(pressure, contraction, force),
         ):
             if impossible:
@@ -170,21 +172,22 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
 def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tuple[Problem, bool]]:
     """Message on a largest value that repeats, where no other does."""
     levels, counts = np.unique(values, return_counts=True)
-    if len(levels) > 2 and counts[-1] >= _REPEATED and counts[-1] > 2 * counts[:-1][levels[:-1] != 0].max(initial=1):
+    low = _CLEARLY * levels[-1]  # readings of a slack muscle repeat
+    if len(levels) > 2 and counts[-1] >= _REPEATED and counts[-1] > 2 * counts[:-1][levels[:-1] > low].max(initial=1):
         text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
         yield Problem(text, field=name, remedy="check the range of the sensor"), False
 
 
-def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Message on forces of exactly 0 where the muscle cannot be slack."""
-    taut, zeros = np.flatnonzero(force > _CLEARLY * force.max()), np.flatnonzero(force == 0)
+def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> Iterator[tuple[Problem, bool]]:
+    """Message on measured forces of exactly 0 where the muscle cannot be slack."""
+    taut, zeros = np.flatnonzero(force > _CLEARLY * force.max()), np.flatnonzero(measured == 0)
     taut = taut[np.argsort(pressure[taut], kind="stable")]
     longest = np.maximum.accumulate(np.append(-np.inf, contraction[taut]))  # of taut points up to a pressure
     below = np.searchsorted(pressure[taut], 1.01 * pressure[zeros], side="right")
     lost = zeros[longest[below] >= contraction[zeros]]
     why = "the muscle pulls at less pressure and a larger contraction"
     if not lost.size:
-        lost = _isolated_zeros(pressure, contraction, force)
+        lost = _isolated_zeros(pressure, contraction, force, measured)
         why = "neighbors at the same pressure are far from 0"
     if lost.size:
         at = lost[0]
@@ -195,21 +198,21 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tup
         yield Problem(text, field="force", remedy="leave out points without a measurement"), False
 
 
-def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats) -> NDArray[np.intp]:
-    """Rows with a force of exactly 0 where the line through two neighbors at the same pressure is clearly above 0.
+def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> NDArray[np.intp]:
+    """Rows with a measured force of 0 where the line through two neighbors at the same pressure is clearly above 0.
 
     The force of a muscle, slack or not, is a convex function of the contraction: it is above such a line.
     """
-    count, largest = int((force == 0).sum()), float(force.max())
+    count, largest = int((measured == 0).sum()), float(force.max())
     if not (count and largest > 0 and pressure.max() > 0):
         return np.array([], np.intp)
     clearly = (3 * _NOISE if count <= max(3, _FEW * len(force)) else _CLEARLY) * largest
-    least = max(clearly / 3, 3 * _resolution(force))
+    least = max(clearly / 3, 3 * _resolution(measured))
     lost = np.zeros(len(force), bool)
     levels = np.clip(np.round(pressure / (2 * _SAME_PRESSURE * pressure.max())), 0, None).astype(np.int16)
     for order in (np.arange(len(force)), np.argsort(levels, kind="stable")):  # as measured, and pressure by pressure
         sorted_force = force[order]
-        zeros = np.flatnonzero(sorted_force == 0)
+        zeros = np.flatnonzero(measured[order] == 0)
         for step in (-1, 1):
             rows = zeros[(zeros + 2 * step >= 0) & (zeros + 2 * step < len(force))]
             rows = rows[sorted_force[rows + step] > clearly]

@@ -10,8 +10,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from mckibben.component.checks import check_number
+from mckibben.dataset.consistency import contradictions
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
@@ -120,7 +122,8 @@ def read_dataset(
     if all(ours):
         return check_dataset(dataset, source, only_warn=True)
     files = np.repeat(np.arange(len(parts)), list(map(len, parts)))
-    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files)), source)
+    found = IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files))
+    return check_dataset(found, source, measured=dataset.force)
 
 
 def _read_points(
@@ -167,11 +170,17 @@ def _paths(path: FilePaths) -> list[Path]:
 
 
 def check_dataset(
-    dataset: IsobaricDataset, source: str, specimen: Specimen | None = None, *, only_warn: bool = False
+    dataset: IsobaricDataset,
+    source: str,
+    specimen: Specimen | None = None,
+    *,
+    only_warn: bool = False,
+    measured: NDArray[np.float64] | None = None,
 ) -> IsobaricDataset:
     """Check a dataset; raises a `DatasetError` for points impossible for a muscle, and warns of unusual ones.
 
-    With `only_warn`, impossible points cause warnings too: what this program wrote stays readable.
+    With `only_warn`, impossible points cause warnings too: what this program wrote stays readable. `measured` are the
+    forces before an offset was subtracted.
     """
     attrs = dataset.table.attrs
     found = check_points(
@@ -181,10 +190,11 @@ def check_dataset(
         attrs["slack_force"],
         attrs.get("initial_length"),
         specimen,
+        measured,
     )
     if found.problems and not only_warn:
         raise DatasetError(source, found.problems)
-    for text in [*map(str, found.problems), *found.warnings]:
+    for text in [*map(str, found.problems), *found.warnings, *contradictions(dataset)]:
         warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=3)
     return dataset
 
