@@ -74,3 +74,62 @@ def test_the_scatter_of_a_taut_muscle_is_not_noise_of_a_slack_one(heard):
     assert data.table.attrs["slack_force"] == 0
     np.testing.assert_allclose(data.force, force, atol=1e-3)
     assert any("set_pressure" in one for one in told)
+
+
+def test_a_force_that_rises_with_the_contraction_is_reported(heard):
+    pressure, contraction, force = points(contractions=9, largest=4.6)
+    assert heard(pressure, contraction, force)[1] == []
+    assert any("--displacement" in one for one in heard(pressure, -contraction, force)[1])
+
+
+def test_points_along_a_spring_are_no_wrong_sign(heard):
+    pressure = np.concatenate([np.linspace(1, 6, 20), np.linspace(6, 1, 20)])
+    contraction = 3 * pressure + np.repeat([0.0, 1.5], 20)
+    assert heard(pressure, contraction, 10.0 * contraction)[1] == []
+
+
+@pytest.mark.parametrize(
+    ("column", "rows", "to"),
+    [
+        (0, [2, 20, 38, 57, 74], 0.0),
+        (0, [2, 20, 38, 57, 74], -1.0),
+        (1, [41, 59, 78, 96], 0.0),
+        (2, [37, 55, 73, 92], -1.0),
+        (2, [38, 74], 3000.0),
+        (2, [90, 91, 106, 107], 130.0),
+    ],
+    ids=["pressure 0", "pressure -1", "contraction 0", "force -1", "decimal point", "wrap"],
+)
+def test_single_points_that_contradict_the_others_are_named(heard, column, rows, to):
+    columns = list(points())
+    columns[column] = changed(columns[column], rows, to)
+    told = [one for one in heard(*columns)[1] if f"point {rows[0] + 1} (" in one]
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize("order", ["shuffled", "by contraction", "backward"])
+def test_the_order_of_the_rows_is_no_contradiction(heard, order):
+    columns = points()
+    keys = {"shuffled": np.random.default_rng(1).random(108), "by contraction": columns[1], "backward": -np.arange(108)}
+    assert heard(*(one[np.argsort(keys[order], kind="stable")] for one in columns))[1] == []
+
+
+def test_a_muscle_that_is_slack_at_the_lowest_pressure_and_pulls_at_the_next_is_reported(heard):
+    pressure, contraction, force = points((0, 1, 2, 3, 4, 5))
+    assert heard(pressure, contraction, force)[1] == []
+    assert any("absolute" in one for one in heard(pressure + 1.01325, contraction, force)[1])
+
+
+def test_a_dead_band_is_no_offset_of_the_pressure(heard):
+    pressure, contraction, force = points((0, 0.3, 1, 2, 3, 4, 5))
+    dead = np.where(pressure < 0.8, np.minimum(force, 0.4), force * (pressure - 0.8) / np.maximum(pressure, 0.8))
+    assert heard(pressure, contraction, dead)[1] == []
+    assert heard(pressure[18:], contraction[18:], dead[18:])[1] == []
+
+
+def test_reversed_directions_are_reported(heard):
+    pressure, contraction, force = points()
+    words = np.tile(np.repeat(["unloading", "loading"], 9), 6)
+    assert heard(pressure, contraction, force, {"direction": words})[1] == []
+    told = heard(pressure, contraction, force, {"direction": np.where(words == "loading", "unloading", "loading")})[1]
+    assert len(told) == 1

@@ -194,7 +194,7 @@ def check_dataset(
     )
     if found.problems and not only_warn:
         raise DatasetError(source, found.problems)
-    for text in [*map(str, found.problems), *found.warnings, *contradictions(dataset)]:
+    for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
         warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=3)
     return dataset
 
