@@ -5,8 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
-from mckibben.dataset import read_dataset
-from mckibben.errors import McKibbenWarning
+from mckibben.dataset import Recording, read_dataset
+from mckibben.errors import DatasetError, McKibbenWarning
 
 
 def points(bars=(1, 2, 3, 4, 5, 6), contractions=9, largest=24.0):
@@ -133,3 +133,19 @@ def test_reversed_directions_are_reported(heard):
     assert heard(pressure, contraction, force, {"direction": words})[1] == []
     told = heard(pressure, contraction, force, {"direction": np.where(words == "loading", "unloading", "loading")})[1]
     assert len(told) == 1
+
+
+@pytest.mark.parametrize("way", ["plateaus", "isometric"])
+def test_a_pull_recorded_as_negative_is_an_error_of_the_points(way):
+    time = np.arange(0, 40, 0.01)
+    steps = np.where(time < 20, 2e5, 3e5)
+    ramp = 3e5 - np.abs(time - 20) * 1e4
+    pressure = steps if way == "plateaus" else ramp
+    for sign in (1, -1):
+        record = Recording.of(time=time, pressure=pressure, force=sign * pressure / 1e3, contraction=0.1)
+        if sign > 0:
+            assert (getattr(record, way)().dataset.force > 0).all()
+        else:
+            with pytest.raises(DatasetError) as caught:
+                getattr(record, way)()
+            assert [one.field for one in caught.value.problems] == ["force"]

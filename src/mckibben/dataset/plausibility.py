@@ -64,7 +64,7 @@ def check_points(
     """Check points of a muscle, and of its specimen where it is known; `measured` are forces with their offset."""
     problems, warnings = [], []
     measured = force if measured is None else measured
-    found = list(_sign(force)) if len(force) else []
+    found = list(check_sign(force))
     if found and found[0][1]:
         problems.append(found[0][0])  # the other numbers are meaningless
     elif len(force):
@@ -85,7 +85,10 @@ def check_points(
     return Findings(problems, warnings)
 
 
-def _sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
+def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
+    """Message for negative forces, and whether they are impossible."""
+    if not len(force):
+        return
     limit = _SMALL_FORCE * float(np.abs(force).max())
     negative, positive = int((force < -limit).sum()), int((force > limit).sum())
     if negative > positive:
