@@ -5,8 +5,11 @@ import warnings
 import numpy as np
 import pytest
 
-from mckibben.dataset import Recording, read_dataset
-from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.cli.options import parse_columns
+from mckibben.dataset import Recording, read_dataset, read_recording
+from mckibben.dataset.plausibility import missing_marks
+from mckibben.dataset.recipe import Recipe
+from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
 
 
 def points(bars=(1, 2, 3, 4, 5, 6), contractions=9, largest=24.0):
@@ -149,3 +152,75 @@ def test_a_pull_recorded_as_negative_is_an_error_of_the_points(way):
             with pytest.raises(DatasetError) as caught:
                 getattr(record, way)()
             assert [one.field for one in caught.value.problems] == ["force"]
+
+
+@pytest.mark.parametrize("read", [read_dataset, read_recording])
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"on_corrupt": "Raise"}, "on_corrupt"),
+        ({"on_corrupt": "error"}, "on_corrupt"),
+        ({"on_corrupt": None}, "on_corrupt"),
+        ({"on_corrupt": True}, "on_corrupt"),
+        ({"initial_length": [0.18]}, "initial_length"),
+        ({"slack_force": np.ones(2)}, "slack_force"),
+    ],
+)
+def test_options_that_mean_nothing_are_errors(read, options, field, put):
+    with pytest.raises(RangeError) as caught:
+        read(put("time_s,pressure_bar,contraction_percent,force_N\n0,1,0,80\n1,1,1,n/a\n"), **options)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize("path", [b"x", [b"x"], [None], None, 5, []])
+def test_paths_that_are_no_paths_are_errors(path):
+    with pytest.raises(RangeError) as caught:
+        read_dataset(path)
+    assert caught.value.field == "path"
+
+
+@pytest.mark.parametrize(("field", "value"), [("initial_length", 180), ("slack_force", -1)])
+def test_impossible_lengths_and_slack_forces_are_problems_of_the_file(field, value, heard):
+    with pytest.raises(DatasetError) as caught:
+        heard(*points(), **{field: value})
+    assert [one.field for one in caught.value.problems] == [field]
+
+
+def test_a_slack_force_above_all_forces_is_reported(heard):
+    data, told = heard(*points(), slack_force=1e4)
+    assert not len(data.taut)
+    assert any("slack_force" in one for one in told)
+
+
+@pytest.mark.parametrize(("length", "count"), [(0.18, 0), (0.19, 1)])
+def test_an_initial_length_that_the_file_contradicts_is_reported(put, length, count):
+    path = put("# initial_length: 180 mm\npressure_bar,length_mm,force_N\n1,180,80\n2,175,140\n3,170,190\n")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", McKibbenWarning)
+        read_dataset(path, initial_length=length)
+    assert len([one for one in caught if "initial_length" in str(one.message)]) == count
+
+
+def test_settings_of_a_recipe_without_effect_are_reported(put):
+    path = put("pressure_bar,contraction_percent,force_N\n1,0,80\n2,0,160\n")
+    with pytest.warns(McKibbenWarning, match="sample_rate"):
+        assert len(Recipe(sample_rate=100.0).dataset(path)) == 2
+
+
+def test_a_header_that_is_assigned_twice_is_an_error():
+    assert parse_columns(["a=force_N", "a=force_N"]) == {"a": "force_N"}
+    with pytest.raises(UnitError):
+        parse_columns(["a=force_N", "a=pressure_bar"])
+
+
+def test_usual_values_do_not_mark_missing_ones(heard):
+    rng = np.random.default_rng(2)
+    contraction = np.tile(np.linspace(0, 10, 50), 2)
+    pressure = np.repeat([1000.0, 2000.0], 50) + rng.normal(0, 0.3, 100)
+    pressure[[7, 8, 30]] = 999.9
+    force = 0.1 * pressure * (1 - contraction / 20)
+    time = 999_999.0 + 100.0 * np.arange(-50, 50)
+    assert heard(pressure / 1000, contraction, force, {"time_ms": time})[1] == []
+    for values in (pressure, time):
+        assert not missing_marks(values.round(1))[0].any()
+    assert missing_marks(changed(np.linspace(0, 700, 100), [60], 999.0))[0].sum() == 1

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli.identify import _levels, points
 from mckibben.dataset import read_dataset
-from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
+from mckibben.errors import DatasetError, RangeError, UnitError
 from mckibben.units import bar
 
 APP = typer.Typer()

@@ -38,6 +38,8 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     if not (len(dataset) and dataset.force.max() > 0 and dataset.pressure.max() > 0):
         return
     yield from _set_pressures(dataset)
+    if (slack := dataset.table.attrs["slack_force"]) >= dataset.force.max():
+        yield f"slack_force: all forces are up to the {slack:g} N at which the muscle counts as slack; give a lower one"
     levels = _levels(dataset.pressure)
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)

@@ -37,6 +37,7 @@ _SAME_PRESSURE = 0.05  # largest relative difference of pressures at one level
 _EVEN = 1.5  # distance of a point from its neighbor, over the distance between that and the next, at most
 _LINE = 0.1  # of the force at the closer point: least value of a line through two points
 _REPEATED = 3  # equal largest values that may be saturated
+_STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
 _UNIT = (
@@ -161,7 +162,8 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
         return np.zeros(len(values), bool), False
     close = np.isclose(size[:, None], _NINES, rtol=1e-12, atol=0) if len(values) < _MANY else None
     marks = np.isin(size, _NINES) if close is None else np.asarray(close.any(axis=1))
-    others = values[~marks & np.isfinite(values)] if marks.any() else values[:0]
+    usual = ~marks & np.isfinite(values)
+    others = values[usual] if marks.any() else values[:0]
     if not others.size:
         return np.zeros(len(values), bool), False
     low, high = float(others.min()), float(others.max())
@@ -169,7 +171,18 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
     negative = low >= 0 and bool((values[marks] < 0).all())
     isolated = negative or bool((distance > max(high - low, 0.5 * abs(high))).all())
     three = bool((size[marks] >= 100).all())
-    return (marks, isolated) if isolated or three else (np.zeros(len(values), bool), False)
+    if not isolated:
+        marks[marks] = three & ~_continuous(values, marks, usual)
+    return marks, isolated
+
+
+def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which marks lie between the nearest other values before and after, as a time or a steady pressure does."""
+    rows, known = np.flatnonzero(marks), np.flatnonzero(usual)
+    after = np.searchsorted(known, rows)
+    ends = values[known[[np.clip(after - 1, 0, None), np.clip(after, None, len(known) - 1)]]]
+    margin = _STEADY * np.abs(values[rows])
+    return (ends.min(axis=0) - margin <= values[rows]) & (values[rows] <= ends.max(axis=0) + margin)
 
 
 def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tuple[Problem, bool]]:

@@ -40,7 +40,9 @@ _NO_DISPLACEMENT = (
     "displacement and zero_length (options --displacement, --zero-length) have no effect: no column is read as a "
     "displacement"
 )
+_SLACK_REMEDY = "give a force of 0 N or more (command line: --slack-force '1 N')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
+_LONGEST = 20.0  # m
 _LISTED = 10_000  # problems of an error
 _WARNED = 5  # omitted rows listed in a warning
 
@@ -119,12 +121,21 @@ class ColumnConverter:
                 found |= {key: quantity(text, unit)} if text else {}
             except UnitError as error:
                 self._problem(str(error), line, key)
-        if self.initial_length is None:
-            self.initial_length = found.get("initial_length")
+        given, stated = self.initial_length, found.get("initial_length")
+        self.initial_length = stated if given is None else given
+        if given is not None and stated is not None and abs(given - stated) > _LENGTH_ROUNDING[0]:
+            text = f"initial_length: {given / mm:.5g} mm is given, but the file states {stated / mm:.5g} mm"
+            self.suspect.append(f"{text}, which is not used")
+        if self.initial_length is not None and _LONGEST < self.initial_length < np.inf:
+            text = f"{self.initial_length:g} m is longer than any muscle"
+            self._problem(text, None, "initial_length", f"{_LENGTH_REMEDY}, in Python in m: 0.18")
+        slack = found.get("slack_force", 0.0) if slack_force is None else slack_force
+        if slack < 0:
+            self._problem(f"{slack:g} N is negative", None, "slack_force", _SLACK_REMEDY)
         return {
             "specimen": specimen or unquote(comments.get("specimen", (0, ""))[1]),
             "source": unquote(comments["source"][1]) if "source" in comments else path.name,
-            "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
+            "slack_force": slack,
         }
 
     def columns(self, force_sign: int) -> dict[str, np.ndarray]:

@@ -102,7 +102,7 @@ def read_dataset(
         If forces, pressures or contractions are unusual for a muscle, or rows are left out.
     """
     lengths = {"initial_length": initial_length, "zero_length": zero_length}
-    check_reading(force_sign, decimal, displacement, slack_force=slack_force, **lengths)
+    check_reading(force_sign, decimal, displacement, on_corrupt, slack_force=slack_force, **lengths)
     read = []
     for one in _paths(path):
         found = _read_points(
@@ -162,7 +162,11 @@ def _read_points(
 def _paths(path: FilePaths) -> list[Path]:
     """The files of a test."""
     several = [path] if isinstance(path, str | os.PathLike) else path
-    if not isinstance(several, Sequence) or not several:
+    if (
+        not isinstance(several, Sequence)
+        or not several
+        or not all(isinstance(one, str | os.PathLike) for one in several)
+    ):
         raise RangeError(
             f"{path!r:.60} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
         )
@@ -286,15 +290,23 @@ def _one_after_another(tables: Sequence[xr.Dataset], *, apart: bool) -> list[xr.
     return found
 
 
-def check_reading(force_sign: int, decimal: str, displacement: str, **numbers: object) -> None:
-    """Raise `RangeError` for texts in place of numbers, and for an invalid sign or direction."""
+def check_reading(
+    force_sign: int, decimal: str, displacement: str, on_corrupt: str = "raise", **numbers: object
+) -> None:
+    """Raise `RangeError` for texts or arrays in place of numbers, and for an invalid sign, direction or word."""
     if displacement not in ("", "shortening", "lengthening"):
         remedy = "give 'shortening' or 'lengthening', the direction of positive displacements"
         raise RangeError(f"displacement is {displacement!r}", field="displacement", value=displacement, remedy=remedy)
     if decimal not in ("", ".", ","):
         remedy = "give decimal='.' or decimal=',' (command line: --decimal)"
         raise RangeError(f"decimal is {decimal!r}", field="decimal", value=decimal, remedy=remedy)
+    if on_corrupt not in ("raise", "report"):
+        remedy = "give 'raise', or 'report' to leave corrupt rows out (command line: --skip-corrupt)"
+        raise RangeError(f"on_corrupt is {on_corrupt!r:.60}", field="on_corrupt", value=on_corrupt, remedy=remedy)
     check_number("reading", **numbers)
+    for name, value in numbers.items():
+        if np.ndim(value):  # type: ignore[arg-type]
+            raise RangeError(f"{name} is {value!r:.60}", field=name, value=value, remedy="give one number")
     if force_sign not in (1, -1):
         remedy = "give 1 or -1 (command line: --force-sign)"
         raise RangeError(f"force_sign is {force_sign!r}", field="force_sign", value=force_sign, remedy=remedy)
@@ -356,7 +368,7 @@ def read_recording(
     """
     numbers = {"contraction": contraction, "sample_rate": sample_rate, "slack_force": slack_force}
     numbers |= {"initial_length": initial_length, "zero_length": zero_length}
-    check_reading(force_sign, decimal, displacement, **numbers)
+    check_reading(force_sign, decimal, displacement, on_corrupt, **numbers)
     arguments = {"columns": columns, "displacement": displacement, "specimen": specimen, "force_sign": force_sign}
     parts = []
     for one in _paths(path):
