@@ -106,7 +106,7 @@ def test_points_along_a_spring_are_no_wrong_sign(heard):
 def test_single_points_that_contradict_the_others_are_named(heard, column, rows, to):
     columns = list(points())
     columns[column] = changed(columns[column], rows, to)
-    told = [one for one in heard(*columns)[1] if f"point {rows[0] + 1} (" in one]
+    told = [one for one in heard(*columns)[1] if f" {rows[-1] + 1} (" in one]
     assert len(told) == 1
 
 

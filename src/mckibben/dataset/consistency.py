@@ -21,11 +21,13 @@ _RISING = 0.7  # correlation of force and contraction at constant pressure
 _TOLERANCE = 0.25  # of the force that a tenth of the points exceed: more than friction and creep
 _NOISE = 0.05  # of the largest force
 _SAME = 0.1 * percent  # contraction
+_LOOP = 2.0  # usual steps of the force from contraction to contraction, which friction adds to
 _AGAINST = 3  # points that an outlier contradicts
 _SHARE = 0.1  # of the points: more are not single errors
 _MOST = 1000  # points at a level that are compared in pairs
 _NAMED = 5  # points named in a warning
-_NEAR = 2 * percent  # contraction: near the smallest one
+_UNSTRETCHED = 2 * percent  # contraction of a muscle that does not pull without pressure
+_NEAR = 0.5 * percent  # contraction at which a muscle pulls as soon as there is pressure
 _VENTED = 0.2 * bar  # lowest pressure of a muscle that should pull
 _DEAD_BAND = 0.4  # of the step above the lowest pressure
 _MOVED = 0.2 * percent  # contraction from point to point
@@ -90,11 +92,11 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
     """Warning about single points that contradict those of their pressure, or that pull without pressure."""
     pressure, contraction, force = dataset.pressure, dataset.contraction, dataset.force
     tolerance = max(_TOLERANCE * float(np.quantile(force, 0.9)), _NOISE * float(force.max()))
-    vented = (pressure <= _LEVEL / 2 * pressure.max()) & (force > tolerance) & (contraction > -_NEAR)
-    found = list(np.flatnonzero(vented))
+    vented = (pressure <= _LEVEL / 2 * pressure.max()) & (force > tolerance) & (contraction > _UNSTRETCHED)
+    found = set(np.flatnonzero(vented).tolist())
     for rows in levels:
-        found += [int(rows[i]) for i in _against_others(contraction[rows], force[rows], tolerance)]
-    found = sorted({*map(int, found)})
+        found |= set(rows[_against_others(contraction[rows], force[rows], tolerance)].tolist())
+    found = sorted(found)
     if found and len(found) <= _SHARE * len(force):
         shown = ", ".join(
             f"{at + 1} ({pressure[at] / bar:.3g} bar, {contraction[at] / percent:.3g} %, {force[at]:.4g} N)"
@@ -111,6 +113,8 @@ def _against_others(contraction: Floats, force: Floats, tolerance: float) -> lis
     """Fewest points at one pressure without which the force falls with the contraction."""
     if not _AGAINST < len(force) <= _MOST:
         return []
+    steps = np.abs(np.diff(force[np.argsort(contraction, kind="stable")]))
+    tolerance = max(tolerance, _LOOP * float(np.median(steps)))
     against = contraction[:, None] <= contraction + _SAME
     against &= force[:, None] < force - tolerance
     against |= against.T
@@ -125,9 +129,9 @@ def _against_others(contraction: Floats, force: Floats, tolerance: float) -> lis
 def _pressure_offset(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
     """Warning if the force at the smallest contraction begins at the lowest pressure, which is not 0."""
     contraction, force = dataset.contraction, dataset.force
-    near = contraction <= contraction.min() + _NEAR
+    near = contraction <= _NEAR
     longest = [rows[near[rows]] for rows in levels if near[rows].any()]
-    if len(longest) < 3 or len(levels[0]) < _PAIRS or contraction.min() > _NEAR:
+    if len(longest) < 3 or len(levels[0]) < _PAIRS or not near[levels[0]].any():
         return
     at = np.array([dataset.pressure[rows].mean() for rows in longest])
     pull = np.array([force[rows].mean() for rows in longest])

@@ -177,12 +177,11 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
 
 
 def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which marks lie between the nearest other values before and after, as a time or a steady pressure does."""
+    """Which marks are close to the nearest other values before and after, as a time or a steady pressure is."""
     rows, known = np.flatnonzero(marks), np.flatnonzero(usual)
     after = np.searchsorted(known, rows)
     ends = values[known[[np.clip(after - 1, 0, None), np.clip(after, None, len(known) - 1)]]]
-    margin = _STEADY * np.abs(values[rows])
-    return (ends.min(axis=0) - margin <= values[rows]) & (values[rows] <= ends.max(axis=0) + margin)
+    return (np.abs(ends - values[rows]) <= _STEADY * np.abs(values[rows])).all(axis=0)
 
 
 def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tuple[Problem, bool]]:
