@@ -180,10 +180,12 @@ def test_paths_that_are_no_paths_are_errors(path):
 
 
 @pytest.mark.parametrize(("field", "value"), [("initial_length", 180), ("slack_force", -1)])
-def test_impossible_lengths_and_slack_forces_are_problems_of_the_file(field, value, heard):
-    with pytest.raises(DatasetError) as caught:
-        heard(*points(), **{field: value})
-    assert [one.field for one in caught.value.problems] == [field]
+def test_impossible_lengths_and_slack_forces_are_problems_of_the_file(field, value, heard, tmp_path):
+    heard(*points())[0].to_netcdf(tmp_path / "rig.nc")
+    for read in (lambda **more: heard(*points(), **more), lambda **more: read_dataset(tmp_path / "rig.nc", **more)):
+        with pytest.raises(DatasetError) as caught:
+            read(**{field: value})
+        assert [one.field for one in caught.value.problems] == [field]
 
 
 def test_a_slack_force_above_all_forces_is_reported(heard):

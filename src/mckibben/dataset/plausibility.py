@@ -181,7 +181,7 @@ def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool
     rows, known = np.flatnonzero(marks), np.flatnonzero(usual)
     after = np.searchsorted(known, rows)
     ends = values[known[[np.clip(after - 1, 0, None), np.clip(after, None, len(known) - 1)]]]
-    return (np.abs(ends - values[rows]) <= _STEADY * np.abs(values[rows])).all(axis=0)
+    return np.all(np.abs(ends - values[rows]) <= _STEADY * np.abs(values[rows]), axis=0)
 
 
 def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tuple[Problem, bool]]:

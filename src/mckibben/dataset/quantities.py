@@ -64,6 +64,17 @@ _WORD_REMEDY = {
 }
 
 
+def impossible_settings(initial_length: float | None, slack_force: float | None) -> list[Problem]:
+    """Problems of an initial length in another unit than m, and of a negative slack force."""
+    found = []
+    if initial_length is not None and _LONGEST < initial_length < np.inf:
+        text = f"{initial_length:g} m is longer than any muscle"
+        found.append(Problem(text, field="initial_length", remedy=f"{_LENGTH_REMEDY}, in Python in m: 0.18"))
+    if slack_force is not None and slack_force < 0:
+        found.append(Problem(f"{slack_force:g} N is negative", field="slack_force", remedy=_SLACK_REMEDY))
+    return found
+
+
 class ColumnConverter:
     """Converts the cells of a file to SI columns; collects `problems`, `corrupt` rows and `suspect` values.
 
@@ -126,12 +137,8 @@ class ColumnConverter:
         if given is not None and stated is not None and abs(given - stated) > _LENGTH_ROUNDING[0]:
             text = f"initial_length: {given / mm:.5g} mm is given, but the file states {stated / mm:.5g} mm"
             self.suspect.append(f"{text}, which is not used")
-        if self.initial_length is not None and _LONGEST < self.initial_length < np.inf:
-            text = f"{self.initial_length:g} m is longer than any muscle"
-            self._problem(text, None, "initial_length", f"{_LENGTH_REMEDY}, in Python in m: 0.18")
         slack = found.get("slack_force", 0.0) if slack_force is None else slack_force
-        if slack < 0:
-            self._problem(f"{slack:g} N is negative", None, "slack_force", _SLACK_REMEDY)
+        self.problems += impossible_settings(self.initial_length, slack)
         return {
             "specimen": specimen or unquote(comments.get("specimen", (0, ""))[1]),
             "source": unquote(comments["source"][1]) if "source" in comments else path.name,

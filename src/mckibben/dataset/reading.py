@@ -18,7 +18,7 @@ from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt
+from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
@@ -94,12 +94,12 @@ def read_dataset(
         With every problem of the file, its line and column; also if more than half of the rows are corrupt, or the
         points are impossible for a muscle: negative forces, or a wrong unit or initial length.
     RangeError
-        If an argument is a text in place of a number in SI units, or `force_sign` is neither.
+        If an argument is not a number in SI units, or none of the words and signs above.
 
     Warns
     -----
     McKibbenWarning
-        If forces, pressures or contractions are unusual for a muscle, or rows are left out.
+        If forces, pressures or contractions are unusual for a muscle or contradict each other, or rows are left out.
     """
     lengths = {"initial_length": initial_length, "zero_length": zero_length}
     check_reading(force_sign, decimal, displacement, on_corrupt, slack_force=slack_force, **lengths)
@@ -318,6 +318,8 @@ def _from_netcdf(
     """Dataset or recording of a NetCDF file, with the given sign and attributes."""
     if columns:
         raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
+    if problems := impossible_settings(given["initial_length"], given["slack_force"]):
+        raise DatasetError(str(path), problems)
     found = kind.from_netcdf(path)
     changes = {name: value for name, value in given.items() if value not in (None, "")}
     if force_sign < 0:

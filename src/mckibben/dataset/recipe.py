@@ -66,8 +66,8 @@ class Recipe(DocumentModel):
     def dataset(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> IsobaricDataset:
         """Read points, see `read_dataset`; warns of `contraction` and `sample_rate`, which have no effect."""
         if unused := [name for name in _OF_SAMPLES if getattr(self, name) is not None]:
-            text = f"{' and '.join(unused)} of the recipe have no effect on points: they apply to recordings"
-            warnings.warn(f"{text} (command line: mckibben points)", McKibbenWarning, stacklevel=2)
+            text = f"the recipe has settings that apply to recordings only, not to points: {', '.join(unused)}"
+            warnings.warn(text, McKibbenWarning, stacklevel=2)
         return read_dataset(path, on_corrupt=on_corrupt, **self._arguments(*_OF_SAMPLES))
 
     def recording(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> Recording:
