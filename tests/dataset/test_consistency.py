@@ -224,5 +224,5 @@ def test_usual_values_do_not_mark_missing_ones(heard):
     time = 999_999.0 + 100.0 * np.arange(-50, 50)
     assert heard(pressure / 1000, contraction, force, {"time_ms": time})[1] == []
     for values in (pressure, time):
-        assert not missing_marks(values.round(1))[0].any()
+        assert not missing_marks(np.round(values, 1).astype(float))[0].any()
     assert missing_marks(changed(np.linspace(0, 700, 100), [60], 999.0))[0].sum() == 1

@@ -137,12 +137,11 @@ class ColumnConverter:
         if given is not None and stated is not None and abs(given - stated) > _LENGTH_ROUNDING[0]:
             text = f"initial_length: {given / mm:.5g} mm is given, but the file states {stated / mm:.5g} mm"
             self.suspect.append(f"{text}, which is not used")
-        slack = found.get("slack_force", 0.0) if slack_force is None else slack_force
-        self.problems += impossible_settings(self.initial_length, slack)
+        self.problems += impossible_settings(given, slack_force)
         return {
             "specimen": specimen or unquote(comments.get("specimen", (0, ""))[1]),
             "source": unquote(comments["source"][1]) if "source" in comments else path.name,
-            "slack_force": slack,
+            "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
         }
 
     def columns(self, force_sign: int) -> dict[str, np.ndarray]:
