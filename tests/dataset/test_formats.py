@@ -135,6 +135,7 @@ def test_columns_of_row_numbers_and_white_space(put):
     is_the_six_points(read_dataset(put(f"No  Pressure (bar) contraction_percent  Force [N]\n{named}\n")))
 
 
+@pytest.mark.filterwarnings("ignore::mckibben.errors.McKibbenWarning")  # of random points
 def test_a_text_of_numbers_alone_reads_as_one_with_words(put):
     """It takes another way, by NumPy: the lines in its errors must be the same."""
     rng = np.random.default_rng(0)

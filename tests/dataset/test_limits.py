@@ -13,7 +13,7 @@ from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.storage.columns import read_samples
 
 HEADER = "pressure_bar,contraction_percent,force_N"
-ROWS = [f"{1 + i % 5},{i / 10:g},{i}.5" for i in range(40)]
+ROWS = [f"{1 + i % 5},{4 - i / 10:g},{i}.5" for i in range(40)]
 SECONDS = 5.0
 
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli.points import _levels, points
 from mckibben.dataset import read_dataset
-from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
+from mckibben.errors import DatasetError, RangeError, UnitError
 from mckibben.units import bar
 
 APP = typer.Typer()
@@ -38,8 +38,8 @@ def run(monkeypatch, tmp_path):
     return call
 
 
-def write(name: str, pressure: np.ndarray, lines: str = "") -> None:
-    rows = [f"{t:.2f},{p:.3f},{40 * p - 10:.2f}\n" for t, p in zip(TIME, pressure, strict=True)]
+def write(name: str, pressure: np.ndarray, lines: str = "", sign: int = 1) -> None:
+    rows = [f"{t:.2f},{p:.3f},{sign * (40 * p - 10):.2f}\n" for t, p in zip(TIME, pressure, strict=True)]
     Path(name).write_text("Time (s),Druck [bar],Force (N)\n" + "".join(rows) + lines)
 
 
@@ -61,15 +61,14 @@ def test_plateaus_become_a_file_that_is_read_as_points(run):
 
 def test_the_sign_of_a_load_cell_is_turned(run):
     write("rig.csv", LEVEL)
-    text = Path("rig.csv").read_text().replace("Force (N)", "Zug (N)")
-    Path("turned.csv").write_text(text)
-    turned = ("--column", "Zug (N)=force_N", "--force-sign", "-1")
+    write("turned.csv", LEVEL, sign=-1)
+    Path("turned.csv").write_text(Path("turned.csv").read_text().replace("Force (N)", "Zug (N)"))
+    turned_column = ("--column", "Zug (N)=force_N")
     run("rig.csv", *COLUMN, "--out", "as-is.csv")
-    run("turned.csv", *COLUMN, *turned, "--out", "turned-points.csv")
-    as_is = read_dataset("as-is.csv", slack_force=0.0)
-    with pytest.warns(McKibbenWarning, match="force_sign=-1"):
-        turned = read_dataset("turned-points.csv", slack_force=0.0)
-    np.testing.assert_array_equal(turned.force, -as_is.force)
+    run("turned.csv", *COLUMN, *turned_column, "--force-sign", "-1", "--out", "turned-points.csv")
+    as_is, turned = (read_dataset(name, slack_force=0.0) for name in ("as-is.csv", "turned-points.csv"))
+    np.testing.assert_array_equal(turned.force, as_is.force)
+    run("turned.csv", *COLUMN, *turned_column, error=DatasetError)
     assert run("rig.csv", *COLUMN, "--force-sign", "2", error=RangeError)
 
 

@@ -112,10 +112,11 @@ def test_samples_that_were_compressed_are_read_like_others(tmp_path):
 
 
 def test_arguments_go_before_what_a_netcdf_file_says(tmp_path):
-    IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3], specimen="A").to_netcdf(tmp_path / "a.nc")
+    given = IsobaricDataset.of(pressure=[1e5, 1e5], contraction=[0, 0.1], force=[6, 3], specimen="A")
+    given.to_netcdf(tmp_path / "a.nc")
     data = read_dataset(tmp_path / "a.nc", specimen="B", initial_length=0.18, slack_force=5.0)
     assert data.table.attrs == {"specimen": "B", "source": "", "initial_length": 0.18, "slack_force": 5.0}
-    assert data.slack.all()
+    assert data.slack.tolist() == [False, True]
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):

@@ -174,7 +174,9 @@ def parse_columns(columns: list[str] | None) -> dict[str, str] | None:
         header, equals, name = text.rpartition("=")
         if not equals:
             raise UnitError(f"--column {text!r} is not HEADER=NAME", remedy="write --column 'Druck [bar]=pressure_bar'")
-        named[header] = name
+        if named.setdefault(header, name) != name:
+            remedy = "give one --column per header"
+            raise UnitError(f"--column names {header!r} twice: {named[header]} and {name}", remedy=remedy)
     return named or None
 
 

@@ -37,6 +37,7 @@ _SAME_PRESSURE = 0.05  # largest relative difference of pressures at one level
 _EVEN = 1.5  # distance of a point from its neighbor, over the distance between that and the next, at most
 _LINE = 0.1  # of the force at the closer point: least value of a line through two points
 _REPEATED = 3  # equal largest values that may be saturated
+_STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
 _UNIT = (
@@ -59,10 +60,12 @@ def check_points(
     slack_force: float,
     initial_length: float | None,
     specimen: Specimen | None = None,
+    measured: Floats | None = None,
 ) -> Findings:
-    """Check points of a muscle, and of its specimen where it is known."""
+    """Check points of a muscle, and of its specimen where it is known; `measured` are forces with their offset."""
     problems, warnings = [], []
-    found = list(_sign(force)) if len(force) else []
+    measured = force if measured is None else measured
+    found = list(check_sign(force))
     if found and found[0][1]:
         problems.append(found[0][0])  # the other numbers are meaningless
     elif len(force):
@@ -71,9 +74,9 @@ def check_points(
             *_contractions(contraction, force > slack_force, initial_length),
             *check_pressures(float(pressure.max())),
             *_forces(pressure, force, specimen),
-            *_clipped("force", force, 1.0, "N"),
+            *_clipped("force", measured, 1.0, "N"),
             *_clipped("pressure", pressure, bar, "bar"),
-            *_zeros(pressure, contraction, force),
+            *_zeros(pressure, contraction, force, measured),
             *_copies(pressure, contraction, force),
         ):
             if impossible:
@@ -83,7 +86,10 @@ def check_points(
     return Findings(problems, warnings)
 
 
-def _sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
+def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
+    """Message for negative forces, and whether they are impossible."""
+    if not len(force):
+        return
     limit = _SMALL_FORCE * float(np.abs(force).max())
     negative, positive = int((force < -limit).sum()), int((force > limit).sum())
     if negative > positive:
@@ -156,7 +162,8 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
         return np.zeros(len(values), bool), False
     close = np.isclose(size[:, None], _NINES, rtol=1e-12, atol=0) if len(values) < _MANY else None
     marks = np.isin(size, _NINES) if close is None else np.asarray(close.any(axis=1))
-    others = values[~marks & np.isfinite(values)] if marks.any() else values[:0]
+    usual = ~marks & np.isfinite(values)
+    others = values[usual] if marks.any() else values[:0]
     if not others.size:
         return np.zeros(len(values), bool), False
     low, high = float(others.min()), float(others.max())
@@ -164,27 +171,38 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
     negative = low >= 0 and bool((values[marks] < 0).all())
     isolated = negative or bool((distance > max(high - low, 0.5 * abs(high))).all())
     three = bool((size[marks] >= 100).all())
-    return (marks, isolated) if isolated or three else (np.zeros(len(values), bool), False)
+    if not isolated:
+        marks[marks] = three & ~_continuous(values, marks, usual)
+    return marks, isolated
+
+
+def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which marks are close to the nearest other values before and after, as a time or a steady pressure is."""
+    rows, known = np.flatnonzero(marks), np.flatnonzero(usual)
+    after = np.searchsorted(known, rows)
+    ends = values[known[[np.clip(after - 1, 0, None), np.clip(after, None, len(known) - 1)]]]
+    return np.all(np.abs(ends - values[rows]) <= _STEADY * np.abs(values[rows]), axis=0)
 
 
 def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tuple[Problem, bool]]:
     """Message on a largest value that repeats, where no other does."""
     levels, counts = np.unique(values, return_counts=True)
-    if len(levels) > 2 and counts[-1] >= _REPEATED and counts[-1] > 2 * counts[:-1][levels[:-1] != 0].max(initial=1):
+    low = _CLEARLY * levels[-1]  # readings of a slack muscle repeat
+    if len(levels) > 2 and counts[-1] >= _REPEATED and counts[-1] > 2 * counts[:-1][levels[:-1] > low].max(initial=1):
         text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
         yield Problem(text, field=name, remedy="check the range of the sensor"), False
 
 
-def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Message on forces of exactly 0 where the muscle cannot be slack."""
-    taut, zeros = np.flatnonzero(force > _CLEARLY * force.max()), np.flatnonzero(force == 0)
+def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> Iterator[tuple[Problem, bool]]:
+    """Message on measured forces of exactly 0 where the muscle cannot be slack."""
+    taut, zeros = np.flatnonzero(force > _CLEARLY * force.max()), np.flatnonzero(measured == 0)
     taut = taut[np.argsort(pressure[taut], kind="stable")]
     longest = np.maximum.accumulate(np.append(-np.inf, contraction[taut]))  # of taut points up to a pressure
     below = np.searchsorted(pressure[taut], 1.01 * pressure[zeros], side="right")
     lost = zeros[longest[below] >= contraction[zeros]]
     why = "the muscle pulls at less pressure and a larger contraction"
     if not lost.size:
-        lost = _isolated_zeros(pressure, contraction, force)
+        lost = _isolated_zeros(pressure, contraction, force, measured)
         why = "neighbors at the same pressure are far from 0"
     if lost.size:
         at = lost[0]
@@ -195,21 +213,21 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tup
         yield Problem(text, field="force", remedy="leave out points without a measurement"), False
 
 
-def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats) -> NDArray[np.intp]:
-    """Rows with a force of exactly 0 where the line through two neighbors at the same pressure is clearly above 0.
+def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> NDArray[np.intp]:
+    """Rows with a measured force of 0 where the line through two neighbors at the same pressure is clearly above 0.
 
     The force of a muscle, slack or not, is a convex function of the contraction: it is above such a line.
     """
-    count, largest = int((force == 0).sum()), float(force.max())
+    count, largest = int((measured == 0).sum()), float(force.max())
     if not (count and largest > 0 and pressure.max() > 0):
         return np.array([], np.intp)
     clearly = (3 * _NOISE if count <= max(3, _FEW * len(force)) else _CLEARLY) * largest
-    least = max(clearly / 3, 3 * _resolution(force))
+    least = max(clearly / 3, 3 * _resolution(measured))
     lost = np.zeros(len(force), bool)
     levels = np.clip(np.round(pressure / (2 * _SAME_PRESSURE * pressure.max())), 0, None).astype(np.int16)
     for order in (np.arange(len(force)), np.argsort(levels, kind="stable")):  # as measured, and pressure by pressure
         sorted_force = force[order]
-        zeros = np.flatnonzero(sorted_force == 0)
+        zeros = np.flatnonzero(measured[order] == 0)
         for step in (-1, 1):
             rows = zeros[(zeros + 2 * step >= 0) & (zeros + 2 * step < len(force))]
             rows = rows[sorted_force[rows + step] > clearly]

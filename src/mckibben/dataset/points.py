@@ -10,7 +10,9 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.plausibility import check_sign
 from mckibben.dataset.schema import OF_FILE
+from mckibben.errors import DatasetError
 from mckibben.units import show
 
 _LEAST = 10  # samples in a row
@@ -109,6 +111,16 @@ def extracted_points(
     dataset = IsobaricDataset.of(**columns, **attrs)  # type: ignore[arg-type]
     dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
     return ExtractedPoints(dataset, samples, account.counts(rest), tuple(account.notes))
+
+
+def checked(points: ExtractedPoints) -> ExtractedPoints:
+    """The points; raises a `DatasetError` if most forces are negative, and do not rise with the pressure."""
+    pressure, force = points.dataset.pressure, points.dataset.force
+    rises = (pressure - pressure.mean()) @ force > 0  # then it is a pull with an offset
+    for problem, impossible in check_sign(force):
+        if impossible and not rises:
+            raise DatasetError(points.dataset.table.attrs["source"] or "recording", [problem])
+    return points
 
 
 class SampleAccount:

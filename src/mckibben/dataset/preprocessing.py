@@ -225,6 +225,8 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
     count = int(slack.sum())
     if count < _FEWEST_SLACK or offset == noise == 0:
         return None
+    if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
+        return None
     behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
     if behind.mean() < _TAIL or _explained(force[slack], contraction[slack], pressure[slack]) > _DEPENDENT:
         return None

@@ -40,7 +40,9 @@ _NO_DISPLACEMENT = (
     "displacement and zero_length (options --displacement, --zero-length) have no effect: no column is read as a "
     "displacement"
 )
+_SLACK_REMEDY = "give a force of 0 N or more (command line: --slack-force '1 N')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
+_LONGEST = 20.0  # m
 _LISTED = 10_000  # problems of an error
 _WARNED = 5  # omitted rows listed in a warning
 
@@ -60,6 +62,17 @@ _WORD_REMEDY = {
     "direction": "write loading (being stretched) or unloading (shortening)",
     "phase": "write filling or venting",
 }
+
+
+def impossible_settings(initial_length: float | None, slack_force: float | None) -> list[Problem]:
+    """Problems of an initial length in another unit than m, and of a negative slack force."""
+    found = []
+    if initial_length is not None and _LONGEST < initial_length < np.inf:
+        text = f"{initial_length:g} m is longer than any muscle"
+        found.append(Problem(text, field="initial_length", remedy=f"{_LENGTH_REMEDY}, in Python in m: 0.18"))
+    if slack_force is not None and slack_force < 0:
+        found.append(Problem(f"{slack_force:g} N is negative", field="slack_force", remedy=_SLACK_REMEDY))
+    return found
 
 
 class ColumnConverter:
@@ -119,8 +132,12 @@ class ColumnConverter:
                 found |= {key: quantity(text, unit)} if text else {}
             except UnitError as error:
                 self._problem(str(error), line, key)
-        if self.initial_length is None:
-            self.initial_length = found.get("initial_length")
+        given, stated = self.initial_length, found.get("initial_length")
+        self.initial_length = stated if given is None else given
+        if given is not None and stated is not None and abs(given - stated) > _LENGTH_ROUNDING[0]:
+            text = f"initial_length: {given / mm:.5g} mm is given, but the file states {stated / mm:.5g} mm"
+            self.suspect.append(f"{text}, which is not used")
+        self.problems += impossible_settings(given, slack_force)
         return {
             "specimen": specimen or unquote(comments.get("specimen", (0, ""))[1]),
             "source": unquote(comments["source"][1]) if "source" in comments else path.name,

@@ -10,13 +10,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from mckibben.component.checks import check_number
+from mckibben.dataset.consistency import contradictions
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt
+from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
@@ -92,15 +94,15 @@ def read_dataset(
         With every problem of the file, its line and column; also if more than half of the rows are corrupt, or the
         points are impossible for a muscle: negative forces, or a wrong unit or initial length.
     RangeError
-        If an argument is a text in place of a number in SI units, or `force_sign` is neither.
+        If an argument is not a number in SI units, or none of the words and signs above.
 
     Warns
     -----
     McKibbenWarning
-        If forces, pressures or contractions are unusual for a muscle, or rows are left out.
+        If forces, pressures or contractions are unusual for a muscle or contradict each other, or rows are left out.
     """
     lengths = {"initial_length": initial_length, "zero_length": zero_length}
-    check_reading(force_sign, decimal, displacement, slack_force=slack_force, **lengths)
+    check_reading(force_sign, decimal, displacement, on_corrupt, slack_force=slack_force, **lengths)
     read = []
     for one in _paths(path):
         found = _read_points(
@@ -120,7 +122,8 @@ def read_dataset(
     if all(ours):
         return check_dataset(dataset, source, only_warn=True)
     files = np.repeat(np.arange(len(parts)), list(map(len, parts)))
-    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files)), source)
+    found = IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files))
+    return check_dataset(found, source, measured=dataset.force)
 
 
 def _read_points(
@@ -159,7 +162,11 @@ def _read_points(
 def _paths(path: FilePaths) -> list[Path]:
     """The files of a test."""
     several = [path] if isinstance(path, str | os.PathLike) else path
-    if not isinstance(several, Sequence) or not several:
+    if (
+        not isinstance(several, Sequence)
+        or not several
+        or not all(isinstance(one, str | os.PathLike) for one in several)
+    ):
         raise RangeError(
             f"{path!r:.60} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
         )
@@ -167,11 +174,17 @@ def _paths(path: FilePaths) -> list[Path]:
 
 
 def check_dataset(
-    dataset: IsobaricDataset, source: str, specimen: Specimen | None = None, *, only_warn: bool = False
+    dataset: IsobaricDataset,
+    source: str,
+    specimen: Specimen | None = None,
+    *,
+    only_warn: bool = False,
+    measured: NDArray[np.float64] | None = None,
 ) -> IsobaricDataset:
     """Check a dataset; raises a `DatasetError` for points impossible for a muscle, and warns of unusual ones.
 
-    With `only_warn`, impossible points cause warnings too: what this program wrote stays readable.
+    With `only_warn`, impossible points cause warnings too: what this program wrote stays readable. `measured` are the
+    forces before an offset was subtracted.
     """
     attrs = dataset.table.attrs
     found = check_points(
@@ -181,10 +194,11 @@ def check_dataset(
         attrs["slack_force"],
         attrs.get("initial_length"),
         specimen,
+        measured,
     )
     if found.problems and not only_warn:
         raise DatasetError(source, found.problems)
-    for text in [*map(str, found.problems), *found.warnings]:
+    for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
         warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=3)
     return dataset
 
@@ -276,15 +290,23 @@ def _one_after_another(tables: Sequence[xr.Dataset], *, apart: bool) -> list[xr.
     return found
 
 
-def check_reading(force_sign: int, decimal: str, displacement: str, **numbers: object) -> None:
-    """Raise `RangeError` for texts in place of numbers, and for an invalid sign or direction."""
+def check_reading(
+    force_sign: int, decimal: str, displacement: str, on_corrupt: str = "raise", **numbers: object
+) -> None:
+    """Raise `RangeError` for texts or arrays in place of numbers, and for an invalid sign, direction or word."""
     if displacement not in ("", "shortening", "lengthening"):
         remedy = "give 'shortening' or 'lengthening', the direction of positive displacements"
         raise RangeError(f"displacement is {displacement!r}", field="displacement", value=displacement, remedy=remedy)
     if decimal not in ("", ".", ","):
         remedy = "give decimal='.' or decimal=',' (command line: --decimal)"
         raise RangeError(f"decimal is {decimal!r}", field="decimal", value=decimal, remedy=remedy)
+    if on_corrupt not in ("raise", "report"):
+        remedy = "give 'raise', or 'report' to leave corrupt rows out (command line: --skip-corrupt)"
+        raise RangeError(f"on_corrupt is {on_corrupt!r:.60}", field="on_corrupt", value=on_corrupt, remedy=remedy)
     check_number("reading", **numbers)
+    for name, value in numbers.items():
+        if np.ndim(value):  # type: ignore[arg-type]
+            raise RangeError(f"{name} is {value!r:.60}", field=name, value=value, remedy="give one number")
     if force_sign not in (1, -1):
         remedy = "give 1 or -1 (command line: --force-sign)"
         raise RangeError(f"force_sign is {force_sign!r}", field="force_sign", value=force_sign, remedy=remedy)
@@ -296,6 +318,8 @@ def _from_netcdf(
     """Dataset or recording of a NetCDF file, with the given sign and attributes."""
     if columns:
         raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
+    if problems := impossible_settings(given["initial_length"], given["slack_force"]):
+        raise DatasetError(str(path), problems)
     found = kind.from_netcdf(path)
     changes = {name: value for name, value in given.items() if value not in (None, "")}
     if force_sign < 0:
@@ -346,7 +370,7 @@ def read_recording(
     """
     numbers = {"contraction": contraction, "sample_rate": sample_rate, "slack_force": slack_force}
     numbers |= {"initial_length": initial_length, "zero_length": zero_length}
-    check_reading(force_sign, decimal, displacement, **numbers)
+    check_reading(force_sign, decimal, displacement, on_corrupt, **numbers)
     arguments = {"columns": columns, "displacement": displacement, "specimen": specimen, "force_sign": force_sign}
     parts = []
     for one in _paths(path):

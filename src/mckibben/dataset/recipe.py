@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator
@@ -13,6 +14,7 @@ from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.quantities import OnCorrupt
 from mckibben.dataset.reading import FilePaths, read_dataset, read_recording
 from mckibben.dataset.recording import Recording
+from mckibben.errors import McKibbenWarning
 from mckibben.units import BoundedInt, Contraction, Force, Length, SampleRate
 
 _OF_SAMPLES = ("contraction", "sample_rate")
@@ -62,7 +64,10 @@ class Recipe(DocumentModel):
         return super().parse(text, source=source, folder=folder)
 
     def dataset(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> IsobaricDataset:
-        """Read points, see `read_dataset`."""
+        """Read points, see `read_dataset`; warns of `contraction` and `sample_rate`, which have no effect."""
+        if unused := [name for name in _OF_SAMPLES if getattr(self, name) is not None]:
+            text = f"the recipe has settings that apply to recordings only, not to points: {', '.join(unused)}"
+            warnings.warn(text, McKibbenWarning, stacklevel=2)
         return read_dataset(path, on_corrupt=on_corrupt, **self._arguments(*_OF_SAMPLES))
 
     def recording(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> Recording:

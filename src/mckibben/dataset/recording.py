@@ -22,7 +22,7 @@ from mckibben.dataset.isometric import (
     refuse_staircase,
     split_phases,
 )
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, checked, extracted_points
 from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
@@ -160,6 +160,8 @@ class Recording(MeasuredTable):
         RangeError
             If an argument is invalid, the contraction is unknown, or no segment was steady for long enough; the error
             lists the samples left out, with reasons.
+        DatasetError
+            If most forces are negative, and do not rise with the pressure: the sign is wrong.
         """
         check_positive("plateaus", "Pa", pressure_tolerance=pressure_tolerance, level_tolerance=level_tolerance)
         check_positive("plateaus", contraction_tolerance=contraction_tolerance)
@@ -253,9 +255,10 @@ class Recording(MeasuredTable):
             force_spread=spread,
         )
         if self.table.attrs["slack_force"]:
-            return points
+            return checked(points)
         table, notes = without_offset(points.dataset.table)
-        return replace(points, dataset=IsobaricDataset(with_notes(table, notes)), notes=(*points.notes, *notes))
+        found = replace(points, dataset=IsobaricDataset(with_notes(table, notes)), notes=(*points.notes, *notes))
+        return checked(found)
 
     def isometric(
         self,
@@ -301,6 +304,8 @@ class Recording(MeasuredTable):
         RangeError
             If an argument is invalid, the contraction is unknown, no level was passed, or the pressure was changed in
             steps, for which `plateaus` is intended.
+        DatasetError
+            If most forces are negative, and do not rise with the pressure: the sign is wrong.
         """
         if reversal is not None:
             check_positive("isometric", "Pa", reversal=reversal)
@@ -357,7 +362,7 @@ class Recording(MeasuredTable):
                 remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
             )
         phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
-        return extracted_points(
+        found = extracted_points(
             self.table,
             account,
             "between levels",
@@ -371,3 +376,4 @@ class Recording(MeasuredTable):
             set_pressure=level_of,
             force_spread=sums.spread[index],
         )
+        return checked(found)

@@ -1,0 +1,228 @@
+"""Files with points that contradict each other, written from a muscle of known forces: none is read in silence."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from mckibben.cli.options import parse_columns
+from mckibben.dataset import Recording, read_dataset, read_recording
+from mckibben.dataset.plausibility import missing_marks
+from mckibben.dataset.recipe import Recipe
+from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
+
+
+def points(bars=(1, 2, 3, 4, 5, 6), contractions=9, largest=24.0):
+    """Pressure [bar], contraction [%], force [N]: loading and unloading at each pressure, with noise."""
+    rng = np.random.default_rng(5)
+    down, up = np.linspace(largest, 0, contractions), np.linspace(0, largest, contractions)
+    strokes = np.concatenate([up, down])
+    pressure, contraction = np.repeat(bars, len(strokes)).astype(float), np.tile(strokes, len(bars))
+    friction = np.tile(np.repeat([0.97, 1.03], contractions), len(bars))
+    force = 100 * pressure * np.maximum(1 - contraction / (8 + 3 * pressure), 0) ** 1.3 * friction
+    return pressure, contraction, force + rng.normal(0, 0.15, len(force))
+
+
+@pytest.fixture
+def heard(tmp_path):
+    """Write a file of columns, read it, and return the dataset and the warnings."""
+
+    def read(pressure, contraction, force, more=None, **options):
+        columns = {"pressure_bar": pressure, "contraction_percent": contraction, "force_N": force} | (more or {})
+        rows = [
+            ",".join(f"{x:.3f}" if isinstance(x, float) else x for x in row)
+            for row in zip(*columns.values(), strict=True)
+        ]
+        path = tmp_path / "rig.csv"
+        path.write_text("\n".join([",".join(columns), *rows]) + "\n")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", McKibbenWarning)
+            data = read_dataset(path, **options)
+        return data, [str(one.message) for one in caught]
+
+    return read
+
+
+def changed(values, rows, to):
+    values = values.copy()
+    values[list(rows)] = to
+    return values
+
+
+def test_sound_points_are_read_without_a_warning(heard):
+    data, told = heard(*points())
+    assert told == []
+    assert data.slack.any()  # its offset was subtracted
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        lambda force: np.minimum(force, 200.0),
+        lambda force: changed(force, [2, 39, 57, 94], 0.0),
+        lambda force: changed(force, [0, 17, 18, 35], 4095.0),
+    ],
+    ids=["clipped", "lost", "full scale of 12 bits"],
+)
+def test_the_offset_of_the_slack_muscle_does_not_hide_saturation_and_lost_forces(heard, spoilt):
+    pressure, contraction, force = points()
+    data, told = heard(pressure, contraction, spoilt(force))
+    assert "slack muscle" in data.table.attrs["preprocessing"]
+    assert any("force" in one for one in told)
+
+
+def test_the_scatter_of_a_taut_muscle_is_not_noise_of_a_slack_one(heard):
+    pressure, contraction, force = points()
+    data, told = heard(pressure, contraction, force, {"set_pressure_bar": np.full(len(force), 6.0)})
+    assert data.table.attrs["slack_force"] == 0
+    np.testing.assert_allclose(data.force, force, atol=1e-3)
+    assert any("set_pressure" in one for one in told)
+
+
+def test_a_force_that_rises_with_the_contraction_is_reported(heard):
+    pressure, contraction, force = points(contractions=9, largest=4.6)
+    assert heard(pressure, contraction, force)[1] == []
+    assert any("--displacement" in one for one in heard(pressure, -contraction, force)[1])
+
+
+def test_points_along_a_spring_are_no_wrong_sign(heard):
+    pressure = np.concatenate([np.linspace(1, 6, 20), np.linspace(6, 1, 20)])
+    contraction = 3 * pressure + np.repeat([0.0, 1.5], 20)
+    assert heard(pressure, contraction, 10.0 * contraction)[1] == []
+
+
+@pytest.mark.parametrize(
+    ("column", "rows", "to"),
+    [
+        (0, [2, 20, 38, 57, 74], 0.0),
+        (0, [2, 20, 38, 57, 74], -1.0),
+        (1, [41, 59, 78, 96], 0.0),
+        (2, [37, 55, 73, 92], -1.0),
+        (2, [38, 74], 3000.0),
+        (2, [90, 91, 106, 107], 130.0),
+    ],
+    ids=["pressure 0", "pressure -1", "contraction 0", "force -1", "decimal point", "wrap"],
+)
+def test_single_points_that_contradict_the_others_are_named(heard, column, rows, to):
+    columns = list(points())
+    columns[column] = changed(columns[column], rows, to)
+    told = [one for one in heard(*columns)[1] if f" {rows[-1] + 1} (" in one]
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize("order", ["shuffled", "by contraction", "backward"])
+def test_the_order_of_the_rows_is_no_contradiction(heard, order):
+    columns = points()
+    keys = {"shuffled": np.random.default_rng(1).random(108), "by contraction": columns[1], "backward": -np.arange(108)}
+    assert heard(*(one[np.argsort(keys[order], kind="stable")] for one in columns))[1] == []
+
+
+def test_a_muscle_that_is_slack_at_the_lowest_pressure_and_pulls_at_the_next_is_reported(heard):
+    pressure, contraction, force = points((0, 1, 2, 3, 4, 5))
+    assert heard(pressure, contraction, force)[1] == []
+    assert any("absolute" in one for one in heard(pressure + 1.01325, contraction, force)[1])
+
+
+def test_a_dead_band_is_no_offset_of_the_pressure(heard):
+    pressure, contraction, force = points((0, 0.3, 1, 2, 3, 4, 5))
+    dead = np.where(pressure < 0.8, np.minimum(force, 0.4), force * (pressure - 0.8) / np.maximum(pressure, 0.8))
+    assert heard(pressure, contraction, dead)[1] == []
+    assert heard(pressure[18:], contraction[18:], dead[18:])[1] == []
+
+
+def test_reversed_directions_are_reported(heard):
+    pressure, contraction, force = points()
+    words = np.tile(np.repeat(["unloading", "loading"], 9), 6)
+    assert heard(pressure, contraction, force, {"direction": words})[1] == []
+    told = heard(pressure, contraction, force, {"direction": np.where(words == "loading", "unloading", "loading")})[1]
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize("way", ["plateaus", "isometric"])
+def test_a_pull_recorded_as_negative_is_an_error_of_the_points(way):
+    time = np.arange(0, 40, 0.01)
+    steps = np.where(time < 20, 2e5, 3e5)
+    ramp = 3e5 - np.abs(time - 20) * 1e4
+    pressure = steps if way == "plateaus" else ramp
+    for sign in (1, -1):
+        record = Recording.of(time=time, pressure=pressure, force=sign * pressure / 1e3, contraction=0.1)
+        if sign > 0:
+            assert (getattr(record, way)().dataset.force > 0).all()
+        else:
+            with pytest.raises(DatasetError) as caught:
+                getattr(record, way)()
+            assert [one.field for one in caught.value.problems] == ["force"]
+
+
+@pytest.mark.parametrize("read", [read_dataset, read_recording])
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"on_corrupt": "Raise"}, "on_corrupt"),
+        ({"on_corrupt": "error"}, "on_corrupt"),
+        ({"on_corrupt": None}, "on_corrupt"),
+        ({"on_corrupt": True}, "on_corrupt"),
+        ({"initial_length": [0.18]}, "initial_length"),
+        ({"slack_force": np.ones(2)}, "slack_force"),
+    ],
+)
+def test_options_that_mean_nothing_are_errors(read, options, field, put):
+    with pytest.raises(RangeError) as caught:
+        read(put("time_s,pressure_bar,contraction_percent,force_N\n0,1,0,80\n1,1,1,n/a\n"), **options)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize("path", [b"x", [b"x"], [None], None, 5, []])
+def test_paths_that_are_no_paths_are_errors(path):
+    with pytest.raises(RangeError) as caught:
+        read_dataset(path)
+    assert caught.value.field == "path"
+
+
+@pytest.mark.parametrize(("field", "value"), [("initial_length", 180), ("slack_force", -1)])
+def test_impossible_lengths_and_slack_forces_are_problems_of_the_file(field, value, heard, tmp_path):
+    heard(*points())[0].to_netcdf(tmp_path / "rig.nc")
+    for read in (lambda **more: heard(*points(), **more), lambda **more: read_dataset(tmp_path / "rig.nc", **more)):
+        with pytest.raises(DatasetError) as caught:
+            read(**{field: value})
+        assert [one.field for one in caught.value.problems] == [field]
+
+
+def test_a_slack_force_above_all_forces_is_reported(heard):
+    data, told = heard(*points(), slack_force=1e4)
+    assert not len(data.taut)
+    assert any("slack_force" in one for one in told)
+
+
+@pytest.mark.parametrize(("length", "count"), [(0.18, 0), (0.19, 1)])
+def test_an_initial_length_that_the_file_contradicts_is_reported(put, length, count):
+    path = put("# initial_length: 180 mm\npressure_bar,length_mm,force_N\n1,180,80\n2,175,140\n3,170,190\n")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", McKibbenWarning)
+        read_dataset(path, initial_length=length)
+    assert len([one for one in caught if "initial_length" in str(one.message)]) == count
+
+
+def test_settings_of_a_recipe_without_effect_are_reported(put):
+    path = put("pressure_bar,contraction_percent,force_N\n1,0,80\n2,0,160\n")
+    with pytest.warns(McKibbenWarning, match="sample_rate"):
+        assert len(Recipe(sample_rate=100.0).dataset(path)) == 2
+
+
+def test_a_header_that_is_assigned_twice_is_an_error():
+    assert parse_columns(["a=force_N", "a=force_N"]) == {"a": "force_N"}
+    with pytest.raises(UnitError):
+        parse_columns(["a=force_N", "a=pressure_bar"])
+
+
+def test_usual_values_do_not_mark_missing_ones(heard):
+    rng = np.random.default_rng(2)
+    contraction = np.tile(np.linspace(0, 10, 50), 2)
+    pressure = np.repeat([1000.0, 2000.0], 50) + rng.normal(0, 0.3, 100)
+    pressure[[7, 8, 30]] = 999.9
+    force = 0.1 * pressure * (1 - contraction / 20)
+    time = 999_999.0 + 100.0 * np.arange(-50, 50)
+    assert heard(pressure / 1000, contraction, force, {"time_ms": time})[1] == []
+    for values in (pressure, time):
+        assert not missing_marks(np.round(values, 1).astype(float))[0].any()
+    assert missing_marks(changed(np.linspace(0, 700, 100), [60], 999.0))[0].sum() == 1
