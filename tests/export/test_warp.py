@@ -126,7 +126,11 @@ def cases():
     geometries = JOINTS["GEOMETRIES"]
     frictions = [MaxwellSlip(12.0, 5e-4, viscous=30.0, elements=1), NoFriction(),
                  MaxwellSlip(12.0, 5e-4, growth=1e-5, tension_growth=0.02, viscous=20.0, elements=4)]  # fmt: skip
-    creeps = [NoCreep(), MaxwellCreep(900.0, 0.5)]
+    creeps = [
+        NoCreep(),
+        MaxwellCreep(900.0, 0.5),
+        MaxwellCreep(900.0, 0.5, pressure_share=0.2, pressure_time_constant=0.3),
+    ]
     valves += [mk.IdealValve(), LAGS, *(SecondOrderValve(60.0, damping=one) for one in (1.0, 3.0))]
     count = max(len(valves), len(geometries), -(-len(laws) // 2))
     parts = [islice(cycle(each), count) for each in (geometries, valves, frictions, creeps)]
@@ -262,12 +266,31 @@ def test_the_export_has_all_files_and_names_what_is_left_out(tmp_path):
     assert (model.nu, model.na) == (2, 2)
 
 
+def test_delays_are_rounded_up_to_the_steps_of_the_model_in_the_same_arrays(knee, tmp_path):
+    """Captured CUDA graphs hold the addresses of the arrays."""
+    pytest.importorskip("warp", reason="the extra warp is not installed")
+    one = made(mk.JointPlant(knee, LOAD, LAGS), "steps", tmp_path)
+    model = mujoco.MjModel.from_xml_string(one.xml)
+    model.opt.timestep = 2e-3
+    muscles = one.module.Muscles(model, worlds=2)
+    arrays = lambda: [one.ptr for one in (muscles.delay, muscles.sent, muscles.model.parameters)]  # noqa: E731
+    before = arrays()
+    muscles.set("command_delay", [7e-3, 8e-3])
+    muscles.set("valve.time_constant", 0.03)
+    assert muscles.delay.numpy().tolist() == [4, 4]
+    assert arrays() == before
+
+
 def test_mistakes_are_refused(knee, tmp_path, monkeypatch):
     pytest.importorskip("warp", reason="the extra warp is not installed")
     one = made(mk.JointPlant(knee, LOAD, LAGS), "refused", tmp_path)
     muscles = one.module.Muscles(mujoco.MjModel.from_xml_string(one.xml), worlds=2)
     muscles.set("valve.time_constant", [0.02, 0.04])
     assert muscles.get("valve.time_constant").tolist() == [0.02, 0.04]
+    muscles.get("valve.time_constant")[:] = 1.0  # a copy
+    assert muscles.get("valve.time_constant").tolist() == [0.02, 0.04]
+    with pytest.raises(ValueError, match="finite"):
+        muscles.set("valve.time_constant", np.nan)
     with pytest.raises(KeyError, match=r"valve\.time_constant"):
         muscles.set("valve.lag", 0.02)
     with pytest.raises(ValueError, match="command_delay"):

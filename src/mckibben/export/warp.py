@@ -43,9 +43,7 @@ def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState,
     )
     model = joint_model(plant, name, timestep, start, plugin=False)
     left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
-    text = warp_muscles(
-        model.module, model.muscles, title or name, timestep, float(plant.command_delay or 0.0), left_out
-    )
+    text = warp_muscles(model.module, model.muscles, title or name, float(plant.command_delay or 0.0), left_out)
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
 
 
@@ -53,7 +51,6 @@ def warp_muscles(
     module: SourceModule,
     muscles: tuple[PluginMuscle, ...],
     title: str,
-    timestep: float,
     delay: float,
     left_out: tuple[str, ...],
 ) -> str:
@@ -71,7 +68,6 @@ def warp_muscles(
             "version": mckibben.__version__,
             "name": module.name,
             "left_out": "".join(f"- {one}\n" for one in left_out),
-            "timestep": repr(timestep),
             "delay": repr(delay),
             "functions": write_warp(module),
             "kernels": "".join(kernels),

@@ -15,7 +15,7 @@ Pieces = Callable[[], Iterator[Floats]]
 """A column in pieces, from its start at each call."""
 
 _BUCKET = 1 << 20  # values that are sorted at once
-_MOST_BUCKETS = 100  # of each kind: their files are open together
+_MOST_BUCKETS = 50  # of each kind: their files are open together, and systems allow 256
 _SAMPLE = 1 << 16  # values that determine the bounds
 _IN_MEMORY = 1 << 18  # bytes of a bucket that is not written to the disk
 _PIECE = 1 << 16  # ranks that are looked up at once
