@@ -351,3 +351,11 @@ def test_the_offset_of_the_load_cell_is_found_in_the_slack_muscle():
     assert "slack muscle" in points.table.attrs["preprocessing"]
     known = run.record(force=run.force + offset, slack_force=1.0).plateaus().dataset
     assert known.force[slack].mean() == pytest.approx(offset, abs=0.1)
+
+
+def test_samples_farther_apart_than_a_plateau_are_points_already():
+    time = 4.0 * np.arange(20)
+    steps = Recording.of(time=time, pressure=np.full(20, 2e5), contraction=np.repeat(np.arange(10) / 50, 2), force=time)
+    with pytest.raises(RangeError) as refused:
+        steps.plateaus()
+    assert (refused.value.field, refused.value.lower) == ("dwell", 4.0)

@@ -184,6 +184,16 @@ class Recording(MeasuredTable):
                 "the time of the recording does not advance", remedy="give its sample rate when reading it"
             )
         interval = float(np.median(forward))
+        if interval > dwell:
+            raise RangeError(
+                f"the samples are {interval:.3g} s apart, more than the dwell of {dwell:.3g} s",
+                field="dwell",
+                value=dwell,
+                lower=interval,
+                unit="s",
+                remedy="if each row is a point, read the file as points (command line: mckibben identify FILE); "
+                "otherwise give a longer dwell (command line: --dwell)",
+            )
         signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
         if force_tolerance is not None:
             signals.append((force, force_tolerance))
