@@ -40,10 +40,7 @@ _REPEATED = 3  # equal largest values that may be saturated
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
-_UNIT = (
-    "check the unit: arrays are in SI, and columns={...} gives the unit of a file's column (command line: "
-    "--column 'HEADER=NAME')"
-)
+_UNIT = "check the unit: arrays are in SI; for a file, give it by columns={...} (command line: --column 'HEADER=NAME')"
 
 
 class Findings(NamedTuple):
