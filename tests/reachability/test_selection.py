@@ -79,6 +79,13 @@ def test_a_muscle_that_is_too_short_for_its_diameter_is_rejected():
         size(dataclasses.replace(NEED, longest=100 * mm, stiffness=None, torque=0.0), [catalog_makes()[2]])
 
 
+def test_pulleys_are_not_wider_than_allowed(found):
+    widest = found.best.radius - 0.2 * mm
+    assert size(dataclasses.replace(NEED, widest=widest, stiffness=None), [TWENTY]).best.radius <= widest
+    with pytest.raises(UnreachableError):
+        size(dataclasses.replace(NEED, widest=3 * mm, stiffness=None), [TWENTY])
+
+
 def test_a_longer_muscle_than_needed_is_not_selected(found):
     shorter = dataclasses.replace(NEED, longest=found.best.length - 20 * mm)
     with pytest.raises(UnreachableError):
@@ -205,17 +212,53 @@ def test_a_muscle_file_is_a_make_with_the_uncertainty_of_its_fit(tmp_path):
     assert read_make(tmp_path / "muscle.yaml", 0.1).uncertainty == pytest.approx(np.hypot(0.1, make.uncertainty))
 
 
+def gravity_excess(plant, need):
+    """Torque in either direction in excess of gravity, without friction."""
+    angles = np.linspace(*need.angles, 61)
+    low, high = plant.joint.attainable_torque(angles, minimum_tension=5.0)
+    held = -LOAD.gravity_torque(angles)
+    return float(np.minimum(high - held, held - low).min())
+
+
 def test_friction_takes_its_torque():
+    """The band of the working muscle is nearly its half width, that of the other one half of its tension, 5 N."""
     ten = catalog_makes()[0]
     rubbing = Muscle(ten.muscle.specimen, ten.muscle.law, mk.MaxwellSlip(12.0, 0.5 * mm))
     need = dataclasses.replace(NEED, stiffness=None, torque=0.0)
     plain, found = (size(need, [Make("ten", muscle, 0.0)]).best for muscle in (ten.muscle, rubbing))
-    angles = np.linspace(*need.angles, 61)
-    low, high = found.plant.joint.attainable_torque(angles, minimum_tension=5.0)
-    held = -LOAD.gravity_torque(angles)
-    available = float(np.minimum(high - held, held - low).min())
-    assert found.torque[1] == pytest.approx(available - 2 * 12.0 * found.radius)
+    lost = gravity_excess(found.plant, need) - found.torque[1]
+    assert lost == pytest.approx((12.0 + 12.0 * np.tanh(5.0 / 24.0)) * found.radius, rel=1e-3)
     assert found.length >= plain.length and found.torque[1] >= need.reserve
+
+
+def test_friction_is_that_of_the_highest_pressure_and_speed():
+    """For the largest torque one muscle has 90 % of the supply; its tension makes the band narrower than B."""
+    ten = catalog_makes()[0]
+    growing = mk.MaxwellSlip(7.0, 0.5 * mm, growth=60 / bar, reference_pressure=3.5 * bar)
+    viscous = mk.MaxwellSlip(12.0, 0.5 * mm, viscous=100.0)
+    need = dataclasses.replace(NEED, stiffness=None, torque=0.0)
+    muscles = [Muscle(ten.muscle.specimen, ten.muscle.law, friction) for friction in (growing, viscous)]
+    first, second = (size(need, [Make("ten", muscle, 0.0)]).best for muscle in muscles)
+    lost = [(gravity_excess(one.plant, need) - one.torque[1]) / one.radius for one in (first, second)]
+    highest = 7.0 + 60 * (5.4 - 3.5)
+    assert 0.8 * highest < lost[0] < highest
+    damping = 100.0 * second.radius * np.pi / 6 * np.pi
+    opposing = 12.0 * np.tanh(5.0 / 24.0) + 2.5 * np.tanh(damping / 2.5)
+    assert lost[1] == pytest.approx(12.0 + damping + opposing, rel=1e-2)
+
+
+def test_both_muscles_rub_at_the_highest_pressure_where_a_stiffness_is_required():
+    ten = catalog_makes()[0]
+    growing = mk.MaxwellSlip(7.0, 0.5 * mm, growth=10 / bar, reference_pressure=3.5 * bar)
+    light = dataclasses.replace(NEED, load=mk.PendulumLoad(0.5, 150 * mm), torque=0.0, stiffness=(3.0, 3.0))
+    found = size(light, [Make("ten", Muscle(ten.muscle.specimen, ten.muscle.law, growing), 0.0)]).best
+    angles = np.linspace(*light.angles, 13)
+    reserve = light.reserve + 2 * (7.0 + 10 * 1.9) * 0.99 * found.radius
+    for sign in (-1, 1):
+        low, high = found.plant.joint.attainable_stiffness(
+            angles, sign * reserve - light.load.gravity_torque(angles), minimum_tension=5.0
+        )
+        assert np.all(low <= 3.0) and np.all(high >= 3.0)
 
 
 def test_a_braid_gives_a_make_by_chous_law():
@@ -242,6 +285,7 @@ def test_a_law_that_is_not_affine_and_wrong_numbers_are_refused():
         {"stiffness": (20.0, 10.0)},
         {"torque": -1.0},
         {"supply": float("nan")},
+        {"widest": -1.0},
     ):
         with pytest.raises(ParameterError):
             dataclasses.replace(NEED, **wrong)

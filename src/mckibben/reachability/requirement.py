@@ -68,7 +68,8 @@ class Requirement:
     widest: float = 0.15
 
     def __post_init__(self) -> None:
-        for name, value in (("cycle", self.cycle), ("supply", self.supply), ("longest", self.longest)):
+        for name in ("cycle", "supply", "longest", "widest"):
+            value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise ParameterError(f"{name} is {value:g}", value=value, remedy="give a positive number")
         if not (np.isfinite(self.torque) and self.torque >= 0):

@@ -18,11 +18,12 @@ from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
 from mckibben.errors import McKibbenError, ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
-from mckibben.muscle import MaxwellSlip, Muscle, PressureAffineLaw
+from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.notebook import draw, html_table
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
+from mckibben.reachability.friction import friction_force
 from mckibben.reachability.requirement import Make, Requirement, catalog_makes, with_length, with_supply
 from mckibben.reachability.sizing import CONSTRAINTS, attained_stiffness, constraint_margins
 from mckibben.reachability.trajectory import reference_trajectory
@@ -332,14 +333,16 @@ def _margins(
 def _searched(make: Make, need: Requirement) -> tuple[_Grid, np.ndarray]:
     """The grid of a make, and its margins with the lowest and the highest forces, shape (candidates, constraints)."""
     grid, angles = _grid(make, need), np.linspace(*need.angles, _ANGLES)
-    reserve = need.reserve + _resistance(make) * grid.radius
-    given = grid.lengths(need.middle), angles, np.asarray(need.stiffness or _ANY), reserve
+    reserve = need.reserve + _friction_torque(make, need, grid, cocontracted=need.stiffness is not None)
+    given = grid.lengths(need.middle), angles, np.asarray(need.stiffness or _ANY), jnp.asarray(reserve)
     both = [
         np.asarray(_margins(_plant(make.with_strength(1 + sign * make.uncertainty), need), *given)) for sign in (-1, 1)
     ]
     margins = np.nan_to_num(np.minimum(*both), nan=-np.inf)
-    lengths = np.asarray(grid.length)
-    margins[(lengths < _shortest(make) - 1e-9) | (lengths > need.longest + 1e-9)] = -np.inf
+    lengths, radii = np.asarray(grid.length), np.asarray(grid.radius)
+    margins[
+        (lengths < _shortest(make) - 1e-9) | (lengths > need.longest + 1e-9) | (radii > need.widest + 1e-9)
+    ] = -np.inf
     return grid, margins
 
 
@@ -347,18 +350,21 @@ def _shortest(make: Make) -> float:
     return max(_SHORTEST, _SLENDER * float(make.muscle.specimen.initial_diameter or 0.0))
 
 
-def _resistance(make: Make) -> float:
-    """Friction [N] of both muscles, which opposes the motion."""
-    friction = make.muscle.friction
-    return 2 * float(friction.half_width) if isinstance(friction, MaxwellSlip) else 0.0
+def _friction_torque(make: Make, need: Requirement, grid: _Grid, *, cocontracted: bool) -> np.ndarray:
+    """Torque [N*m] of both muscles' friction with the highest forces, shape (candidates,)."""
+    muscle = with_supply(make.with_strength(1 + make.uncertainty), _HEADROOM * need.supply)
+    candidates = np.asarray(grid.length), np.asarray(grid.radius), np.asarray(grid.contraction)
+    return friction_force(muscle, need, candidates, _TENSION, cocontracted=cocontracted) * candidates[1]
 
 
 def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
+    if _shortest(make) > need.longest:
+        raise UnreachableError(f"the shortest of these muscles, {_shortest(make) / mm:g} mm, is longer than allowed")
+    if need.widest < _NARROWEST:
+        raise UnreachableError(f"the narrowest pulley, {_NARROWEST / mm:g} mm, is wider than allowed")
     grid, margins = _searched(make, need)
     least = margins.min(axis=1)
     feasible = least >= 0
-    if _shortest(make) > need.longest:
-        raise UnreachableError(f"the shortest of these muscles, {_shortest(make) / mm:g} mm, is longer than allowed")
     if not feasible.any():
         at = int(np.argmax(least))
         best = f"with muscles of {float(grid.length[at]) / mm:g} mm"
@@ -372,9 +378,11 @@ def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
         for part in (-1, 0, 1)
     ]
     angles = np.linspace(*need.angles, _RESULT_ANGLES)
-    lost = _resistance(make) * radius
-    stiffness = tuple(_common(attained_stiffness(one, angles, need.reserve + lost, _TENSION)) for one in plants)
-    torque = tuple(_available(one, angles) - lost for one in plants)
+    chosen = _Grid(*(each[at : at + 1] for each in grid))
+    held = float(_friction_torque(make, need, chosen, cocontracted=need.stiffness is not None)[0])
+    most = float(_friction_torque(make, need, chosen, cocontracted=False)[0])
+    stiffness = tuple(_common(attained_stiffness(one, angles, need.reserve + held, _TENSION)) for one in plants)
+    torque = tuple(_available(one, angles) - most for one in plants)
     motion = reference_trajectory(
         _reference(need, plants[1]),
         np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1),
