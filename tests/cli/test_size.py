@@ -43,6 +43,9 @@ def test_a_joint_is_sized_kept_and_runs(cli, tmp_path):
         ((*MOTION,), "--mass"),
         ((*LOAD, *MOTION, "--inertia", "1 kg*m^2"), "--inertia"),
         ((*LOAD, *MOTION, "--stiffness", "15 bar"), "--stiffness"),
+        ((*LOAD, "--angles", "-30..30 deg", "--speed", "-5 deg/s"), "--speed"),
+        ((*LOAD, *MOTION, "--tube", "-1 m"), "--tube"),
+        ((*MOTION, "--inertia", "1 kg*m^2", "--hanging", "40 deg"), "--hanging"),
         (("missing.yaml", *LOAD, *MOTION), "missing.yaml"),
     ],
 )

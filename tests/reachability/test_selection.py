@@ -308,3 +308,24 @@ def test_the_uncertainties_of_the_page():
     chart = np.asarray(ten.muscle.law.force(contraction, pressure)).ravel()
     paper = np.asarray(catalog.law("lei-mas-10-180n").force(contraction, pressure)).ravel()
     assert (paper @ chart) / (chart @ chart) == pytest.approx(1.23, abs=0.005)
+
+
+def test_makes_without_a_volume_or_with_an_impossible_spread_are_refused():
+    muscle = catalog_makes()[0].muscle
+    unknown = dataclasses.replace(muscle.specimen, initial_diameter=None, braid_angle=None, volume_terms=None)
+    for field, given, spread in (
+        ("specimen", dataclasses.replace(muscle, specimen=unknown), 0.1),
+        ("spread", muscle, -0.1),
+        ("spread", muscle, 1.2),
+    ):
+        with pytest.raises(ParameterError) as refused:
+            Make.of("mine", given, None, spread)
+        assert refused.value.field == field
+
+
+@pytest.mark.slow
+def test_a_supply_below_the_law_of_a_make_names_both():
+    need = Requirement(mk.PendulumLoad(0.1, 0.1), (-5 * deg, 5 * deg), cycle=2.0, supply=0.6 * bar)
+    with pytest.raises(UnreachableError) as refused:
+        size(need, [catalog_makes()[1]])
+    assert "law begins at" in str(refused.value)

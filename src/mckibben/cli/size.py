@@ -44,7 +44,7 @@ def size(
     supply: Annotated[str, Option(metavar="PRESSURE", help="Pressure of the supply.")] = "6 bar",
     mass: Annotated[str, Option(metavar="MASS", help="Mass of the load, at the end of the arm.")] = "",
     arm: Annotated[str, Option(metavar="LENGTH", help="Distance of the mass from the axis.")] = "",
-    hanging: Annotated[str, Option(metavar="ANGLE", help="Angle at which the mass hangs below the axis.")] = "0 deg",
+    hanging: Annotated[str, Option(metavar="ANGLE", help="Angle at which the mass hangs below the axis.")] = "",
     inertia: Annotated[
         str, Option(metavar="INERTIA", help="Inertia of a load without gravity, in place of mass and arm.")
     ] = "",
@@ -76,8 +76,7 @@ def size(
     if cycle:
         period = parse_quantity("--cycle", cycle, "s")
     else:
-        fastest = parse_quantity("--speed", speed, "rad/s")
-        period = math.pi * (ends[1] - ends[0]) / fastest if fastest > 0 else math.nan
+        period = math.pi * (ends[1] - ends[0]) / _positive("--speed", speed, "rad/s")
     from mckibben.reachability import Requirement, catalog_makes, read_make
     from mckibben.reachability import size as run
 
@@ -93,7 +92,7 @@ def size(
     )
     part = parse_quantity("--spread", spread, "1")
     makes = [read_make(path, part) for path in muscles or ()] + list(catalog_makes() if catalog else ())
-    found = run(requirement, makes, tube_length=parse_quantity("--tube", tube, "m"))
+    found = run(requirement, makes, tube_length=_positive("--tube", tube, "m"))
     scenario = found.scenario()
     checks = found.verify(scenario.simulate())
     numbers = {**found.records(), "simulated": [one._asdict() for one in checks]}
@@ -122,13 +121,23 @@ def _load(mass: str, arm: str, hanging: str, inertia: str) -> Load:
 
     heavy, distance = parse_optional_quantity("--mass", mass, "kg"), parse_optional_quantity("--arm", arm, "m")
     turning = parse_optional_quantity("--inertia", inertia, "kg*m^2")
-    if turning is not None and heavy is None and distance is None:
+    if turning is not None and heavy is None and distance is None and not hanging:
         return GeneralLoad(inertia=turning, greatest_gravity_torque=0.0)
     if turning is not None or heavy is None or distance is None:
         raise ParameterError(
-            "the load is a mass on an arm, or an inertia", remedy="give --mass '2 kg' --arm '250 mm', or --inertia"
+            "the load is a mass on an arm, or an inertia",
+            remedy="give --mass '2 kg' --arm '250 mm' and, if it does not hang at 0, --hanging; or --inertia alone",
         )
-    return PendulumLoad(heavy, distance, hanging_angle=parse_quantity("--hanging", hanging, "rad"))
+    return PendulumLoad(heavy, distance, hanging_angle=parse_optional_quantity("--hanging", hanging, "rad") or 0.0)
+
+
+def _positive(option: str, text: str, unit: str) -> float:
+    value = parse_quantity(option, text, unit)
+    if not 0 < value < math.inf:
+        raise ParameterError(
+            f"{option} {text!r} is not above 0", value=value, unit=unit, remedy="give a positive value"
+        )
+    return value
 
 
 def _keep(out: Path, found: Selection, scenario: Scenario) -> None:

@@ -157,8 +157,22 @@ class Make(NamedTuple):
 
     @classmethod
     def of(cls, name: str, muscle: Muscle, fit: Fit | None, spread: float = SPREAD) -> Make:
-        """A make with the spread of its specimens and, if its law was fitted, the prediction interval of the fit."""
-        return cls(name, muscle, math.hypot(spread, 0.0 if fit is None else _relative_error(fit)))
+        """A make with the spread of its specimens and, if its law was fitted, the prediction interval of the fit.
+
+        Raises `ParameterError` for a muscle without volume, and for a spread outside 0 to 1, or 1 with the fit.
+        """
+        if not muscle.specimen.has_volume:
+            remedy = "give its initial_diameter and braid_angle, or identify it with --diameter"
+            raise ParameterError(f"{name}: the volume of the muscle is unknown", field="specimen", remedy=remedy)
+        uncertainty = math.hypot(spread, 0.0 if fit is None else _relative_error(fit))
+        if not (spread >= 0 and uncertainty < 1):
+            raise ParameterError(
+                f"{name}: forces with a spread of {spread:.3g} have an uncertainty of {uncertainty:.3g}",
+                field="spread",
+                value=spread,
+                remedy="give a spread from 0 to below 1 (command line: --spread '10 %')",
+            )
+        return cls(name, muscle, uncertainty)
 
     def with_strength(self, factor: float) -> Muscle:
         """The muscle with forces times a factor; without its name, so that all makes share compiled programs."""

@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
-from mckibben.errors import McKibbenError, ParameterError, UnreachableError
+from mckibben.errors import ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.notebook import draw, html_table
@@ -362,6 +362,9 @@ def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
         raise UnreachableError(f"the shortest of these muscles, {_shortest(make) / mm:g} mm, is longer than allowed")
     if need.widest < _NARROWEST:
         raise UnreachableError(f"the narrowest pulley, {_NARROWEST / mm:g} mm, is wider than allowed")
+    if (lowest := float(make.muscle.domain.pressure_min)) >= _HEADROOM * need.supply:
+        used = show(_HEADROOM * need.supply, "bar", 3)
+        raise UnreachableError(f"its law begins at {show(lowest, 'bar', 3)}, and {used} of the supply are used")
     grid, margins = _searched(make, need)
     least = margins.min(axis=1)
     feasible = least >= 0
@@ -388,10 +391,7 @@ def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
         np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1),
         smoothing=need.cycle / 20,
     )
-    try:
-        supply = air_supply(plants[1], motion, need.cycle, need.supply, tube_length)
-    except McKibbenError as error:
-        raise UnreachableError(str(error)) from error
+    supply = air_supply(plants[1], motion, need.cycle, need.supply, tube_length)
     plant = dataclasses.replace(_built(make.muscle, need, length, radius, contraction), valve=supply.valve)
     return Candidate(make, plant, length, radius, contraction, _limiting(margins[at]), torque, stiffness, supply)  # type: ignore[arg-type]
 
