@@ -259,7 +259,7 @@ class _Line:
     """Postures on a line in the angles of the joints, from a squat (0) to the take-off posture (1), and beyond."""
 
     def __init__(self, plant: LegPlant, squat: tuple[float, ...], take_off: tuple[float, ...]) -> None:
-        check_stops(plant.leg, np.array([squat, take_off]).T)
+        check_stops(plant.leg, tuple(np.array([squat, take_off]).T))
         self.plant, self.start = plant, np.array(squat)
         self.change = np.where(movable(plant.leg), np.array(take_off) - self.start, 0.0)
         places = np.linspace(0.0, 1.0, _LINE)
