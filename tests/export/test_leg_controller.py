@@ -9,10 +9,18 @@ import pytest
 
 from mckibben.codegen.native import compiler
 from mckibben.control import DecouplingControl, PolePlacement, Reference, Sine, Step
-from mckibben.errors import ExportError
+from mckibben.errors import ExportError, SimulationError
 from mckibben.export import export_leg_controller
 from mckibben.joint import GeneralLoad
-from mckibben.leg import CoupledControl, LegPlant, LegStart, PressureSchedule, TimedReference, read_leg
+from mckibben.leg import (
+    CoupledControl,
+    JointwiseControl,
+    LegPlant,
+    LegStart,
+    PressureSchedule,
+    TimedReference,
+    read_leg,
+)
 from mckibben.plant import FirstOrderValve, SampledSensors
 from mckibben.units import deg, kPa, ms
 
@@ -49,6 +57,19 @@ def test_it_repeats_the_recorded_run_of_three_joints(plant, start, single, tmp_p
     done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.startswith("200 steps")
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if single else 1e-11)
+
+
+@pytest.mark.parametrize("duration", [0.0005, 0.0, 0.401])
+def test_a_duration_of_no_whole_periods_is_refused(plant, start, duration, tmp_path):
+    each = tuple(
+        DecouplingControl(one.muscles, GeneralLoad(0.05, 0.0, 0.3), PolePlacement(30.0), valve=plant.valve)
+        for one in plant.leg.joints
+    )
+    controller = JointwiseControl(each, TimedReference((Reference(0.0, 14.5),) * len(each)))
+    with pytest.raises(SimulationError) as refused:
+        export_leg_controller(plant, controller, start, tmp_path, duration=duration, control_period=PERIOD)
+    assert refused.value.value == duration
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_controller_without_setpoints_is_refused(plant, start, tmp_path):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben import catalog
 from mckibben.errors import FileError, RangeError, ScenarioError, UnreachableError
 from mckibben.leg import (
     EnergyBalance,
@@ -183,6 +184,25 @@ def test_plans_that_are_not_possible(
         plan_jump(plant, squat, take_off, **{**HEIGHTS, **changes})
     assert caught.value.remedy  # type: ignore[attr-defined]
     assert field is None or caught.value.field == field  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("squat", "take_off"), [((8 * deg, -20 * deg), TAKE_OFF), (SQUAT, (0.0, np.nan))])
+def test_angle_beyond_a_stop(plant: LegPlant, squat: tuple[float, float], take_off: tuple[float, float]) -> None:
+    hip, knee = plant.leg.joints
+    leg = dataclasses.replace(plant.leg, joints=(dataclasses.replace(hip, lower=-5 * deg, upper=5 * deg), knee))
+    with pytest.raises(RangeError) as caught:
+        plan_jump(dataclasses.replace(plant, leg=leg), squat, take_off, **HEIGHTS)
+    assert caught.value.field == "angle"
+    assert caught.value.value == pytest.approx(8 * deg if squat != SQUAT else np.nan, nan_ok=True)
+
+
+def test_plan_within_the_supply(plant: LegPlant) -> None:
+    weak = dataclasses.replace(plant, valve=catalog.valve("festo-mpye-5-m5", supply=3 * bar))
+    with pytest.raises(UnreachableError) as caught:
+        plan_jump(weak, SQUAT, TAKE_OFF, **HEIGHTS)
+    assert caught.value.upper == 3 * bar < caught.value.value  # type: ignore[operator]
+    assert any(name in str(caught.value) for name in plant.leg.muscle_names)
+    assert caught.value.remedy
 
 
 def test_trunk_that_is_not_on_a_slider(plant: LegPlant) -> None:

@@ -314,6 +314,15 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     assert again.exit_code != 0  # results are not replaced without --force
 
 
+@pytest.mark.parametrize("command", ["land", "jump"])
+def test_there_is_no_study_to_continue(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LegScenario, "plant", lambda self: pytest.fail("work before the check"))
+    done = CliRunner().invoke(app, ["leg", command, FILE, "--out", str(tmp_path), "--resume"])
+    assert isinstance(done.exception, FileError)
+    problem = done.exception.problems[0]
+    assert "no study" in problem.message and "--resume" in problem.remedy
+
+
 def test_file_without_a_study(tmp_path: Path) -> None:
     file = tmp_path / "leg.yaml"
     file.write_text(HEAD, encoding="utf-8")

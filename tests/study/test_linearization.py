@@ -24,6 +24,18 @@ def opened(scenario):
     return mk.linearize(scenario, TIME)
 
 
+@pytest.mark.parametrize("time", [-5.0, 100.0, np.nan])
+def test_a_time_outside_the_run_is_refused(scenario, time):
+    with pytest.raises(ParameterError) as caught:
+        mk.linearize(scenario, time)
+    assert (caught.value.field, caught.value.lower, caught.value.upper) == ("time", 0.0, scenario.duration)
+
+
+def test_the_time_is_that_of_the_control_period(scenario):
+    assert mk.linearize(scenario, 0.2503).time == pytest.approx(0.25, abs=1e-12)
+    assert mk.linearize(scenario, scenario.duration).time == pytest.approx(0.5 - PERIOD, abs=1e-12)
+
+
 def entry(system, row, column):
     return system.a[system.states.index(row), system.states.index(column)]
 

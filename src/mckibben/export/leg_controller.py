@@ -23,6 +23,7 @@ from mckibben.leg import JointwiseControl, LegMeasurement, LegPlant, LegReferenc
 from mckibben.leg.plant import LegState
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.simulation.problem import sampling_times
 
 
 class _GivenSetpoints(LegReference):
@@ -72,6 +73,8 @@ def export_leg_controller(
         For a controller of another class, and for parts that C cannot express, before any file is written.
     FileError
         If the files exist, unless they may be overwritten.
+    SimulationError
+        If the duration is not a positive multiple of the control period.
     """
     if not isinstance(controller, JointwiseControl):
         raise ExportError(
@@ -129,7 +132,7 @@ def _module(
         *(f"measurement.{one}" for one in measured),
         *(f"commands.pressure{i}" for i in muscles),
     )
-    times = np.arange(round(duration / period)) * period
+    times = sampling_times(duration, period)
     substeps = plant.needed_substeps(start.angles, None, period)
     recorded = np.column_stack(_recorded(plant, controller, initial, times, period, substeps))
     first = [np.nan] * (2 * joints) + [float(one) for one in jax.tree.leaves(measurement)] + [np.nan] * len(muscles)

@@ -332,15 +332,20 @@ def _checked(wanted: ArrayLike, directions: int) -> Floats:
     return matrix
 
 
-def _check_angles(leg: Leg, angles: Sequence[Sequence[float]]) -> None:
-    """Raise `RangeError` for postures beyond stops, and for contractions outside the domains of the muscles."""
-    columns = tuple(np.asarray(angles, float).reshape(-1, len(leg.joints)).T)
+def check_stops(leg: Leg, columns: Sequence[Floats]) -> None:
+    """Raise `RangeError` if a joint that can move has an angle [rad] beyond its stops; one array per joint."""
     for joint, column in zip(leg.joints, columns, strict=True):
         if joint.locked is None:
             low, high = joint.lower - 1e-9, joint.upper + 1e-9
             for angle in (column.min(), column.max()):
                 remedy = "choose an angle between its stops"
                 check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
+
+
+def _check_angles(leg: Leg, angles: Sequence[Sequence[float]]) -> None:
+    """Raise `RangeError` for postures beyond stops, and for contractions outside the domains of the muscles."""
+    columns = tuple(np.asarray(angles, float).reshape(-1, len(leg.joints)).T)
+    check_stops(leg, columns)
     places = ["this posture"] if len(angles) == 1 else [f"posture {k}" for k in range(len(angles))]
     for name, unit in zip(leg.muscle_names, leg.routed_muscles(leg.held(columns)), strict=True):
         paths = jnp.broadcast_to(unit.path, (len(angles),))

@@ -15,11 +15,12 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
-from mckibben.errors import McKibbenError, RangeError
+from mckibben.errors import McKibbenError, RangeError, UnreachableError
 from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.leg.foot import foot_jacobian, movable
-from mckibben.leg.foot_pressures import FootPressures, square_jacobian, trajectory_pressures
+from mckibben.leg.foot_pressures import FootPressures, check_stops, square_jacobian, trajectory_pressures
 from mckibben.leg.jump_control import PlannedControl, planned_commands
+from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.numerics.calculus import bracketed_root, value_and_derivative
 from mckibben.numerics.compiled import compiled
@@ -190,7 +191,8 @@ def plan_jump(
         If the trunk is not on a vertical slider, the take-off posture is not above the squat, an angle is beyond a
         stop, or no motion has these heights.
     UnreachableError
-        If no pressures give the torques at a point; with the time, the joint and its attainable range.
+        If no pressures give the torques at a point, or they exceed the supply of the valve; with the time, the joint or
+        muscle, and the attainable range.
     """
     leg = plant.leg
     if leg.trunk.freedom != "vertical":
@@ -257,6 +259,7 @@ class _Line:
     """Postures on a line in the angles of the joints, from a squat (0) to the take-off posture (1), and beyond."""
 
     def __init__(self, plant: LegPlant, squat: tuple[float, ...], take_off: tuple[float, ...]) -> None:
+        check_stops(plant.leg, tuple(np.array([squat, take_off]).T))
         self.plant, self.start = plant, np.array(squat)
         self.change = np.where(movable(plant.leg), np.array(take_off) - self.start, 0.0)
         places = np.linspace(0.0, 1.0, _LINE)
@@ -427,10 +430,27 @@ def _pressures(
     leg, supply = plant.leg, float(getattr(plant.valve, "supply", None) or np.inf)
     if wanted is None:
         rows = leg.pressures_for(tuple(angles.T), tuple(torques.T), [None] * len(leg.joints))
-        return np.stack(np.broadcast_arrays(*rows, times)[:-1], -1), ()
+        pressures = np.stack(np.broadcast_arrays(*rows, times)[:-1], -1)
+        _check_supply(leg, pressures, times, supply)
+        return pressures, ()
     try:
         found = trajectory_pressures(leg, angles.tolist(), list(wanted), torques=torques.tolist(), supply=supply)
     except McKibbenError as error:
         error.message += f" (postures every {times[1] / ms:.1f} ms of the plan)"
         raise
     return np.array([one.pressures for one in found]), tuple(found)
+
+
+def _check_supply(leg: Leg, pressures: Floats, times: Floats, supply: float) -> None:
+    """Raise `UnreachableError` for the highest pressure of a plan, (times, muscles), if it exceeds the supply [Pa]."""
+    at, muscle = np.unravel_index(pressures.argmax(), pressures.shape)
+    highest = float(pressures[at, muscle])
+    if highest > supply * (1 + 1e-9):
+        raise UnreachableError(
+            f"{leg.muscle_names[muscle]}: the plan needs {highest / bar:.3g} bar at {times[at] / ms:.1f} ms, and the "
+            f"supply is {supply / bar:.3g} bar",
+            value=highest,
+            upper=supply,
+            unit="Pa",
+            remedy="give less height, a higher supply, or a wanted stiffness",
+        )

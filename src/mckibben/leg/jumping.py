@@ -27,7 +27,7 @@ from mckibben.leg.metrics import EnergyBalance
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario, PlanSettings
 from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
-from mckibben.leg.study_journal import StudyJournal, StudyKind
+from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
 from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
@@ -276,6 +276,7 @@ def study_jump(
     jump, source = scenario.jump, source or scenario.name
     if jump is None:
         raise ScenarioError(source, [Problem("lacks the section `jump`", remedy="see examples/leg/lei-leg.yaml")])
+    check_continued(journal, resume)
     plant = scenario.plant()
     leg = plant.leg
     angles = leg.posture_angles(jump.squat)

@@ -18,7 +18,7 @@ from mckibben.leg.metrics import LegMetrics
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
 from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
-from mckibben.leg.study_journal import StudyJournal, StudyKind
+from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
 from mckibben.leg.uncertainty import drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve
@@ -241,13 +241,14 @@ def study_landing(
     ScenarioError
         If there is no section `landing`, or the stiffness of a joint is not attainable; with the attainable range.
     FileError
-        If the journal exists, or, with `resume`, belongs to another leg or version; if another
+        If the journal exists, or, with `resume`, does not exist or belongs to another leg or version; if another
         process is computing the study; or if the disk is full.
     """
     landing = scenario.landing
     source = source or scenario.name
     if landing is None:
         raise ScenarioError(source, [Problem("lacks the section `landing`", remedy="see examples/leg/lei-leg.yaml")])
+    check_continued(journal, resume)
     nominal = scenario.plant()
     leg = nominal.leg
     index = leg.index(landing.joint)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import FileError
+from mckibben.errors import FileError, Problem
 from mckibben.leg.scenario import LegScenario
 from mckibben.simulation.software import software
 from mckibben.storage.files import explain_write_errors, file_lock
@@ -38,6 +38,13 @@ class StudyKind(NamedTuple):
     def software(self, path: Path) -> Mapping[str, str] | None:
         """Software of the study in a journal."""
         return read_header(path, self.format, self.version).get("software")
+
+
+def check_continued(journal: Path | None, resume: bool) -> None:
+    """Raise `FileError` before the work if the study to be continued does not exist."""
+    if resume and journal is not None and not journal.is_file():
+        remedy = "leave out --resume (resume=True)"
+        raise FileError(str(journal), [Problem("there is no study to continue", remedy=remedy)])
 
 
 class StudyJournal:

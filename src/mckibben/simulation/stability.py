@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
+from mckibben.errors import ParameterError
 from mckibben.numerics.batching import batched_program, map_chunks, pad_chunk
 from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
@@ -117,24 +118,36 @@ def linear_loop(
     control_period: float = 1e-3,
     substeps: int = 4,
     time: float = 0.0,
-) -> tuple[LinearLoop, list[str]]:
-    """Return the linearisation at the control period nearest to a time [s], and the names of its states.
+) -> tuple[LinearLoop, float, list[str]]:
+    """Return the linearisation at the control period nearest to a time [s], its time, and the names of its states.
 
     As for `margins`; names are attributes of the states of plant and controller, such as "plant.angle".
 
     Raises
     ------
+    ParameterError
+        If the time is not within the duration.
     SimulationError
         If the times do not fit together.
     """
     times = sampling_times(duration, control_period)
+    if not 0 <= time <= duration:
+        raise ParameterError(
+            f"the time {time:g} s is not within the run of {duration:g} s",
+            field="time",
+            value=time,
+            lower=0.0,
+            upper=duration,
+            unit="s",
+            remedy="choose a time of the run",
+        )
     chosen = np.array([int(np.argmin(np.abs(times - time)))])
     loops, state = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
     names = []
     for path, leaf in jax.tree_util.tree_leaves_with_path(state):
         name = ("plant", "controller")[path[0].idx] + jax.tree_util.keystr(path[1:])
         names += [name] if leaf.shape == () else [f"{name}[{i}]" for i in range(leaf.size)]
-    return LinearLoop(*(np.asarray(leaf)[0] for leaf in loops)), names
+    return LinearLoop(*(np.asarray(leaf)[0] for leaf in loops)), float(times[chosen[0]]), names
 
 
 def _linearised_at(

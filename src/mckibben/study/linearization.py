@@ -34,7 +34,7 @@ class LinearSystem:
     period
         Control period [s].
     time
-        Operating point [s].
+        Operating point, the start of a control period [s].
     closed
         Whether the loop is closed; open, the inputs are the commands that the valves receive.
     """
@@ -81,13 +81,18 @@ def linearize(scenario: Scenario, time: float = 0.0, *, closed: bool = False) ->
     scenario
         Plant, controller and reference; sensor noise and disturbances are left out.
     time
-        Operating point on the run [s]; the nearest control period is taken.
+        Operating point on the run [s], between 0 and its duration; the start of the nearest control period is taken.
     closed
         False for the loop opened at the commands, from the commands that the valves receive to those of the controller;
         True for the closed loop, from disturbances of the commands.
+
+    Raises
+    ------
+    ParameterError
+        If the time is not within the run.
     """
     plant = scenario.plant()
-    loop, names = linear_loop(
+    loop, sampled, names = linear_loop(
         plant,
         scenario.control(),
         scenario.reference(),
@@ -108,6 +113,6 @@ def linearize(scenario: Scenario, time: float = 0.0, *, closed: bool = False) ->
         INPUTS,
         (*INPUTS, *_STATES),
         scenario.control_period,
-        time,
+        sampled,
         closed,
     )

@@ -42,7 +42,8 @@ static void inputs(const double *row, ${name}_setpoint *setpoint, ${name}_measur
 
 static void compare(double command, double recorded)
 {
-    deviation = fmax(deviation, fabs(command - recorded));
+    const double error = fabs(command - recorded);
+    deviation = error != error ? HUGE_VAL : fmax(deviation, error); /* fmax drops a NaN */
     largest = fmax(largest, fabs(recorded));
 }
 
