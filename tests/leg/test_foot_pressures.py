@@ -27,7 +27,7 @@ from mckibben.leg import (
     trajectory_pressures,
 )
 from mckibben.leg.foot import foot_jacobian
-from mckibben.leg.stiffness_map import stiffness_map
+from mckibben.leg.stiffness_map import map_at
 from mckibben.units import bar, deg
 
 POSTURES = {"lei-leg-planar": (0.02, -0.3), "lei-leg": (0.05, 0.02, -0.3)}
@@ -47,7 +47,7 @@ def with_rectus(name: str) -> Leg:
 def test_the_affine_map_is_the_derivative_of_the_torques(name: str) -> None:
     leg, angles = with_rectus(name), np.array(POSTURES[name])
     pressures = np.linspace(3.5e5, 4.5e5, len(leg.muscles))
-    found = stiffness_map(leg, angles)
+    found = map_at(leg, angles.tolist())
     np.testing.assert_allclose(found.torque_at(pressures), leg.torques(angles, pressures), atol=1e-12)
     for joint in range(len(angles)):
         step = 1e-6 * np.eye(len(angles))[joint]
@@ -64,7 +64,7 @@ def test_an_attainable_stiffness_is_exact(name: str, force: tuple[float, float] 
         force = (force[0], 1.0, force[1])  # type: ignore[assignment]
     pressures = np.full(len(leg.muscles), 4.0e5)
     pressures[::2] += 0.3e5
-    affine = stiffness_map(leg, angles)
+    affine = map_at(leg, angles)
     torques = affine.torque_at(pressures)
     target = foot_stiffness(leg, angles, affine.stiffness_at(pressures), force=force)
     wanted = np.linalg.inv(target.compliance)
@@ -151,7 +151,7 @@ def test_random_pressures_are_no_nearer_with_a_biarticular_muscle_in_space() -> 
     leg, angles = with_rectus("lei-leg"), POSTURES["lei-leg"]
     wanted = foot_matrix((60.0, 400.0), -0.6, sideways=30.0)
     found = pressures_for_foot_stiffness(leg, angles, wanted)
-    affine = stiffness_map(leg, angles)
+    affine = map_at(leg, angles)
     null = np.linalg.svd(affine.torque[1])[2][len(angles) :]
     rng = np.random.default_rng(1)
     tried = np.array(found.pressures) + rng.normal(0, 1e5, (4000, len(null))) @ null  # the same torques
@@ -197,7 +197,9 @@ def test_what_is_not_possible_is_refused() -> None:
         (lambda: pressures_for_foot_stiffness(leg, (0.0, -1.0), wanted), RangeError, "angle"),
         (lambda: pressures_for_foot_stiffness(locked, angles, wanted), RangeError, "joints"),
         (
-            lambda: stiffness_map(dataclasses.replace(leg, joints=(sprung, leg.joints[1])), angles),
+            lambda: pressures_for_foot_stiffness(
+                dataclasses.replace(leg, joints=(sprung, leg.joints[1])), angles, wanted
+            ),
             RangeError,
             "muscle",
         ),

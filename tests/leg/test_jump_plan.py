@@ -30,7 +30,7 @@ from mckibben.leg import (
 )
 from mckibben.leg.dynamics import at_rest as resting
 from mckibben.leg.dynamics import motion, posture_of
-from mckibben.leg.stiffness_map import stiffness_map
+from mckibben.leg.stiffness_map import map_at
 from mckibben.units import bar, deg, mm
 
 SQUAT, TAKE_OFF = (0.0, -20 * deg), (0.0, 0.0)
@@ -86,7 +86,7 @@ def test_pressures_give_the_torques(plant: LegPlant, plan: JumpPlan) -> None:
     np.testing.assert_allclose(stiff.torques, plan.torques, atol=1e-12)
     for one in (plan, stiff):
         for k in range(0, one.times.size, 9):
-            found = stiffness_map(plant.leg, one.angles[:, k].tolist()).torque_at(one.pressures[:, k])
+            found = map_at(plant.leg, one.angles[:, k].tolist()).torque_at(one.pressures[:, k])
             np.testing.assert_allclose(found, one.torques[:, k], atol=1e-6)
     assert plan.foot == () and len(stiff.foot) == stiff.times.size
     errors, least = (np.array([getattr(one, name) for one in stiff.foot]) for name in ("error", "least"))

@@ -40,20 +40,8 @@ class StiffnessMap(NamedTuple):
         return self.stiffness[0] + self.stiffness[1] @ np.asarray(pressures, float)
 
 
-def stiffness_map(leg: Leg, angles: Sequence[float]) -> StiffnessMap:
-    """Return torques, stiffness and tensions at angles [rad] as affine functions of the pressures.
-
-    Raises
-    ------
-    RangeError
-        If a law is not affine in pressure, or a tendon is not rigid.
-    """
-    check_affine(leg)
-    return map_at(leg, angles)
-
-
 def map_at(leg: Leg, angles: Sequence[float]) -> StiffnessMap:
-    """Return the `stiffness_map` of a leg that is known to have one."""
+    """Return the map at angles [rad] of a leg that `check_affine` accepts."""
     (torque, gain, offset, slope), (stiffness, coupling) = _affine(leg, tuple(map(float, angles)))
     return StiffnessMap(
         (np.asarray(torque), np.asarray(gain)),
