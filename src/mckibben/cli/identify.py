@@ -119,8 +119,8 @@ def identify(
 
     found = identify_with_friction(law_type, points, friction=hysteresis, drift=not no_drift, form=form)
     fit, static, loops = found.fit, found.points, found.hysteresis
-    late = identify_threshold(law_type, static) if threshold else None
-    fit, static = (late.fit, late.effective(static)) if late else (fit, static)
+    threshold_fit = identify_threshold(law_type, static) if threshold else None
+    fit, static = (threshold_fit.fit, threshold_fit.effective(static)) if threshold_fit else (fit, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
     notes = points.table.attrs.get("preprocessing", "").splitlines()
     numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
@@ -130,10 +130,14 @@ def identify(
     numbers["friction_note"] = note
     texts = [note + "\n"] if note else []
     texts += [loops.report() + "\n\nForce law of the points corrected for friction and drift:\n"] if loops else []
-    if late:
-        numbers["threshold"] = late.records()
-        texts.append(late.report())
-        texts += ["\nForce law at the pressures above it, as in figures and fit.yaml:\n"] if late.is_significant else []
+    if threshold_fit:
+        numbers["threshold"] = threshold_fit.records()
+        texts.append(threshold_fit.report())
+        texts += (
+            ["\nForce law at the pressures above it, as in figures and fit.yaml:\n"]
+            if threshold_fit.is_significant
+            else []
+        )
     texts += [fit.report(level), uncertainty.describe()]
     drawn, kept = {}, ""
     if out:
@@ -141,7 +145,7 @@ def identify(
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, fit, inner, found.friction, late)
+            kept = _keep_muscle(out, data, points, fit, inner, found.friction, threshold_fit)
             how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
@@ -191,7 +195,7 @@ def _keep_muscle(
     fit: Fit,
     inner: _Inner,
     friction: MaxwellSlip | None = None,
-    late: ThresholdFit | None = None,
+    threshold_fit: ThresholdFit | None = None,
 ) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
     from mckibben.muscle.air import volume_terms
@@ -204,8 +208,8 @@ def _keep_muscle(
         volume = math.pi / 4 * inner.diameter**2 * length
     terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
     law: Any = "fit.yaml"
-    if late and late.is_significant:
-        law = {"class": "threshold", "law": law, "threshold": show(late.threshold, "bar", 6)}
+    if threshold_fit and threshold_fit.is_significant:
+        law = {"class": "threshold", "law": law, "threshold": show(threshold_fit.threshold, "bar", 15)}
     text = muscle_text(law, specimen=name, initial_length=length, friction=friction, volume_terms=terms)
     if not text:
         return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
