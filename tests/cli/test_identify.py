@@ -369,4 +369,26 @@ def test_threshold_of_the_law_is_found_kept_and_read_back(cli, tmp_path):
     np.testing.assert_allclose(
         muscle.law.force(0.05, np.array([1e5, 3e5])), late.force(0.05, np.array([1e5, 3e5])), atol=1
     )
-    assert "ask for" not in cli(*given).out
+    assert (tmp_path / "kept" / "fit-effective.yaml").is_file() and not (tmp_path / "kept" / "fit.yaml").exists()
+    domain, rounding = muscle.law.domain, pytest.approx
+    assert (domain.pressure_min, domain.pressure_max) == (rounding(0, abs=1e-3), rounding(3 * bar, rel=1e-9))
+    assert "no significant" not in cli(*given).out
+
+
+@pytest.mark.slow
+def test_a_threshold_is_found_together_with_friction(cli, tmp_path):
+    """The misfit of the law without a threshold exceeds the friction of 1.8 N."""
+    law = ThresholdLaw(law=catalog.law("lei-mas-10-180n"), threshold=0.4 * bar)
+    rows, random = ["pressure_bar,contraction_percent,force_N,direction"], np.random.default_rng(1)
+    for pressure in np.arange(1, 13) * 0.25:
+        for sign, direction in ((-1, "unloading"), (1, "loading")):
+            at = np.linspace(-3, 10, 9)[::-sign]
+            force = np.asarray(law.force(at / 100, pressure * bar)) + sign * 1.8 + random.normal(0, 0.3, 9)
+            rows += [f"{pressure},{c},{max(f, 0)},{direction}" for c, f in zip(at, force, strict=True)]
+    (tmp_path / "points.csv").write_text("\n".join(rows))
+    given = ("identify", "points.csv", "--threshold", "--initial-length", "180 mm", "--slack-force", "2 N", "--json")
+    found = cli(*given)
+    assert found.code == 0, found.err
+    numbers = json.loads(found.out)
+    assert "hysteresis" in numbers and numbers["threshold"]["significant"]
+    assert numbers["threshold"]["threshold"]["value"] == pytest.approx(0.4 * bar, rel=0.1)

@@ -49,7 +49,7 @@ def identify_creep(
     out: Out = None,
     force: Force = False,
 ) -> None:
-    """Identify the creep after steps of the pressure at fixed lengths, and test whether the data ask for it."""
+    """Identify the creep after steps of the pressure at fixed lengths, and test its significance."""
     results_folder(out, ("results.json",), force)
     from mckibben.identification import identify_pressure_creep
 

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 
 _ALL, _LEVEL = "all", 0.95
+_EFFECTIVE = "fit-effective.yaml"  # of a law at the pressures above its threshold
 
 
 def identify(
@@ -91,7 +92,9 @@ def identify(
     """
     figures = ("fit", "bands", "loops", "ranking")
     names = [f"{name}{end}" for name in figures for end in (".png", ".svg")]
-    results_folder(out, ("fit.yaml", "muscle.yaml", "recipe.yaml", "data.nc", "results.json", "fits", *names), force)
+    results_folder(
+        out, ("fit.yaml", _EFFECTIVE, "muscle.yaml", "recipe.yaml", "data.nc", "results.json", "fits", *names), force
+    )
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
@@ -114,13 +117,15 @@ def identify(
     if law_type is None:
         _rank(data, points, how, inner, json, out)
         return
-    from mckibben.identification import identify_threshold, identify_with_friction
+    from mckibben.identification import identify_threshold, identify_with_friction, shows_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
+    if threshold and hysteresis is None and shows_hysteresis(points):
+        hysteresis = True  # the misfit of the law without its threshold would hide the friction
     found = identify_with_friction(law_type, points, friction=hysteresis, drift=not no_drift, form=form)
     fit, static, loops = found.fit, found.points, found.hysteresis
-    late = identify_threshold(law_type, static) if threshold else None
-    fit, static = (late.fit, late.effective(static)) if late else (fit, static)
+    threshold_fit = identify_threshold(law_type, static) if threshold else None
+    fit, static = (threshold_fit.fit, threshold_fit.effective(static)) if threshold_fit else (fit, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
     notes = points.table.attrs.get("preprocessing", "").splitlines()
     numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
@@ -130,18 +135,23 @@ def identify(
     numbers["friction_note"] = note
     texts = [note + "\n"] if note else []
     texts += [loops.report() + "\n\nForce law of the points corrected for friction and drift:\n"] if loops else []
-    if late:
-        numbers["threshold"] = late.records()
-        texts.append(late.report())
-        texts += ["\nForce law at the pressures above it, as in figures and fit.yaml:\n"] if late.is_significant else []
+    if threshold_fit:
+        numbers["threshold"] = threshold_fit.records()
+        texts.append(threshold_fit.report())
+        texts += (
+            [f"\nForce law at the pressures above it, as in figures and {_EFFECTIVE}:\n"]
+            if threshold_fit.is_significant
+            else []
+        )
     texts += [fit.report(level), uncertainty.describe()]
     drawn, kept = {}, ""
+    fit_name = _EFFECTIVE if threshold_fit and threshold_fit.is_significant else "fit.yaml"
     if out:
         from mckibben import report
 
         with keeping(out):
-            fit.to_yaml(out / "fit.yaml")
-            kept = _keep_muscle(out, data, points, fit, inner, found.friction, late)
+            fit.to_yaml(out / fit_name)
+            kept = _keep_muscle(out, data, points, fit, inner, found.friction, threshold_fit)
             how.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
@@ -153,7 +163,7 @@ def identify(
     echo(to_json(numbers) if json else on_command_line("\n".join(filter(None, texts))))
     if out:
         figures = ", ".join(drawn)
-        notify(f"wrote fit.yaml, recipe.yaml, data.nc, results.json, {figures} (.png, .svg) to {out}; {kept}", json)
+        notify(f"wrote {fit_name}, recipe.yaml, data.nc, results.json, {figures} (.png, .svg) to {out}; {kept}", json)
 
 
 class _Inner(NamedTuple):
@@ -191,7 +201,7 @@ def _keep_muscle(
     fit: Fit,
     inner: _Inner,
     friction: MaxwellSlip | None = None,
-    late: ThresholdFit | None = None,
+    threshold_fit: ThresholdFit | None = None,
 ) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
     from mckibben.muscle.air import volume_terms
@@ -204,8 +214,8 @@ def _keep_muscle(
         volume = math.pi / 4 * inner.diameter**2 * length
     terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
     law: Any = "fit.yaml"
-    if late and late.is_significant:
-        law = {"class": "threshold", "law": law, "threshold": show(late.threshold, "bar", 6)}
+    if threshold_fit and threshold_fit.is_significant:
+        law = {"class": "threshold", "law": _EFFECTIVE, "threshold": show(threshold_fit.threshold, "bar", 15)}
     text = muscle_text(law, specimen=name, initial_length=length, friction=friction, volume_terms=terms)
     if not text:
         return "no muscle.yaml, since the initial length is unknown (give --initial-length)"

@@ -236,7 +236,8 @@ class DelayedShareFit:
         """Upper bound of the probability of the reduction of the squares by a share, over all time constants.
 
         The time constant does not exist without creep: R. B. Davies, "Hypothesis testing when a nuisance parameter is
-        present only under the alternative", Biometrika 74 (1987) 33-43.
+        present only under the alternative", Biometrika 74 (1987) 33-43. Its bound holds for squares of normal
+        variables: each F statistic is replaced by the one of equal probability.
         """
         from scipy.special import chdtri, fdtrc
 
@@ -244,9 +245,10 @@ class DelayedShareFit:
         without = _least_squares(self.line[:, None], self.values, self.weight)[2]
         statistics = np.maximum(without - self.grid_costs, 0) / (cost / self.freedom) / inflation
         highest = max(without - cost, 0.0) / (cost / self.freedom) / inflation
-        single = float(fdtrc(1, self.error(tau)[1], highest))
-        variation = float(np.abs(np.diff(np.sqrt(statistics))).sum())
-        equivalent = float(chdtri(1, max(single, 1e-300)))
+        freedom = self.error(tau)[1]
+        single = float(fdtrc(1, freedom, highest))
+        equivalents = chdtri(1, np.maximum(fdtrc(1, freedom, np.append(statistics, highest)), 1e-300))
+        variation, equivalent = float(np.abs(np.diff(np.sqrt(equivalents[:-1]))).sum()), float(equivalents[-1])
         return min(single + variation * math.exp(-equivalent / 2) / math.sqrt(2 * math.pi), 1.0)
 
     def time_constant_interval(self, tau: float, inflation: float) -> tuple[float, float]:

@@ -26,12 +26,13 @@ class PressureCreepFit:
     Attributes
     ----------
     creep
-        `MaxwellCreep` with a `pressure_share` and without stiffness; `NoCreep` if the data do not ask for it.
+        `MaxwellCreep` with a `pressure_share` and without stiffness; `NoCreep` if no creep is significant.
     p_value
         Upper bound of the probability of this reduction of the squares if there is no creep (test of the nested models,
         with errors that are correlated within plateaus). Creep is significant below 0.01.
     share, share_interval
-        Share of the law that follows with a delay [-], and its 95 % interval.
+        Share of the law that follows with a delay [-], and its 95 % interval; infinite where the data impose no bound
+        on the time constant, with which the share varies.
     time_constant, time_constant_interval
         Time constant [s] and its 95 % profile interval; 0 or infinite where the data impose no bound.
     residual, creep_force
@@ -62,7 +63,7 @@ class PressureCreepFit:
 
     @property
     def is_significant(self) -> bool:
-        """True if the data ask for creep."""
+        """True if creep is significant."""
         return isinstance(self.creep, MaxwellCreep)
 
     def records(self) -> dict[str, object]:
@@ -88,12 +89,14 @@ class PressureCreepFit:
         lines = [f"{self.plateaus} plateaus" + (f" at {', '.join(known)} contraction" if known else "")]
         if self.is_significant:
             (low, high), (short, long) = self.share_interval, self.time_constant_interval
+            bounds = (
+                f"95 % interval {low / percent:.3g} .. {high / percent:.3g} %" if low > -math.inf else "not determined"
+            )
             lines += [
-                f"creep after steps of the pressure: p = {self.p_value:.1g} without it",
-                f"pressure share  {self.share / percent:.3g} %, 95 % interval {low / percent:.3g} .. "
-                f"{high / percent:.3g} %",
+                f"significant creep after steps of the pressure (p = {self.p_value:.1g})",
+                f"pressure share  {self.share / percent:.3g} %, {bounds}",
                 f"time constant   {self.time_constant:.3g} s, 95 % interval {short:.3g} .. {long:.3g} s",
-                f"residual {show(self.residual, 'N', 2)} of {show(self.creep_force, 'N', 2)} of creep",
+                f"RMS residual {show(self.residual, 'N', 2)}; RMS creep {show(self.creep_force, 'N', 2)}",
             ]
         else:
             lines.append(f"no significant creep after steps of the pressure (p = {self.p_value:.2g})")
@@ -155,7 +158,8 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Pres
     p_value = fit.p_value(tau, inflation)
     interval = fit.time_constant_interval(tau, inflation)
     share, (error, freedom) = solution.values[0], fit.error(tau)
-    half = float(t_quantile(0.95, freedom)) * error
+    determined = 0 < interval[0] and interval[1] < math.inf
+    half = float(t_quantile(0.95, freedom)) * error if determined else math.inf
     significant = p_value < _SIGNIFICANT
     warnings = []
     if significant and not interval[1] < _WIDE * interval[0]:
@@ -166,9 +170,6 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Pres
         if kept != share:
             warnings.append(f"the share of {share / percent:.3g} % is beyond the 50 % of the form")
         creep = MaxwellCreep(0.0, tau, pressure_share=kept)
-    else:
-        detectable = 3 * fit.error(fit.longest)[0]
-        warnings.append(f"a share of {detectable / percent:.2g} % would be detected at {fit.longest:.3g} s")
     return PressureCreepFit(
         creep=creep,
         p_value=p_value,
@@ -190,8 +191,9 @@ def _undetermined(interval: tuple[float, float], longest: float) -> str:
     low, high = interval
     if high == math.inf:
         return (
-            f"the time constant is not determined: at least {low:.3g} s, as plateaus of {longest:.3g} s are too short"
+            f"the time constant and the share are not determined: at least {low:.3g} s, as plateaus of {longest:.3g} s "
+            "are too short"
         )
     if low == 0:
-        return f"the time constant is not determined: at most {high:.3g} s; a slow valve may hide it"
+        return f"the time constant and the share are not determined: at most {high:.3g} s; a slow valve may hide it"
     return f"the time constant is not determined: {low:.3g} to {high:.3g} s; record longer or more plateaus"

@@ -145,7 +145,9 @@ def length_groups(
     bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau], forces: Floats
 ) -> list[LengthGroup]:
     """Plateaus by length, those at lengths with too few levels of the pressure left out."""
-    contraction = np.array([one.contraction if math.isfinite(one.contraction) else one.recording for one in plateaus])
+    contraction = np.array(
+        [one.contraction if math.isfinite(one.contraction) else -1.0 - one.recording for one in plateaus]
+    )
     pressure = np.array([bins[one.recording].pressure[one.first : one.last].mean() for one in plateaus])
     from scipy.interpolate import PchipInterpolator  # 0.3 s
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from dataclasses import dataclass
@@ -40,7 +39,7 @@ class ThresholdFit:
     fit
         Fit of the law to the points: at the pressures above the threshold if it is significant, else without one.
     law
-        `ThresholdLaw` with the fitted law, or the law alone if the data do not ask for a threshold.
+        `ThresholdLaw` with the fitted law, or the law alone if no threshold is significant.
     threshold, interval
         Estimate [Pa] and its 95 % profile interval, with 0 where the data do not exclude a law without a threshold, and
         infinity where they impose no upper bound.
@@ -68,7 +67,7 @@ class ThresholdFit:
 
     @property
     def is_significant(self) -> bool:
-        """True if the data ask for a threshold."""
+        """True if the threshold is significant."""
         return isinstance(self.law, ThresholdLaw)
 
     def records(self) -> dict[str, object]:
@@ -92,7 +91,7 @@ class ThresholdFit:
             f"(p = {self.p_value:.2g})",
         ]
         if not self.is_significant:
-            lines.append("the data do not ask for a threshold: the law is fitted without one")
+            lines.append(f"no significant threshold (p = {self.p_value:.2g}): the law is fitted without one")
         return "\n".join([*lines, *(f"warning: {one}" for one in self.warnings)])
 
     def __repr__(self) -> str:
@@ -101,7 +100,7 @@ class ThresholdFit:
 
 
 def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> ThresholdFit:
-    """Fit a law with a pressure threshold, and test whether the data ask for the threshold.
+    """Fit a law with a pressure threshold, and test the significance of the threshold.
 
     The threshold is searched; at each value, the law is fitted to the taut points at their effective pressures
     (`ThresholdLaw`). A law with a free offset absorbs a threshold far below all pressures: only points near it, such as
@@ -116,9 +115,9 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> Th
     --------
     >>> from mckibben import catalog
     >>> from mckibben.muscle import ExponentialLaw
-    >>> late = ThresholdLaw(catalog.law("lei-mas-10-180n"), threshold=0.4 * bar)
+    >>> law = ThresholdLaw(catalog.law("lei-mas-10-180n"), threshold=0.4 * bar)
     >>> pressure, contraction = map(np.ravel, np.meshgrid(np.arange(13) * 0.25 * bar, np.linspace(-0.03, 0.1, 9)))
-    >>> force = np.asarray(late.force(contraction, pressure)) + np.random.default_rng(1).normal(0, 0.5, 117)
+    >>> force = np.asarray(law.force(contraction, pressure)) + np.random.default_rng(1).normal(0, 0.5, 117)
     >>> data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=2.0)
     >>> identify_threshold(ExponentialLaw, data)
     <ThresholdFit: 0.399 bar, ExponentialLaw>
@@ -148,8 +147,7 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> Th
     fit, law, warnings = plain, plain.law, list[str]()
     if significant:
         fit = identify(law_type, _shifted(dataset, threshold))
-        within = dataclasses.replace(fit.law, domain=plain.law.domain)
-        law = ThresholdLaw(law=within, threshold=threshold)  # type: ignore[call-issue]
+        law = ThresholdLaw(law=fit.law, threshold=threshold)  # type: ignore[call-issue]
     if inflation > _ONE_GROUP:
         warnings.append("the points of one pressure determine the threshold: measure at several low pressures")
     pattern = residual_correlation(points, (best if significant else without).residuals).pattern

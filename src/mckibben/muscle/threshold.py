@@ -48,11 +48,11 @@ class ThresholdLaw(ForceLaw):
     --------
     >>> from mckibben import catalog
     >>> law = catalog.law("lei-mas-10-180n")
-    >>> late = ThresholdLaw(law, threshold=3e4)
-    >>> round(float(late.effective_pressure(3e5))), round(float(late.effective_pressure(0.0)))
+    >>> shifted = ThresholdLaw(law, threshold=3e4)
+    >>> round(float(shifted.effective_pressure(3e5))), round(float(shifted.effective_pressure(0.0)))
     (270033, 297)
-    >>> bool(late.force(0.0, 3e5) == law.force(0.0, late.effective_pressure(3e5)))
-    True
+    >>> [round(float(one), 6) for one in (shifted.force(0.0, 3e5), law.force(0.0, shifted.effective_pressure(3e5)))]
+    [268.545936, 268.545936]
     """
 
     short_name = "threshold"
@@ -66,8 +66,18 @@ class ThresholdLaw(ForceLaw):
 
     @property
     def domain(self) -> Domain:  # type: ignore[override]
-        """Domain of the law."""
-        return self.law.domain.intersection(self.law.formula_domain)
+        """Domain of the law, at the pressures of which it sees the effective ones."""
+        domain = self.law.domain.intersection(self.law.formula_domain)
+        low, high = (self._measured(one) for one in (domain.pressure_min, domain.pressure_max))
+        return Domain(domain.contraction_min, domain.contraction_max, low, high)
+
+    def _measured(self, effective: Any) -> Any:
+        """Pressure [Pa] of an effective one; that itself below all effective pressures."""
+        width, possible = self.smoothness * self.threshold, effective > 0
+        if isinstance(effective, float | int):
+            return self.threshold + effective - width * width / (4 * effective) if possible else effective
+        back = self.threshold + effective - width * width / (4 * jnp.where(possible, effective, 1.0))
+        return jnp.where(possible, back, effective)
 
     def effective_pressure(self, pressure: ArrayLike) -> Float[Array, "..."]:
         """Return the pressure [Pa] that the law sees."""
@@ -83,9 +93,7 @@ class ThresholdLaw(ForceLaw):
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         effective = jnp.asarray(self.law.pressure_for(force, contraction))
-        width, possible = self.smoothness * self.threshold, effective > 0
-        back = self.threshold + effective - width * width / (4 * jnp.where(possible, effective, 1.0))
-        return jnp.where(possible, back, jnp.nan)
+        return jnp.where(effective > 0, self._measured(effective), jnp.nan)
 
 
 def effective_pressure(pressure: Any, threshold: Any, smoothness: Any = SMOOTHNESS) -> Any:
