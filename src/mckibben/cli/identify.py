@@ -150,6 +150,8 @@ def identify(
         from mckibben import report
 
         with keeping(out):
+            for other in {"fit.yaml", _EFFECTIVE} - {fit_name}:  # of an earlier run
+                (out / other).unlink(missing_ok=True)
             fit.to_yaml(out / fit_name)
             kept = _keep_muscle(out, data, points, fit, inner, found.friction, threshold_fit)
             how.to_yaml(out / "recipe.yaml")

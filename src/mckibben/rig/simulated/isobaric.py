@@ -41,7 +41,7 @@ class SimulatedIsobaricTest(Checked):
     ----------
     muscle
         Its law is the truth that an identification should find. Its friction, if any, replaces the next two numbers.
-        Its creep, if any, is simulated as well.
+        Its creep, if any, is simulated as well; that after steps of the pressure has passed where a pressure begins.
     hysteresis
         Half the width B [N] of the loop between loading (above) and unloading (below). Hunt (2017) finds
         +-15.6 kPa for a 10 mm muscle, which is +-12..17 N: 12 N. 0 is no friction.
