@@ -20,11 +20,9 @@ import typer
 from typer import Argument, Option
 
 import mckibben
-from mckibben.cli.air import identify_air
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
-from mckibben.cli.creep import identify_creep
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, validate
 from mckibben.cli.leg import leg
@@ -47,6 +45,7 @@ from mckibben.cli.options import (
 )
 from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
 from mckibben.cli.points import points
+from mckibben.cli.recordings import identify_air, identify_creep
 from mckibben.cli.rig import rig
 from mckibben.cli.size import size
 from mckibben.cli.sweep import merge, sweep, tune

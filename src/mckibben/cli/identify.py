@@ -27,11 +27,12 @@ from mckibben.cli.options import (
     keeping,
     notify,
     on_command_line,
-    parse_optional_quantity,
+    parse_positive,
     progress,
     read_data,
     recipe_of,
     results_folder,
+    show_results,
     table,
 )
 from mckibben.errors import ParameterError
@@ -108,7 +109,10 @@ def identify(
             remedy="choose one, such as --law exponential",
         )
     form = _friction_form(friction_form) if friction_form else None
-    inner = _Inner(_positive("--diameter", diameter, "m"), _positive("--fill", fill, "m^3"))
+    inner = _Inner(
+        parse_positive("--diameter", diameter, "m") if diameter else None,
+        parse_positive("--fill", fill, "m^3") if fill else None,
+    )
     if any(inner) and not out:
         raise ParameterError("--diameter and --fill apply to muscle.yaml", remedy="add --out DIR")
     how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
@@ -186,16 +190,6 @@ class _Inner(NamedTuple):
             )
 
 
-def _positive(option: str, text: str, unit: str) -> float | None:
-    """Value of an option in SI units, None if it was not given."""
-    value = parse_optional_quantity(option, text, unit)
-    if value is not None and not 0 < value < math.inf:
-        raise ParameterError(
-            f"{option} {text!r} is not above 0", value=value, unit=unit, remedy="give a positive value"
-        )
-    return value
-
-
 def _keep_muscle(
     out: Path,
     data: list[str],
@@ -266,12 +260,7 @@ def validate(
 
     validation = run({Path(law).name if Path(law).is_absolute() else law: known}, points)
     numbers = {"slack": validation.slack, "errors": validation.records()}
-    if out:
-        with keeping(out):
-            write_json(out / "results.json", numbers)
-    echo(to_json(numbers) if json else validation.report())
-    if out:
-        notify(f"wrote results.json to {out}", json)
+    show_results(out, numbers, validation.report(), json)
 
 
 def _rank(data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, json: bool, out: Path | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 import time
@@ -14,7 +15,7 @@ import typer
 from typer import Argument, Option
 
 from mckibben.errors import DatasetError, ParameterError, Problem, UnitError, printable
-from mckibben.storage.files import check_free, explain_write_errors, make_folder
+from mckibben.storage.files import check_free, explain_write_errors, make_folder, to_json, write_json
 from mckibben.units import parse_range, quantity
 
 if TYPE_CHECKING:
@@ -167,6 +168,16 @@ def notify(text: str, json: bool) -> None:
     echo(text, err=json)
 
 
+def parse_positive(option: str, text: str, unit: str) -> float:
+    """Value of an option in SI units, above 0 and finite."""
+    value = parse_quantity(option, text, unit)
+    if not 0 < value < math.inf:
+        raise ParameterError(
+            f"{option} {text!r} is not above 0", value=value, unit=unit, remedy="give a positive value"
+        )
+    return value
+
+
 def parse_columns(columns: list[str] | None) -> dict[str, str] | None:
     """Quantity names by column header from --column; None if there are none."""
     named = {}
@@ -304,6 +315,16 @@ def keeping(out: Path, remedy: str = "make room, and run it again with --force")
 
     with explain_write_errors(out, kept, remedy):
         yield
+
+
+def show_results(out: Path | None, numbers: Mapping[str, Any], text: str, json: bool) -> None:
+    """Write numbers as results.json where a folder is given, and print them or a text."""
+    if out:  # before printing: the reader of the output may be gone
+        with keeping(out):
+            write_json(out / "results.json", numbers)
+    echo(to_json(numbers) if json else text)
+    if out:
+        notify(f"wrote results.json to {out}", json)
 
 
 INTERRUPTED = 130

@@ -18,6 +18,7 @@ from mckibben.cli.options import (
     notify,
     parse_limits,
     parse_optional_quantity,
+    parse_positive,
     parse_quantity,
     results_folder,
     table,
@@ -76,7 +77,7 @@ def size(
     if cycle:
         period = parse_quantity("--cycle", cycle, "s")
     else:
-        period = math.pi * (ends[1] - ends[0]) / _positive("--speed", speed, "rad/s")
+        period = math.pi * (ends[1] - ends[0]) / parse_positive("--speed", speed, "rad/s")
     from mckibben.reachability import Requirement, catalog_makes, read_make
     from mckibben.reachability import size as run
 
@@ -92,7 +93,7 @@ def size(
     )
     part = parse_quantity("--spread", spread, "1")
     makes = [read_make(path, part) for path in muscles or ()] + list(catalog_makes() if catalog else ())
-    found = run(requirement, makes, tube_length=_positive("--tube", tube, "m"))
+    found = run(requirement, makes, tube_length=parse_positive("--tube", tube, "m"))
     scenario = found.scenario()
     checks = found.verify(scenario.simulate())
     numbers = {**found.records(), "simulated": [one._asdict() for one in checks]}
@@ -129,15 +130,6 @@ def _load(mass: str, arm: str, hanging: str, inertia: str) -> Load:
             remedy="give --mass '2 kg' --arm '250 mm' and, if it does not hang at 0, --hanging; or --inertia alone",
         )
     return PendulumLoad(heavy, distance, hanging_angle=parse_optional_quantity("--hanging", hanging, "rad") or 0.0)
-
-
-def _positive(option: str, text: str, unit: str) -> float:
-    value = parse_quantity(option, text, unit)
-    if not 0 < value < math.inf:
-        raise ParameterError(
-            f"{option} {text!r} is not above 0", value=value, unit=unit, remedy="give a positive value"
-        )
-    return value
 
 
 def _keep(out: Path, found: Selection, scenario: Scenario) -> None:

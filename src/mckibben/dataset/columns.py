@@ -90,6 +90,7 @@ _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a
 
 
 _ABSOLUTE_NAME = re.compile(r"(?<![a-z])abs(?![a-z])|absolut", re.IGNORECASE)
+_UNITS = frozenset(name.lower() for name in units.UNITS)
 _FOREIGN = frozenset("at atm torr mmhg mh2o v mv g kg cn dn mn hpa mbar lb volts".split())
 """Units, in small letters, that contradict any other, in addition to those of `units`."""
 
@@ -124,11 +125,10 @@ def unit_error(header: str, unit: str = "") -> str:
     """Error of a header that names a quantity with a wrong unit; empty if there is none."""
     if parse_header(header, unit):
         return ""
-    known = {name.lower() for name in units.UNITS}
     for quantity, spelled in _readings(header, unit):
         if quantity.endswith("pressure") and _is_absolute(spelled):
             return f"{spelled!r} is absolute; a gauge pressure is needed"
-        if spelled.lower() in known and _name(header) not in _SYMBOLS:
+        if spelled.lower() in _UNITS and _name(header) not in _SYMBOLS:
             return f"{spelled!r} is not a unit of {quantity} here"
     return ""
 
@@ -136,7 +136,7 @@ def unit_error(header: str, unit: str = "") -> str:
 def _is_absolute(unit: str) -> bool:
     """True for a unit of absolute pressure, such as psia or "bar abs"."""
     absolute = _ABSOLUTE.fullmatch(unit)
-    return absolute is not None and absolute[1].lower() in {name.lower() for name in units.UNITS}
+    return absolute is not None and absolute[1].lower() in _UNITS
 
 
 def is_unit(text: str) -> bool:
@@ -354,8 +354,8 @@ def _compare_units(
 
 def _is_contradiction(text: str) -> bool:
     """True for a text with a unit in it, such as "10 N" or kgf/cm2."""
-    known = {name.lower() for name in units.UNITS} | _FOREIGN
-    return is_unit(text) or _is_absolute(text) or any(word in known for word in re.split(r"[^a-z%]+", text.lower()))
+    words = re.split(r"[^a-z%]+", text.lower())
+    return is_unit(text) or _is_absolute(text) or not (_UNITS | _FOREIGN).isdisjoint(words)
 
 
 def _leave_out_constant_length(

@@ -174,7 +174,7 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
 
 
 def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which marks are close to the nearest other values before and after, as a time or a steady pressure is."""
+    """True for marks close to the nearest other values before and after, such as times and steady pressures."""
     rows, known = np.flatnonzero(marks), np.flatnonzero(usual)
     after = np.searchsorted(known, rows)
     ends = values[known[[np.clip(after - 1, 0, None), np.clip(after, None, len(known) - 1)]]]

@@ -217,10 +217,11 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
         if row.cells[0].strip() not in {one[0] for one in repeated}
         or [cell.strip() for cell in row.cells] not in repeated
     ]
-    for row in (others := [row for row in rows if _is_other_header(row, known)]):
+    others = {row.line for row in rows if _is_other_header(row, known)}
+    for line in sorted(others):
         remedy = "split the file there, and read the parts one by one"
-        sheet.problems.append(Problem("is another header or row of units", line=row.line, remedy=remedy))
-    rows = [row for row in rows if row not in others] if others else rows
+        sheet.problems.append(Problem("is another header or row of units", line=line, remedy=remedy))
+    rows = [row for row in rows if row.line not in others] if others else rows
     if rows and all(len(row.cells) == len(header) + 1 and _ROW_NUMBER.fullmatch(row.cells[0]) for row in rows):
         index = [int(row.cells[0]) for row in rows]
         counts = np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1

@@ -1,4 +1,4 @@
-"""What a joint must do, and the makes of muscles that may do it."""
+"""Requirement of a joint, and makes of muscles: strength, uncertainty, and friction along the motion."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mckibben import catalog
 from mckibben.component.schema import read_component
@@ -18,11 +19,15 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ParameterError
 from mckibben.identification import Fit, identify
 from mckibben.joint import GeneralLoad, Load
-from mckibben.muscle import ExponentialLaw, Muscle
+from mckibben.muscle import ExponentialLaw, Muscle, forces
+from mckibben.muscle.muscle import half_widths
 from mckibben.units import deg, show
 
 SPREAD = 0.1
 """Relative spread of the forces of specimens of a make; the maker of the catalog's muscles allows up to 10 %."""
+SHORTEST = 0.04
+"""Shortest muscle [m]."""
+_SLENDER = 3.0  # shortest muscle per diameter, below which it is not a cylinder (ours)
 _SCALED_SPREAD = 0.2  # of a make whose forces are scaled from another diameter (ours)
 
 
@@ -174,6 +179,11 @@ class Make(NamedTuple):
             )
         return cls(name, muscle, uncertainty)
 
+    @property
+    def shortest(self) -> float:
+        """Shortest muscle [m] that is considered, of at least three diameters."""
+        return max(SHORTEST, _SLENDER * float(self.muscle.specimen.initial_diameter or 0.0))
+
     def with_strength(self, factor: float) -> Muscle:
         """The muscle with forces times a factor; without its name, so that all makes share compiled programs."""
         unnamed = dataclasses.replace(self.muscle.specimen, name="muscle")
@@ -239,3 +249,37 @@ def with_length(muscle: Muscle, length: float) -> Muscle:
     return dataclasses.replace(
         muscle, specimen=dataclasses.replace(specimen, initial_length=length, volume_terms=terms)
     )
+
+
+_PARTS = 5  # contractions along the motion
+
+
+def friction_force(
+    muscle: Muscle,
+    need: Requirement,
+    candidates: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    minimum_tension: float,
+    *,
+    cocontracted: bool,
+) -> NDArray[np.float64]:
+    """Largest sum [N] of both muscles' friction, for lengths, radii and middle contractions of shape (candidates,).
+
+    One muscle has its highest pressure and the other one its lowest, as for the largest torque; `cocontracted`: both
+    have the pressure with more friction. The viscous part is that of the highest speed.
+    """
+    length, radius, contraction = candidates
+    if not muscle.has_friction:
+        return np.zeros_like(length)
+    shift = radius * need.amplitude / length
+    contractions = contraction + np.linspace(-1.0, 1.0, _PARTS)[:, None] * shift
+    rate = radius * need.amplitude * 2 * math.pi / need.cycle
+
+    def friction(pressure: float) -> NDArray[np.float64]:
+        tension = np.maximum(forces(muscle, contractions, pressure), minimum_tension)
+        sliding = half_widths(muscle.friction, tension, pressure)
+        return sliding + np.asarray(muscle.friction.viscous_force(tension, rate))
+
+    working, opposing = (friction(float(end)) for end in (muscle.domain.pressure_max, muscle.domain.pressure_min))
+    if cocontracted:
+        return 2 * np.maximum(working, opposing).max(axis=0)
+    return (working + opposing[::-1]).max(axis=0)  # where one muscle is shorter, the other one is longer

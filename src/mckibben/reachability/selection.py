@@ -23,8 +23,15 @@ from mckibben.notebook import draw, html_table
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
-from mckibben.reachability.friction import friction_force
-from mckibben.reachability.requirement import Make, Requirement, catalog_makes, with_length, with_supply
+from mckibben.reachability.requirement import (
+    SHORTEST,
+    Make,
+    Requirement,
+    catalog_makes,
+    friction_force,
+    with_length,
+    with_supply,
+)
 from mckibben.reachability.sizing import CONSTRAINTS, attained_stiffness, constraint_margins
 from mckibben.reachability.trajectory import reference_trajectory
 from mckibben.scenario import Scenario, Start
@@ -36,8 +43,7 @@ _TENSION = 5.0  # N: least tension of both muscles
 _ANY = (1e6, -1e6)  # stiffness that every joint attains
 _ANGLES = 13  # of the search
 _RESULT_ANGLES = 61
-_SHORTEST, _NARROWEST = 0.04, 0.005  # m
-_SLENDER = 3.0  # shortest muscle per diameter, below which it is not a cylinder (ours)
+_NARROWEST = 0.005  # m
 _LENGTHS, _RADII, _CONTRACTIONS = 80, 24, 12  # of the search
 _STEP = 5 * mm  # of lengths of muscles; radii have steps of 0.5 mm
 _CYCLES, _PERIOD = 3, 1e-3
@@ -302,7 +308,7 @@ class _Grid(NamedTuple):
 def _grid(make: Make, need: Requirement) -> _Grid:
     domain = make.muscle.domain
     low, high = float(domain.contraction_min), float(domain.contraction_max)
-    lengths = np.unique(np.round(np.geomspace(_SHORTEST, max(need.longest, _SHORTEST), _LENGTHS) / _STEP) * _STEP)
+    lengths = np.unique(np.round(np.geomspace(SHORTEST, max(need.longest, SHORTEST), _LENGTHS) / _STEP) * _STEP)
     radii = np.unique(np.round(np.geomspace(_NARROWEST, max(need.widest, _NARROWEST), _RADII) / mm * 2) / 2 * mm)
     parts = np.linspace(0.0, 1.0, _CONTRACTIONS)
     length, radius, part = (each.ravel() for each in np.meshgrid(lengths, radii, parts, indexing="ij"))
@@ -340,14 +346,9 @@ def _searched(make: Make, need: Requirement) -> tuple[_Grid, np.ndarray]:
     ]
     margins = np.nan_to_num(np.minimum(*both), nan=-np.inf)
     lengths, radii = np.asarray(grid.length), np.asarray(grid.radius)
-    margins[
-        (lengths < _shortest(make) - 1e-9) | (lengths > need.longest + 1e-9) | (radii > need.widest + 1e-9)
-    ] = -np.inf
+    outside = (lengths < make.shortest - 1e-9) | (lengths > need.longest + 1e-9) | (radii > need.widest + 1e-9)
+    margins[outside] = -np.inf
     return grid, margins
-
-
-def _shortest(make: Make) -> float:
-    return max(_SHORTEST, _SLENDER * float(make.muscle.specimen.initial_diameter or 0.0))
 
 
 def _friction_torque(make: Make, need: Requirement, grid: _Grid, *, cocontracted: bool) -> np.ndarray:
@@ -358,8 +359,8 @@ def _friction_torque(make: Make, need: Requirement, grid: _Grid, *, cocontracted
 
 
 def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
-    if _shortest(make) > need.longest:
-        raise UnreachableError(f"the shortest of these muscles, {_shortest(make) / mm:g} mm, is longer than allowed")
+    if make.shortest > need.longest:
+        raise UnreachableError(f"the shortest of these muscles, {make.shortest / mm:g} mm, is longer than allowed")
     if need.widest < _NARROWEST:
         raise UnreachableError(f"the narrowest pulley, {_NARROWEST / mm:g} mm, is wider than allowed")
     if (lowest := float(make.muscle.domain.pressure_min)) >= _HEADROOM * need.supply:

@@ -31,7 +31,7 @@ class RankedColumn:
     def __init__(self, pieces: Pieces, most: int) -> None:
         """Read a column of at most so many values."""
         self._pieces, self.count = pieces, 0
-        sampled, chance = [np.empty(0)], np.random.default_rng(0)  # every k-th point of a design is no sample of it
+        sampled, chance = [np.empty(0)], np.random.default_rng(0)  # every k-th Sobol point is not a random sample
         for piece in pieces():
             self.count += len(piece)
             size = min(len(piece), -(-len(piece) * _SAMPLE // max(most, 1)))

@@ -1,9 +1,9 @@
-"""`mckibben identify-air`: heat to the wall, leak and dead volume of a muscle from tests with a shut valve."""
+"""`mckibben identify-air` and `mckibben identify-creep`: parameters of a muscle from recordings over time."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
@@ -21,15 +21,15 @@ from mckibben.cli.options import (
     SampleRate,
     SkipCorrupt,
     ZeroLength,
-    echo,
-    keeping,
-    notify,
     parse_quantity,
     recipe_of,
     report_reading,
     results_folder,
+    show_results,
 )
-from mckibben.storage.files import to_json, write_json
+
+if TYPE_CHECKING:
+    from mckibben.dataset import Recipe, Recording
 
 
 def identify_air(
@@ -71,13 +71,53 @@ def identify_air(
     )
     dead = parse_quantity("--dead-volume", dead_volume, "m^3")
     muscle = specimen_named(specimen)
-    read = [how.recording(path, on_corrupt="report" if skip_corrupt else "raise") for path in recordings]
+    read = _read(recordings, how, skip_corrupt)
     found = run(read, muscle, dead_volume=dead)
-    if out:
-        with keeping(out):
-            write_json(out / "results.json", found.records())
-    for one in read:
+    show_results(out, found.records(), found.report(), json)
+
+
+def identify_creep(
+    recordings: Annotated[
+        list[Path], Argument(metavar="RECORDING...", help="Files of pressure and force over time, at fixed lengths.")
+    ],
+    contraction: FixedContraction = "",
+    sample_rate: SampleRate = "",
+    initial_length: InitialLength = "",
+    displacement: Displacement = "",
+    zero_length: ZeroLength = "",
+    force_sign: ForceSign = None,
+    column: Column = None,
+    skip_corrupt: SkipCorrupt = False,
+    decimal: Decimal = "",
+    recipe: RecipeFile = None,
+    json: Json = False,
+    out: Out = None,
+    force: Force = False,
+) -> None:
+    """Identify the creep after steps of the pressure at fixed lengths, and test its significance."""
+    results_folder(out, ("results.json",), force)
+    from mckibben.identification import identify_pressure_creep
+
+    how = recipe_of(
+        recipe,
+        column,
+        initial_length,
+        displacement,
+        zero_length,
+        "",
+        force_sign,
+        decimal,
+        contraction=contraction,
+        sample_rate=sample_rate,
+    )
+    read = _read(recordings, how, skip_corrupt)
+    found = identify_pressure_creep(read)
+    show_results(out, found.records(), found.report(), json)
+
+
+def _read(paths: list[Path], recipe: Recipe, skip_corrupt: bool) -> list[Recording]:
+    """Read recordings, and report how on standard error."""
+    found = [recipe.recording(path, on_corrupt="report" if skip_corrupt else "raise") for path in paths]
+    for one in found:
         report_reading(one.table.attrs)
-    echo(to_json(found.records()) if json else found.report())
-    if out:
-        notify(f"wrote results.json to {out}", json)
+    return found
