@@ -7,7 +7,7 @@ How well does a controller perform if load and muscles differ from those it was 
 
 import mckibben as mk
 
-scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").model_copy(update={"duration": 6.0})
+scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").replace(duration=6.0)
 
 # %%
 # 200 runs with other loads and valves, and connectors that are up to 2 mm too long or short. The controller's model

@@ -18,7 +18,7 @@ import mckibben as mk
 from mckibben.export import export
 from mckibben.units import bar
 
-scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").model_copy(update={"duration": 7.0})
+scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").replace(duration=7.0)
 with tempfile.TemporaryDirectory() as folder:
     files = export(scenario, "c", Path(folder) / "knee").files
 print("\n".join(files))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Number
 
 LONGEST_VALUE = 80
 """Maximum number of characters of a value in a message."""
@@ -26,6 +27,23 @@ def quoted(value: object) -> str:
     """The `repr` of a value, at most `LONGEST_VALUE` characters long."""
     text = repr(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]}...{text[-1]}"
+
+
+def with_article(noun: str) -> str:
+    """A noun with its article.
+
+    >>> with_article("Actuator or IdealValve")
+    'an Actuator or IdealValve'
+    """
+    return f"a{'n' * noun.startswith(('A', 'E', 'I', 'O', 'a', 'e', 'i', 'o'))} {noun}"
+
+
+def described(value: object) -> str:
+    """What a value is, in a message: a number or text is quoted, of anything else the class is named."""
+    if isinstance(value, str | Number | None):
+        return quoted(value)
+    names: dict[type, str] = {tuple: "list", list: "list", dict: "mapping"}
+    return with_article(names.get(type(value), type(value).__name__))
 
 
 def closest(name: str, known: Sequence[str]) -> str:

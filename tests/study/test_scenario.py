@@ -150,7 +150,40 @@ def test_a_scenario_of_objects_made_in_code_is_written_and_read_back():
     assert "model:" in scenario.dumps(), "what was given does not follow the plant"
 
 
+def test_a_copy_with_other_fields_is_checked_as_a_new_scenario():
+    scenario = Scenario.parse(BASE)
+    assert scenario.replace() == scenario
+    assert scenario.replace(duration="2 s").duration == 2.0
+    heavy = scenario.replace(load=mk.PendulumLoad(0.3, 0.25))
+    assert heavy.control() == scenario.control()
+    assert heavy.plant().load.mass == 0.3
+    with pytest.raises(ScenarioError) as caught:
+        scenario.replace(duratio=2.0, valve=mk.PID(1.0, 0.0, 0.0), load={"class": "pendulum", "mass": "3 mm"})
+    assert {one.field for one in caught.value.problems} == {"duratio", "valve", "load.mass", "load.length"}
+
+
+def test_another_controller_runs_in_a_scenario():
+    scenario = Scenario.parse(BASE).replace(duration=0.1)
+    held = scenario.simulate(mk.OpenLoopControl(2 * bar, 2 * bar, scenario.plant().joint))["command1"]
+    assert np.all(held == 2 * bar)
+    assert np.ptp(scenario.simulate()["command1"]) > 0
+
+
+def test_completion_lists_the_methods_of_scenarios_alone():
+    names = dir(Scenario.parse(BASE))
+    assert {"simulate", "replace", "duration"} <= set(names)
+    assert not {"model_copy", "construct", "parse_obj", "json"} & set(names)
+
+
 # Errors ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("part", ["load", "valve", "sensors"])
+def test_a_part_that_every_plant_has_cannot_be_none(part):
+    lines = [line for line in BASE.splitlines() if not line.startswith(f"{part}:")]
+    problem = only("\n".join([*lines, f"{part}: none"]))
+    assert problem.field == part
+    assert problem.remedy
 
 
 def test_three_mistakes_are_three_problems_with_lines():

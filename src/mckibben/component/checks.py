@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import RangeError, quoted
+from mckibben.errors import RangeError, described, quoted, with_article
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
@@ -63,11 +63,9 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", *, reme
 def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
     if not isinstance(value, kind):
-        ours = type(value).__module__.startswith("mckibben")
-        given = f"a {type(value).__name__}" if ours else f"{value!r:.60}"
         kinds = [one.__name__ for one in get_args(kind) or (kind,) if one is not NoneType]
-        remedy = f"give a {' or '.join(kinds)}; are arguments swapped?"
-        raise RangeError(f"{owner}: {name} is {given}", field=name, value=value, remedy=remedy)
+        remedy = f"give {with_article(' or '.join(kinds))}; are arguments swapped?"
+        raise RangeError(f"{owner}: {name} is {described(value)}", field=name, value=value, remedy=remedy)
 
 
 def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:

@@ -39,7 +39,7 @@ from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text
-from mckibben.errors import FileError, McKibbenError, quoted, suggest
+from mckibben.errors import FileError, McKibbenError, described, quoted, suggest
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
@@ -308,12 +308,11 @@ class Part:
         return f"a {catalog.noun}" if catalog else f"a {self.base.__name__}"
 
     def _expected(self, value: Any) -> tuple[str, str]:
-        given = quoted(value) if isinstance(value, str) else "a list"
         kind = default_class(self.base)
         keys = ", ".join(forms(kind, self.units)) if kind else "`class` and the fields of the class"
         if value == "":
             return "has no value", "write one, or leave the key out"
-        return f"{given} is given where keys and values are expected", f"give a mapping of {keys}"
+        return f"{described(value)} is given where keys and values are expected", f"give a mapping of {keys}"
 
 
 def _member(kind: type, name: str, value: Any) -> Any:

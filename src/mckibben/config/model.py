@@ -7,11 +7,20 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Self, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document, to_text
-from mckibben.errors import FileError, McKibbenError, ParameterError, Problem, ScenarioError, closest, quoted, suggest
+from mckibben.errors import (
+    FileError,
+    McKibbenError,
+    Problem,
+    ScenarioError,
+    closest,
+    described,
+    quoted,
+    suggest,
+)
 from mckibben.storage.files import atomic_write, check_seal
 
 
@@ -35,6 +44,22 @@ class DocumentModel(ConfigModel):
     kind: ClassVar[str] = "scenario"
     examples: ClassVar[str] = "examples/"
 
+    def __init__(self, /, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            problems = problems_of(error, Document(fields), type(self))
+            raise ScenarioError(type(self).__name__, problems) from None
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _not_none(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is None and type(None) not in get_args(cls.model_fields[str(info.field_name)].annotation):
+            fail_validation("cannot be none", "give a class and its fields, or a name of the catalog")
+        return value
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # files are validated without it
+
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
         """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
@@ -45,6 +70,14 @@ class DocumentModel(ConfigModel):
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
         """Read YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
         return parse_model(cls, text, source=source or cls.kind, folder=folder)[0]
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with other values of fields, given and checked as those of the constructor."""
+        kept = {field.alias or name: getattr(self, name) for name, field in type(self).model_fields.items()}
+        return type(self)(**{**kept, **changes})
+
+    def __dir__(self) -> list[str]:
+        return [name for name in super().__dir__() if name.startswith("_") or not hasattr(BaseModel, name)]
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write a file that `read` reads back to the last bit."""
@@ -148,14 +181,6 @@ def located_below(error: ValidationError, place: Place, *, alone: bool = False) 
     return ValidationError.from_exception_data(error.title, details)
 
 
-def explained(error: ValidationError) -> ParameterError:
-    """The first mistake of a validation."""
-    first = error.errors(include_url=False)[0]
-    found = first.get("ctx", {}).get("error")
-    message, where = getattr(found, "message", first["msg"]), dotted(tuple(first["loc"]))
-    return ParameterError(f"{where} {message}", value=first["input"], remedy=getattr(found, "remedy", ""))
-
-
 P = TypeVar("P", bound=ConfigModel)
 
 
@@ -206,12 +231,12 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
     return _Diagnosis(document, model).problems(error)
 
 
-# what is there if not text, what is expected, and the remedy, by pydantic's kind of error
+# what is expected, and the remedy, by pydantic's kind of error
 _EXPECTED = {
-    "model_type": ("a list", "keys and values are expected", ""),
-    "dict_type": ("a list", "names and sections are expected", "give a mapping with one name per section"),
-    "tuple_type": ("a mapping", "a list is expected", "write [first, second, ...]"),
-    "string_type": ("a list or mapping", "text is expected", "write one line of text"),
+    "model_type": ("keys and values are expected", ""),
+    "dict_type": ("names and sections are expected", "give a mapping with one name per section"),
+    "tuple_type": ("a list is expected", "write [first, second, ...]"),
+    "string_type": ("text is expected", "write one line of text"),
 }
 
 
@@ -254,9 +279,10 @@ class _Diagnosis:
             return Problem(text, self.document.line(place), dotted(place), f"correct {Path(error.source).name}", value)
         if isinstance(error, McKibbenError):
             place = place[:-1] if isinstance(error, _ValidationError) and error.parent else place
-            while place not in self.document.lines and place:  # a name is short for `from`, a number for `constant`
+            lines = self.document.lines  # none of arguments in Python
+            while lines and place not in lines and place:  # a name is short for `from`, a number for `constant`
                 place = place[:-1]
-            if error.field and (*place, error.field) in self.document.lines:
+            if error.field and (not lines or (*place, error.field) in lines):
                 place = (*place, error.field)
             return Problem.of(error, self.document.line(place), dotted(place))
         if kind == "missing":
@@ -268,8 +294,8 @@ class _Diagnosis:
         elif value in ("", None):
             message, remedy = "has no value", "write one, or leave the key out"
         elif kind in _EXPECTED:
-            found_there, expected, remedy = _EXPECTED[kind]
-            message = f"{quoted(value) if isinstance(value, str) else found_there} is given where {expected}"
+            expected, remedy = _EXPECTED[kind]
+            message = f"{described(value)} is given where {expected}"
             keys = ", ".join(_keys_of(self.model_at(place)))
             remedy = remedy or (f"give a mapping of {keys}" if keys else "give a mapping with the key `class`")
         elif kind == "too_long":

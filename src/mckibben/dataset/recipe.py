@@ -30,7 +30,7 @@ class Recipe(DocumentModel):
     """Settings for reading the files of a logger: the arguments of `read_dataset` and `read_recording`, in SI units.
 
     `read` and `to_yaml` know the units. `contraction` and `sample_rate` apply to recordings only. A `ScenarioError`
-    lists all mistakes of a file, a pydantic `ValidationError` those of arguments.
+    lists all mistakes of a file, or of the arguments.
 
     Examples
     --------

@@ -20,6 +20,10 @@ class Exported(NamedTuple):
     files: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        left_out = f"; left out: {', '.join(self.left_out)}" if self.left_out else ""
+        return f"<Exported: {', '.join(self.files)}{left_out}>"
+
 
 _FMI = ("fmi",)
 TARGETS = {

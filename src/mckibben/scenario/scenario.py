@@ -230,9 +230,12 @@ class Scenario(RunSettings):
         """Return the scenario with a controller whose model does not follow changes of the plant."""
         return self.model_copy(update={"controller": independent(self.control())})
 
-    def simulate(self) -> Result:
-        """Run the scenario, see `mckibben.simulate`; warns if its reference is not statically feasible."""
-        result, feasibility = run_scenario(self)
+    def simulate(self, controller: Controller | None = None) -> Result:
+        """Run the scenario, or another controller in it; warns if its reference is not statically feasible.
+
+        See `mckibben.simulate`.
+        """
+        result, feasibility = run_scenario(self.replace(controller=controller) if controller else self)
         if not feasibility.feasible:
             warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=2)
         return result

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import Signal
-from mckibben.errors import ParameterError, SimulationError
+from mckibben.errors import ParameterError, SimulationError, described, with_article
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
@@ -116,11 +116,11 @@ def _check_types(trees: Mapping[str, Any], kinds: Mapping[str, tuple[type, ...]]
     for name, types in kinds.items():
         value = trees[name]
         if not isinstance(value, types):
-            given = repr(value) if isinstance(value, int | float | str | None) else f"a {type(value).__name__}"
             wanted = " or ".join(kind.__name__ for kind in types)
             swapped = [other for other, others in kinds.items() if isinstance(value, others)]
             hint = f"; it looks like the {swapped[0]}: are arguments swapped?" if swapped else ""
-            raise SimulationError(f"{name} is {given}", field=name, value=value, remedy=f"give a {wanted}{hint}")
+            remedy = f"give {with_article(wanted)}{hint}"
+            raise SimulationError(f"{name} is {described(value)}", field=name, value=value, remedy=remedy)
 
 
 def _check_numbers(trees: Mapping[str, Any]) -> None:

@@ -119,6 +119,13 @@ class RunResult(abc.ABC):
     def __contains__(self, name: str) -> bool:
         return name in self.columns
 
+    def __getattr__(self, name: str) -> Any:
+        hint = f'; the column is result["{name}"]' if name in self.__dict__.get("columns", ()) else ""
+        raise AttributeError(f"a {type(self).__name__} has no attribute {name!r}{hint}", name=name, obj=self)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return ["time", *self.columns]
+
     def _repr_html_(self) -> str:
         rows = []
         for name, label in labels_of(self.kind).items():

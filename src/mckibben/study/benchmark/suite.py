@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Self
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
-from mckibben.config.model import ConfigModel, explained, fail_validation, parse_model
+from mckibben.config.model import ConfigModel, fail_validation, parse_model
 from mckibben.control import Controller, Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
@@ -116,12 +117,16 @@ def problems_of_setup(suite: Suite, name: str, document: Document) -> list[Probl
 
 
 def _problems_at(place: tuple[str | int, ...], document: Document, call: Callable[[], object]) -> list[Problem]:
-    """The problem at a place of a document that a call raises, if any."""
+    """The problems at a place of a document that a call raises, if any."""
     try:
         call()
-    except (McKibbenError, ValidationError) as error:
-        known = error if isinstance(error, McKibbenError) else explained(error)
-        return [Problem.of(known, document.line(place), dotted(place))]
+    except ScenarioError as error:  # of a scenario that the suite makes
+        return [
+            replace(one, message=f"{one.field}: {one.message}", line=document.line(place), field=dotted(place))
+            for one in error.problems
+        ]
+    except McKibbenError as error:
+        return [Problem.of(error, document.line(place), dotted(place))]
     return []
 
 

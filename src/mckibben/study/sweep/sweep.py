@@ -211,7 +211,7 @@ def sweep(
 
     Examples
     --------
-    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").replace(duration=0.2)
     >>> swept = sweep(scenario, ["load.mass2=0.4 kg..0.6 kg"], samples=4, metrics=["angle_rmse"])
     >>> swept.table["load.mass2"].to_numpy().round(3)
     array([0.482, 0.551, 0.512, 0.431])
