@@ -107,6 +107,9 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     assert changed[0][1].startswith("start: {angle: ")
     again = cli("simulate", "kept/s-tuned.yaml", "--json")
     assert json.loads(again.out)["metrics"] == run["tuned"]
+    alone = json.loads(cli("margins", "kept/s-tuned.yaml", "--json").out)["margins"]
+    assert run["least_margins"]["tuned"] == {name: pytest.approx(min(values)) for name, values in alone.items()}
+    assert all(run["least_margins"]["before"].values())
 
 
 @pytest.mark.slow
@@ -194,6 +197,7 @@ def test_a_scenario_that_cannot_start_is_mended(cli, scenario, tmp_path, text):
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
     assert numbers["cost_before"] is None
     assert set(numbers["runs"][0]["before"].values()) == {None}
+    assert set(numbers["runs"][0]["least_margins"]["before"].values()) == {None}
     assert numbers["runs"][0]["tuned"]["angle_rmse_deg"] < 10
     assert f"cost - -> {numbers['cost']:.4g}" in found.out
     assert "nan" not in found.out

@@ -39,7 +39,7 @@ from mckibben.cli.options import (
 )
 from mckibben.errors import ParameterError, UnitError
 from mckibben.storage.files import to_json, write_json
-from mckibben.units import deg, mm, ms, quantity
+from mckibben.units import deg, mm, quantity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -268,37 +268,28 @@ def margins(
     import numpy as np
 
     from mckibben.scenario import Scenario
-    from mckibben.simulation import margins as compute
 
     read = Scenario.read(scenario)
-    plant = read.plant()
-    settings = {"duration": read.duration, "control_period": read.control_period, "substeps": read.needed_substeps()}
-    found = compute(plant, read.control(), read.reference(), read.initial(plant), points=points, **settings)
-    shown = {
-        "gain": (found.gain, 1.0, "1"),
-        "phase_deg": (found.phase, deg, "deg"),
-        "delay_ms": (found.delay, ms, "ms"),
-        "disk": (found.disk, 1.0, "1"),
-    }
+    found = read.margins(points)
+    shown = found.in_shown_units()
     numbers = {
         "scenario": read.name,
         "stable": bool((found.radius < 1).all()),
         "time_s": found.time.tolist(),
         "largest_pole": found.radius.tolist(),
-        "margins": {name: (values / unit).tolist() for name, (values, unit, _) in shown.items()},
+        "margins": {name: values.tolist() for name, values in shown.items()},
     }
 
     def show() -> None:
         rows = [
             (
                 name.partition("_")[0],
-                f"{values.min() / unit:.3g}",
-                f"{np.median(values) / unit:.3g}",
-                symbol,
-                f"{time:.3g} s",
+                f"{values.min():.3g}",
+                f"{np.median(values):.3g}",
+                name.partition("_")[2] or "1",
+                f"{found.time[values.argmin()]:.3g} s",
             )
-            for name, (values, unit, symbol) in shown.items()
-            for time in [found.time[values.argmin()]]
+            for name, values in shown.items()
         ]
         table(f"{read.name}: stability margins", ("margin", "least", "median", "unit", "least at"), rows)
         unstable = found.time[found.radius >= 1]

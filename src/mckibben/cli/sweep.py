@@ -300,7 +300,12 @@ def _show_tuned(
     from mckibben import report
 
     runs = [
-        {"scenario": old.name, "before": _metrics(old), "tuned": _metrics(new)}
+        {
+            "scenario": old.name,
+            "before": _metrics(old),
+            "tuned": _metrics(new),
+            "least_margins": {"before": _least_margins(old), "tuned": _least_margins(new)},
+        }
         for old, new in zip(before, tuned.scenarios, strict=True)
     ]
     shown_values = {each.name: each.parameter.show(tuned.values[each.name]) for each in ranges}
@@ -330,6 +335,10 @@ def _show_tuned(
         for run in runs:
             pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]
+            least = run["least_margins"]
+            for name, margin in least["tuned"].items():
+                what, _, unit = name.partition("_")
+                rows.append((f"least {what} margin", metric("", least["before"][name]), metric("", margin), unit or "1"))
             title = f"{run['scenario']}{', without the conditions' if drawn else ''}"
             table(title, ("metric", "before", "tuned", "unit"), rows)
         if drawn:
@@ -394,6 +403,14 @@ def _metrics(scenario: Scenario) -> dict[str, float]:
         return in_shown_units(run_scenario(scenario).result.metrics)
     except McKibbenError:
         return dict.fromkeys(METRICS, float("nan"))
+
+
+def _least_margins(scenario: Scenario) -> dict[str, float]:
+    """Smallest margins along the run by name and unit, without the conditions; NaN if the scenario cannot be run."""
+    try:
+        return {name: float(margin.min()) for name, margin in scenario.margins().in_shown_units().items()}
+    except McKibbenError:
+        return dict.fromkeys(("gain", "phase_deg", "delay_ms", "disk"), float("nan"))
 
 
 def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:

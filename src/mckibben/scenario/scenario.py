@@ -42,7 +42,7 @@ from mckibben.plant import (
     PlantState,
     Sensors,
 )
-from mckibben.simulation import ACCURACY, AtRest, CheckedRun, Result, checked_run, needed_substeps
+from mckibben.simulation import ACCURACY, AtRest, CheckedRun, Margins, Result, checked_run, margins, needed_substeps
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
@@ -255,6 +255,20 @@ class Scenario(RunSettings):
         """
         benchmark = _above("study.benchmark")
         return benchmark.compare(benchmark.Suite.of(self, controllers, **settings), folder=folder)
+
+    def margins(self, points: int = 20) -> Margins:
+        """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
+        plant = self.plant()
+        return margins(
+            plant,
+            self.control(),
+            self.reference(),
+            self.initial(plant),
+            duration=self.duration,
+            control_period=self.control_period,
+            substeps=self.needed_substeps(),
+            points=points,
+        )
 
     def linearize(self, time: float = 0.0, **options: Any) -> Any:
         """Return the linearised loop at a time [s] of the run, see `mckibben.linearize`."""

@@ -21,6 +21,7 @@ from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import LoopState, initial_loop
 from mckibben.simulation.problem import AtRest, SimulationProblem, sample_reference, sampling_times, split_runs
+from mckibben.units import deg, ms
 
 _FREQUENCIES = 400  # from a hundredth of the Nyquist frequency up, in equal ratios
 _FEW_FREQUENCIES = 60  # of margins of many runs
@@ -77,6 +78,10 @@ class Margins(NamedTuple):
     frequency: NDArray[np.float64]
     sensitivity: NDArray[np.float64]
     loci: NDArray[np.complex128]
+
+    def in_shown_units(self) -> dict[str, NDArray[np.float64]]:
+        """Return the margins by name and unit, each of shape (points,)."""
+        return {"gain": self.gain, "phase_deg": self.phase / deg, "delay_ms": self.delay / ms, "disk": self.disk}
 
 
 def margins(
