@@ -335,10 +335,10 @@ def _show_tuned(
         for run in runs:
             pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]
-            least = run["least_margins"]
-            for name, margin in least["tuned"].items():
+            for name in run["least_margins"]["tuned"]:
                 what, _, unit = name.partition("_")
-                rows.append((f"least {what} margin", metric("", least["before"][name]), metric("", margin), unit or "1"))
+                old, new = (metric("", run["least_margins"][when][name]) for when in ("before", "tuned"))
+                rows.append((f"least {what} margin", old, new, unit or "1"))
             title = f"{run['scenario']}{', without the conditions' if drawn else ''}"
             table(title, ("metric", "before", "tuned", "unit"), rows)
         if drawn:
