@@ -143,8 +143,9 @@ def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tupl
     """Direction and repeat of each point from reversals of the contraction per group; None without reversals."""
     direction, repeat = np.zeros(len(groups), "<U9"), np.zeros(len(groups), int)
     reversing = count = 0
-    for group in np.unique(groups):
-        rows = np.flatnonzero(groups == group)
+    order = np.argsort(groups, kind="stable")
+    in_groups = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1)
+    for rows in in_groups:
         ends = np.flatnonzero(np.diff(files[rows])) + 1 if files is not None else []
         found = ((one[part], word) for one in np.split(rows, ends) for part, word in _runs(contraction[one]))
         runs = list(itertools.islice(found, len(groups) // _FEWEST + 1))  # more are too many
@@ -156,7 +157,7 @@ def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tupl
         for part, word in runs:
             direction[part], repeat[part] = word, strokes[word]
             strokes[word] += 1
-    return (direction, repeat) if 2 * reversing > len(np.unique(groups)) else None
+    return (direction, repeat) if 2 * reversing > len(in_groups) else None
 
 
 def _runs(values: Floats) -> Iterator[tuple[slice, Literal["loading", "unloading"]]]:
