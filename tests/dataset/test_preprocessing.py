@@ -100,6 +100,25 @@ def test_noise_beyond_the_first_slack_points_of_a_pass_is_slack(written):
     assert identify(ExponentialLaw, data).rmse == pytest.approx(7.1, abs=0.5)
 
 
+def test_the_offset_is_found_over_points_of_several_fixed_lengths(tmp_path):
+    """Steps of the pressure at each of four lengths: only together they show the slack muscle."""
+    rng, levels, paths = np.random.default_rng(0), np.r_[0:6, 4:-1:-1] * bar, []
+    for contraction in (0.0, 0.05, 0.1, 0.15):
+        force = 3e-4 * levels * (1 - 4 * contraction) + 2.0 + rng.normal(0, 0.05, levels.size)
+        points = IsobaricDataset.of(
+            pressure=levels, contraction=np.full(levels.size, contraction), force=force, set_pressure=levels
+        )
+        paths.append(tmp_path / f"{contraction}.csv")
+        points.to_csv(paths[-1])
+    assert not read_dataset(paths[0]).slack.any()
+    data = read_dataset(paths)
+    assert data.slack.sum() == 8
+    assert data.force[data.slack] == pytest.approx(0.0, abs=0.2)
+    assert "offset" in data.table.attrs["preprocessing"]
+    kept = read_dataset(paths, slack_force=0.0)
+    assert kept.force.min() > 1.5
+
+
 def test_taut_points_are_no_slack_force():
     pressure, contraction, force, _ = measured(bars=(4, 5, 6), largest=0.08)
     assert slack_force(force, contraction, np.round(pressure), np.round(pressure).astype(int)) is None

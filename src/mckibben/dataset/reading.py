@@ -17,7 +17,7 @@ from mckibben.dataset.consistency import contradictions
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
-from mckibben.dataset.preprocessing import preprocess
+from mckibben.dataset.preprocessing import preprocess, with_notes, without_offset
 from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
@@ -120,6 +120,9 @@ def read_dataset(
     parts, ours, slack_known = zip(*read, strict=True)
     dataset, source = _joined(parts, path, slack_known)
     if all(ours):
+        if len(parts) > 1 and slack_force is None and not dataset.table.attrs["slack_force"]:
+            table, notes = without_offset(dataset.table)  # one length may not show it
+            dataset = IsobaricDataset(with_notes(table, notes))
         return check_dataset(dataset, source, only_warn=True)
     files = np.repeat(np.arange(len(parts)), list(map(len, parts)))
     found = IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files))
