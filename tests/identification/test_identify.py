@@ -345,7 +345,7 @@ def test_a_decay_at_its_bound_is_said(decay, bound):
     fit = identify(ExponentialLaw, grid(law))
     assert fit.law.decay == pytest.approx(1.0)
     assert any(f"decay is {bound}" in warning for warning in fit.warnings)
-    assert any("correlated by" in warning for warning in fit.warnings)
+    assert any("a1 and c1" in warning for warning in fit.warnings)
 
 
 def test_a_linear_parameter_outside_its_range_is_said():

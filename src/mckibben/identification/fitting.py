@@ -114,11 +114,13 @@ def identify(
 
     warnings = [f"the law is Eq. 2 alone: {simpler}"] if simpler else []
     warnings += _bound_warnings(law_type, solution, at_bound)
-    warnings += [
-        f"{a} and {b} are correlated by {correlation:+.5f}: the data determine a combination of them, each poorly"
+    strong = [
+        f"{a} and {b} ({correlation:+.5f})"
         for a, b, correlation in correlated_pairs(problem.names, found.correlations)
         if abs(correlation) > _STRONG_CORRELATION and problem.prior is None
     ]
+    if strong:
+        warnings.append(f"the data determine combinations of correlated parameters, each poorly: {', '.join(strong)}")
     if off := off_levels(points):
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
         warnings.append(f"{text}: the domain is the range of the measured pressures")
