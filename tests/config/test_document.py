@@ -16,6 +16,7 @@ from mckibben.study.benchmark.suite import Suite
 from mckibben.study.rig.document import MuscleCardSettings, RigTest
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]
+EXAMPLES = Path(__file__).parents[2] / "examples"
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{name}: &{name} [{', '.join(['*' + previous] * 9)}]\n"
     for previous, name in zip("abcdefgh", "bcdefghi", strict=True)
@@ -110,3 +111,31 @@ def test_every_scalar_of_an_example_can_be_edited_alone():
         changed = edit_yaml(text, {place: "new"})
         assert changed == f"{text[: span.start]}new{text[span.end :]}"
         assert json.dumps(read_document(changed).data) != json.dumps(document.data)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "comparison/knee.yaml",
+        "leg/lei-leg.yaml",
+        "rig/paper-protocol.yaml",
+        "rig/joint-rig.yaml",
+        "your-muscle/fit/fit.yaml",
+        "your-muscle/fit/muscle.yaml",
+    ],
+)
+def test_a_file_of_another_kind_is_one_problem(name):
+    with pytest.raises(ScenarioError) as caught:
+        Scenario.read(EXAMPLES / name)
+    (problem,) = caught.value.problems
+    assert problem.line is None and "examples/" in problem.remedy
+    with pytest.raises(ScenarioError) as caught:
+        Suite.read(EXAMPLES / "pre-contracted-step-pid.yaml")
+    assert len(caught.value.problems) == 1
+
+
+def test_a_scenario_with_misspelt_sections_is_still_a_scenario():
+    text = (EXAMPLES / "pre-contracted-step-pid.yaml").read_text().replace("\nload:", "\nlod:")
+    with pytest.raises(ScenarioError) as caught:
+        Scenario.parse(text)
+    assert [problem.field for problem in caught.value.problems] == ["lod"]

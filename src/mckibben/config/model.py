@@ -220,10 +220,31 @@ def parse_text(
     try:
         found = validate(document.data, context=context)
     except ValidationError as error:
-        raise ScenarioError(source, problems_of(error, document, model)) from None
+        problems = problems_of(error, document, model)
+        if issubclass(model, DocumentModel) and (other := _other_kind(document.data, model)):
+            problems = [Problem(f"is {other}", remedy=f"give a {model.kind}, see {model.examples}")]
+        raise ScenarioError(source, problems) from None
     if document.problems:
         raise ScenarioError(source, document.problems)
     return found, document
+
+
+_KINDS = (
+    ({"leg"}, "a leg, which `mckibben leg` reads"),
+    ({"controllers", "references"}, "a suite, which `mckibben compare` reads"),
+    ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
+    ({"muscle", "rig"}, "a protocol, which `mckibben rig run` reads"),
+    ({"rig", "approach"}, "a joint rig, which `mckibben rig control` reads"),
+    ({"law", "parameters"}, "a fit, which is the `law` of a muscle"),
+    ({"specimen", "law"}, "a muscle, which is the `muscle` of a joint"),
+)
+"""Keys that only one kind of file has, what it is, and what reads it."""
+
+
+def _other_kind(data: Any, model: type[DocumentModel]) -> str:
+    """What a file of another kind is; an empty text for one of this kind."""
+    known, given = set(_keys_of(model)), {*data} if isinstance(data, dict) else set()
+    return next((what for keys, what in _KINDS if keys <= given and not keys <= known), "")
 
 
 def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:

@@ -21,7 +21,7 @@ from mckibben.leg.foot import FootStiffness, foot_jacobian, movable, stiffness_o
 from mckibben.leg.mechanism import Leg, check_contractions
 from mckibben.leg.stiffness_map import StiffnessMap, check_affine, map_at
 from mckibben.muscle import Domain
-from mckibben.units import bar
+from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.leg.scenario import LegScenario
@@ -87,6 +87,7 @@ class FootPressures(NamedTuple):
             "limits": dict(self.limits),
             "principal": list(self.stiffness.principal),
             "axes": self.stiffness.axes.T.tolist(),
+            "direction_deg": self.stiffness.direction / deg,
             "wanted": self.wanted.tolist(),
             "attained": np.linalg.inv(self.stiffness.compliance).tolist(),
             "joint_stiffness": self.joint_stiffness.tolist(),
@@ -102,8 +103,8 @@ class FootPressures(NamedTuple):
 
     def describe(self) -> str:
         """Return stiffness and error as text."""
-        found, wanted = self.stiffness.principal, stiffness_of(np.linalg.inv(self.wanted)).principal
-        text = f"main axes {_listed(found)} N/m, wanted {_listed(wanted)} N/m: "
+        found, wanted = _axes_text(self.stiffness), _axes_text(stiffness_of(np.linalg.inv(self.wanted)))
+        text = f"main axes {found}, wanted {wanted}: "
         if self.exact:
             return text + "exact"
         text += f"relative error {self.error:.3g}"
@@ -114,8 +115,9 @@ class FootPressures(NamedTuple):
         return text if self.limits else text + ", within the limits or beyond them"
 
 
-def _listed(numbers: Sequence[float]) -> str:
-    return ", ".join(f"{one:.4g}" for one in numbers)
+def _axes_text(stiffness: FootStiffness) -> str:
+    numbers = ", ".join(f"{one:.4g}" for one in stiffness.principal)
+    return f"{numbers} N/m (softest at {stiffness.direction / deg:.1f} deg)"
 
 
 def pressures_for_foot_stiffness(

@@ -289,6 +289,7 @@ class Suite(RunSettings):
     """
 
     kind = "suite"
+    examples = "examples/comparison/"
 
     name: Title
     joint: JointPart
