@@ -35,7 +35,7 @@ from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
 from mckibben.numerics.spatial import Vector, X, Z
 
-_LIGHT = 1e-12
+LIGHT = 1e-12
 """Mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass."""
 
 
@@ -49,12 +49,19 @@ class LegModel(NamedTuple):
     left_out: tuple[str, ...]
 
 
-class _Frame:
-    """An MJCF body under construction: its contents, and its attachment to the parent body."""
+class Frame:
+    """A body under construction: its shapes in MJCF, points of muscles, and its attachment to the parent body."""
 
     def __init__(self, name: str, joint: LegJoint | None = None, origin: float = 0.0) -> None:
         self.name, self.joint, self.origin = name, joint, origin
-        self.inside: list[str] = []
+        self.shapes: list[str] = []
+        self.sites: dict[str, Vector] = {}
+
+    @property
+    def inside(self) -> str:
+        """Contents of the body in MJCF."""
+        sites = (f'<site name={_name(name)} pos="{_numbers(place)}"/>' for name, place in self.sites.items())
+        return "".join((*self.shapes, *sites))
 
     @property
     def rest(self) -> float:
@@ -123,8 +130,8 @@ def leg_model(
     if start is None:
         start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
     found = compliance(plant, start)
-    bodies = _bodies(plant)
-    driven, left_out = _muscles(plant, bodies)
+    bodies = leg_bodies(plant)
+    driven, left_out = add_muscles(plant, bodies)
     module, functions = _functions(plant, name, driven, start)
     left_out += [
         f"ground: MuJoCo's contact has the stiffness, the friction, and the restitution at {TOUCH_SPEED:g} m/s; its "
@@ -148,8 +155,8 @@ class LegScene(NamedTuple):
 
 def leg_scene(plant: LegPlant, start: LegState) -> LegScene:
     """A leg for display in MuJoCo, moved by its coordinates; without a plugin."""
-    bodies = _bodies(plant)
-    driven, _ = _muscles(plant, bodies)
+    bodies = leg_bodies(plant)
+    driven, _ = add_muscles(plant, bodies)
     xml = _mjcf(plant, "leg", 1e-3, bodies, driven, [], compliance(plant, start), start)
     return LegScene(xml, {one.name: one.parts for one in driven if one.parts})
 
@@ -189,35 +196,35 @@ def _numbers(values: Iterable[Any]) -> str:
     return " ".join(repr(float(one)) for one in values)
 
 
-def _bodies(plant: LegPlant) -> list[_Frame]:
+def leg_bodies(plant: LegPlant) -> list[Frame]:
     """Trunk and links, with their masses and shapes."""
     leg = plant.leg
-    trunk = _Frame("trunk")
-    trunk.inside.append(_inertial(leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias))
+    trunk = Frame("trunk")
+    trunk.shapes.append(_inertial(leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias))
     found = [trunk]
     origin = 0.0
     for joint, link in zip(leg.joints, leg.links, strict=True):
-        frame, length = _Frame(joint.name + " link", joint, origin), float(link.length)
+        frame, length = Frame(joint.name + " link", joint, origin), float(link.length)
         axle = joint.direction.scaled(0.016)
-        frame.inside += [
+        frame.shapes += [
             _inertial(link.mass, -link.centre, link.inertias),
             f'<geom class="axle" fromto="{_numbers(-axle)} {_numbers(axle)}"/>',
         ]
         if length:
-            frame.inside.append(f'<geom class="bone" fromto="0 0 0 0 0 {-length!r}"/>')
+            frame.shapes.append(f'<geom class="bone" fromto="0 0 0 0 0 {-length!r}"/>')
         found.append(frame)
         origin = length
     radius = float(leg.foot_radius) or 1e-4
-    found[-1].inside.append(f'<geom name="foot" type="sphere" class="foot" pos="0 0 {-origin!r}" size="{radius!r}"/>')
+    found[-1].shapes.append(f'<geom name="foot" type="sphere" class="foot" pos="0 0 {-origin!r}" size="{radius!r}"/>')
     return found
 
 
 def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
-    mass, *inertias = (max(float(one), _LIGHT) for one in (mass, *inertias))
+    mass, *inertias = (max(float(one), LIGHT) for one in (mass, *inertias))
     return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{_numbers(inertias)}"/>'
 
 
-def _muscles(plant: LegPlant, bodies: list[_Frame]) -> tuple[list[_Driven], list[str]]:
+def add_muscles(plant: LegPlant, bodies: list[Frame]) -> tuple[list[_Driven], list[str]]:
     """All muscles that MuJoCo can move, with their sites added to the bodies, and the omitted parts."""
     leg = plant.leg
     found, left_out = [], []
@@ -230,7 +237,7 @@ def _muscles(plant: LegPlant, bodies: list[_Frame]) -> tuple[list[_Driven], list
         names = f"{path} fixed", f"{path} moving"
         fixed, moving = anchors(joint, moved)
         for frame, name, place in zip((parent, child), names, (fixed - Z.scaled(child.origin), moving), strict=True):
-            frame.inside.append(f'<site name={_name(name)} pos="{_numbers(place)}"/>')
+            frame.sites[name] = place
         return names
 
     def coupled(moved: Transmission, joint: LegJoint) -> tuple[str, float]:
@@ -359,7 +366,7 @@ def _mjcf(
     plant: LegPlant,
     name: str,
     timestep: float,
-    bodies: list[_Frame],
+    bodies: list[Frame],
     driven: list[_Driven],
     functions: list[MuscleFunctions],
     found: dict[str, Compliance],
@@ -377,12 +384,12 @@ def _mjcf(
     body = (
         f'<body name="trunk" pos="0 0 {float(start.posture.z) if fixed else 0.0!r}">{_trunk_joints(leg.trunk.motions)}'
     )
-    top = max(_height(bodies[0]), 0.1)
+    top = max([0.1, *(float(place.z) for place in bodies[0].sites.values())])
     body += f'<geom class="bone" fromto="0 0 0 0 0 {top!r}"/><geom class="trunk" pos="0 0 {top + 0.03!r}"/>'
-    body += "".join(bodies[0].inside)
+    body += bodies[0].inside
     for frame in bodies[1:]:
         assert frame.joint is not None
-        body += "\n    " + frame.opened(found.get(frame.joint.name)) + "".join(frame.inside)
+        body += "\n    " + frame.opened(found.get(frame.joint.name)) + frame.inside
     body += "</body>" * len(bodies)
     joints = [frame.joint.name for frame in bodies[1:] if frame.joint is not None and frame.joint.locked is None]
     sensors = "".join(f"<jointpos name={_name(one)} joint={_name(one)}/>" for one in joints)
@@ -425,9 +432,3 @@ def _mjcf(
         sensors=sensors,
         start=keyframe(qpos=posture, qvel=velocity, act=acts, ctrl=controls),
     )
-
-
-def _height(trunk: _Frame) -> float:
-    """Height [m] of the highest site."""
-    sites = [one for one in trunk.inside if one.startswith("<site")]
-    return max((float(one.split('pos="')[1].split('"')[0].split()[2]) for one in sites), default=0.0)

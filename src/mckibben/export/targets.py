@@ -71,8 +71,12 @@ def export(
         If the files exist, unless they may be overwritten.
     """
     if target not in TARGETS:
+        legs = ", or a leg" if target == "urdf" else ""
         raise ParameterError(
-            f"{quoted(target)} is not a format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
+            f"{quoted(target)} is not a format{' of a joint' if legs else ''}",
+            field="to",
+            value=target,
+            remedy=f"give {' or '.join(TARGETS)}{legs}",
         )
     if fmi not in (None, 2, 3):
         raise ParameterError(f"FMI {fmi:g} cannot be written", field="fmi", value=fmi, remedy="give 2 or 3")
