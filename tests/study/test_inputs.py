@@ -6,7 +6,7 @@ from mckibben import catalog
 from mckibben.dataset import Recipe
 from mckibben.errors import FileError, McKibbenError, NotInCatalogError
 from mckibben.identification import identify
-from mckibben.muscle import ChouLaw, ExponentialLaw
+from mckibben.muscle import ChouLaw, ExponentialLaw, ThresholdLaw
 from mckibben.study.inputs import data_named, law_named, law_type_named
 
 
@@ -45,6 +45,14 @@ def test_a_law_by_name_of_a_specimen_and_of_a_fit_file(tmp_path):
     fit = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
     fit.to_yaml(tmp_path / "fit.yaml")
     assert float(law_named(str(tmp_path / "fit.yaml")).force(0.05, 3e5)) == float(fit.law.force(0.05, 3e5))
+
+
+def test_the_law_of_a_muscle_file_has_its_threshold(tmp_path):
+    text = "specimen: MAS-10-180N-AA-MC-O\nlaw: {class: threshold, law: lei-mas-10-180n, threshold: 30 kPa}\n"
+    (tmp_path / "muscle.yaml").write_text(text)
+    found = law_named(str(tmp_path / "muscle.yaml"))
+    assert isinstance(found, ThresholdLaw)
+    assert float(found.threshold) == 3e4
 
 
 def test_chou_needs_a_specimen():

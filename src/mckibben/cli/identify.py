@@ -233,7 +233,9 @@ def _friction_form(text: str) -> FrictionForm:
 
 
 def validate(
-    law: Annotated[str, Argument(metavar="LAW", help="A fit file, a law from the catalog, or 'chou'.")],
+    law: Annotated[
+        str, Argument(metavar="LAW", help="A file of a fit or a muscle, a law from the catalog, or 'chou'.")
+    ],
     data: Data,
     specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
@@ -249,7 +251,7 @@ def validate(
     out: Out = None,
     force: Force = False,
 ) -> None:
-    """Validate a force law with measured points: errors by pressure and direction."""
+    """Validate a force law with measured points: errors by pressure and direction. Friction is not included."""
     results_folder(out, ("results.json",), force)
     from mckibben.study.inputs import law_named
 

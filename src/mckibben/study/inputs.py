@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben import catalog
+from mckibben.component.schema import read_component
+from mckibben.config.document import read_document
+from mckibben.config.model import read_text
 from mckibben.errors import NotInCatalogError, suggest
 
 if TYPE_CHECKING:
@@ -59,12 +62,13 @@ def data_named(
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
-    """A published parameter set, Chou's law of a specimen ("chou"), or the law of a fit file."""
+    """A published parameter set, Chou's law of a specimen ("chou"), or the law of a file of a fit or a muscle."""
     from mckibben.identification import read_law
-    from mckibben.muscle import ChouLaw
+    from mckibben.muscle import ChouLaw, Muscle
 
     if Path(name).is_file() or Path(name).suffix in (".yaml", ".yml"):
-        return read_law(name)
+        keys = read_document(read_text(name, "a fit", "docs/files.md")).data or ()
+        return read_component(Muscle, Path(name)).law if "specimen" in keys else read_law(name)
     if name == "chou":
         if not specimen:
             raise NotInCatalogError(
