@@ -137,6 +137,16 @@ def test_a_run_is_computed_changed_kept_and_played(page):
     page("/run", act, shows("run 1"))
 
 
+def test_a_leg_lands_in_a_scene_that_plays(page):
+    def act(tab):
+        tab.wait(shows("weights") + " && " + chrome.FIRST_CURVE)
+        assert tab.evaluate("!!document.querySelector('canvas[data-engine^=\"three\"]')")
+        tab.evaluate("document.querySelector('.q-toggle').click()")
+        tab.wait("!document.body.innerText.includes('\\n0 ms')")
+
+    page("/leg", act, shows("weights"))
+
+
 def test_a_test_on_the_rig_is_drawn_and_vented(page):
     def act(tab):
         time.sleep(0.5)

@@ -27,7 +27,7 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/rig": "Rig"}
+PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/leg": "Leg", "/rig": "Rig"}
 _STYLE = """
 body { background: #f6f7f9; color: #1b2126; }
 .q-header { background: #ffffff; color: #1b2126; border-bottom: 1px solid #dfe3e8; }

@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 from nicegui import events, ui
+from numpy.typing import NDArray
 
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.mechanism import Mechanism, Points
@@ -17,7 +18,24 @@ from mckibben.web.workbench import Kept
 _HEIGHT = 10.0  # of the fixed limb, in the units of the scene
 _RATE = 12  # frames per second
 _SLACK, _FULL = np.array([0xCC, 0xD9, 0xE6]), np.array([0xD5, 0x5E, 0x00])
-_BONE, _CABLE = "#b9c2cb", "#555f69"
+BONE, CABLE = "#b9c2cb", "#555f69"
+
+
+def lay_rod(rod: Any, first: NDArray[np.float64], last: NDArray[np.float64], radius: float) -> Any:
+    """Lay a cylinder of radius and length 1 between two points of a scene."""
+    along = last - first
+    length = float(np.linalg.norm(along)) or 1e-9
+    axis = along / length
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    rod.move(*((first + last) / 2).tolist()).scale(radius, length, radius)
+    return rod.rotate_R(np.column_stack([across, axis, np.cross(across, axis)]).tolist())
+
+
+def filling_colour(part: float) -> str:
+    """Colour of a muscle at a part of the largest pressure of a run."""
+    red, green, blue = (_SLACK + float(np.clip(part, 0.0, 1.0)) * (_FULL - _SLACK)).round().astype(int)
+    return f"#{red:02x}{green:02x}{blue:02x}"
 
 
 class JointScene:
@@ -52,19 +70,19 @@ class JointScene:
         top, strands = mechanism.height * mechanism.up, mechanism.strands(0.0)
         self.scene.clear()
         with self.scene as scene:
-            self._rod(_BONE, np.zeros(2), top, 0.3)
-            self._rod(_BONE, strands[0].start, strands[1].start, 0.15)
-            scene.cylinder(0.28, 0.28, 1.4).material(_CABLE)  # the axis, along y
+            self._rod(BONE, np.zeros(2), top, 0.3)
+            self._rod(BONE, strands[0].start, strands[1].start, 0.15)
+            scene.cylinder(0.28, 0.28, 1.4).material(CABLE)  # the axis, along y
             with scene.group() as self._moving:
-                self._rod(_BONE, np.zeros(2), mechanism.limb(0.0, 0.6 * mechanism.height), 0.3)
+                self._rod(BONE, np.zeros(2), mechanism.limb(0.0, 0.6 * mechanism.height), 0.3)
                 for strand, straight in zip(strands, mechanism.straight, strict=True):
                     if straight:
-                        self._rod(_BONE, np.zeros(2), strand.end, 0.15)
+                        self._rod(BONE, np.zeros(2), strand.end, 0.15)
                 for outline in mechanism.cams(0.0):
                     cam = scene.extrusion((scale * outline).tolist(), 0.5).material("#dce1e8")
                     cam.rotate(np.pi / 2, 0, 0).move(y=0.25)
-            self._cables = [self._rod(_CABLE, one.start, one.end, 0.05) for one in strands]
-            self._muscles = [self._rod(_CABLE, one.start, one.end, 0.3) for one in strands]
+            self._cables = [self._rod(CABLE, one.start, one.end, 0.05) for one in strands]
+            self._muscles = [self._rod(CABLE, one.start, one.end, 0.3) for one in strands]
         self.scene.move_camera(4.0, -11.0, 4.0, 0.0, 0.0, 0.2 * _HEIGHT, duration=0)
 
     def _rod(self, color: str, first: Points, last: Points, radius: float) -> Any:
@@ -72,11 +90,8 @@ class JointScene:
         return self._lay(self.scene.cylinder(1, 1, 1, 24).material(color), first, last, radius)
 
     def _lay(self, rod: Any, first: Points, last: Points, radius: float) -> Any:
-        middle, along = self._scale * (first + last) / 2, self._scale * (last - first)
-        length = float(np.hypot(*along))
-        dx, dz = (along / length).tolist()
-        rod.move(float(middle[0]), 0.0, float(middle[1])).scale(radius, length, radius)
-        return rod.rotate_R([[-dz, dx, 0.0], [0.0, 0.0, 1.0], [dx, dz, 0.0]])
+        start, end = (self._scale * np.array([point[0], 0.0, point[1]]) for point in (first, last))
+        return lay_rod(rod, start, end, radius)
 
     @property
     def _now(self) -> float:
@@ -100,9 +115,7 @@ class JointScene:
             thick = 0.07 * length if diameter is None else float(diameter[at])
             self._lay(self._cables[number], strand.start, strand.end, 0.05)
             self._lay(self._muscles[number], *strand.body(length), self._scale * thick / 2)
-            part = float(np.clip(columns[f"pressure{number + 1}"][at] / highest, 0.0, 1.0))
-            red, green, blue = (_SLACK + part * (_FULL - _SLACK)).round().astype(int)
-            self._muscles[number].material(f"#{red:02x}{green:02x}{blue:02x}")
+            self._muscles[number].material(filling_colour(columns[f"pressure{number + 1}"][at] / highest))
 
     def _start(self) -> None:
         self._timer.active = self._play.value
