@@ -26,6 +26,9 @@ _CLEARANCE = 0.06  # of the length of a muscle, above it
 
 _NO_WRAP = np.empty((0, 2))
 
+SLENDER = 0.07
+"""Diameter per length with which a muscle of unknown diameter is drawn."""
+
 
 class Strand(NamedTuple):
     """A muscle with its connectors: straight from `start` to `end`, and from there on along a cam to its anchor."""

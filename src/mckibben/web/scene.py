@@ -10,7 +10,7 @@ from nicegui import events, ui
 from numpy.typing import NDArray
 
 from mckibben.joint import AntagonisticJoint
-from mckibben.joint.mechanism import Mechanism, Points
+from mckibben.joint.mechanism import SLENDER, Mechanism, Points
 from mckibben.units import bar
 from mckibben.web.layout import PageSlider
 from mckibben.web.workbench import Kept
@@ -112,7 +112,7 @@ class JointScene:
         highest = max(float(np.nanmax(columns[name])) for name in ("pressure1", "pressure2")) or bar
         for number, strand in enumerate(self._mechanism.strands(angle)):
             length, diameter = float(run.lengths[number][at]), run.diameters[number]
-            thick = 0.07 * length if diameter is None else float(diameter[at])
+            thick = SLENDER * length if diameter is None else float(diameter[at])
             self._lay(self._cables[number], strand.start, strand.end, 0.05)
             self._lay(self._muscles[number], *strand.body(length), self._scale * thick / 2)
             self._muscles[number].material(filling_colour(columns[f"pressure{number + 1}"][at] / highest))
