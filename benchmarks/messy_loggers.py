@@ -102,7 +102,7 @@ def dspace_with_mapped_paths(p, rng):
 
 @kind
 def simulink_to_workspace(p, rng):
-    header = ("time", "pressure_kPa:1", "contraction:1", "force_N:1")
+    header = ("time", "pressure_kPa:1", "contraction_percent:1", "force_N:1")
     rows = [[t, f"{100 * float(a):g}", b, c] for t, (a, b, c) in zip(times(p), cells(p), strict=True)]
     return csv(p, text(rows, header, ","))
 
@@ -170,7 +170,79 @@ def plotjuggler_held_values(p, rng):
     return csv(p, text([[t, *row] for t, row in zip(times(p), held, strict=True)], ("time [s]", *HEADER), ","))
 
 
+@kind
+def ros2_bag_as_table(p, rng):
+    header = ("timestamp", "/muscle/pressure_bar", "/muscle/contraction_percent", "/load_cell/force_N")
+    return csv(p, text([[f"{1710250380 + 0.1 * i:.9f}", *row] for i, row in enumerate(cells(p))], header, ","))
+
+
+@kind
+def signal_express_with_two_rows_of_header(p, rng):
+    head = "channel names:\nTime (s)\tPressure (bar)\tContraction (%)\tForce (N)\n"
+    return csv(p, head + "".join("\t".join(row) + "\n" for row in with_times(p)), "rig.txt")
+
+
+@kind
+def dewesoft_export(p, rng):
+    head = "File name: rig.dxd\nSample rate: 2.0 Hz\nStart time: 12.03.2024 14:33:00\n\n"
+    return csv(p, head + text(with_times(p), ("Time (s)", "Pressure (bar)", "Contraction (%)", "Force (N)"), "\t"))
+
+
+@kind
+def oscilloscope_with_settings_above(p, rng):
+    head = "Model,MSO44\nVertical Units,V\nHorizontal Units,s\nSample Interval,0.5\nRecord Length,24\n\n"
+    return csv(p, head + text(with_times(p), ("Time (s)", "Pressure (bar)", "Contraction (%)", "Force (N)"), ","))
+
+
+@kind
+def python_logger_with_times_and_levels(p, rng):
+    rows = [[f"2024-03-12 14:33:{i:02d}.250", "INFO", *row] for i, row in enumerate(cells(p))]
+    return csv(p, text(rows, ("asctime", "levelname", *NAMES), ";"), "rig.log")
+
+
+@kind
+def pandas_with_index_and_exponents(p, rng):
+    rows = [[str(i), *(f"{v:.6e}" for v in row)] for i, row in enumerate(numbers(p))]
+    return csv(p, text(rows, ("", *NAMES), ","))
+
+
+@kind
+def julia_delimited(p, rng):
+    rows = [[repr(v) for v in row] for row in numbers(p)]
+    return csv(p, text(rows, NAMES, "\t"), "rig.tsv")
+
+
+@kind
+def matlab_timetable(p, rng):
+    rows = [[f"{i / 2:g} sec", *row] for i, row in enumerate(cells(p))]
+    return csv(p, text(rows, ("Time", *NAMES), ","))
+
+
 # Test machines
+
+
+@kind
+def zwick_with_units_in_the_header(p, rng):
+    header = ("Prüfzeit [s]", "Druck [bar]", "Kontraktion [%]", "Zugkraft [N]")
+    return csv(p, "Zwick testXpert\n\n" + text(with_times(p, ","), header, end="\r\n"), "rig.csv", "cp1252")
+
+
+@kind
+def instron_with_units_in_the_header(p, rng):
+    rows = [[f'"{one}"' for one in row] for row in with_times(p)]
+    return csv(p, text(rows, ('"Time (s)"', '"Pressure (bar)"', '"Contraction (%)"', '"Force (N)"'), ","))
+
+
+@kind
+def machine_in_megapascals_and_kilonewtons(p, rng):
+    rows = [[repr(a / 10), repr(b / 100), repr(c / 1000)] for a, b, c in numbers(p)]
+    return csv(p, text(rows, ("Pressure [MPa]", "Contraction [-]", "Force [kN]"), "\t"), "rig.txt")
+
+
+@kind
+def fluidtester_in_hectopascals(p, rng):
+    rows = [[f"{1000 * a:.1f}", f"{b:g}", f"{c:g}"] for a, b, c in numbers(p)]
+    return csv(p, text(rows, ("Pressure [mbar]", *HEADER[1:])))
 
 
 @kind

@@ -57,6 +57,20 @@ def test_summaries_without_a_label_are_left_out(heard, spoil):
     assert "summary" in data.table.attrs["repairs"]
 
 
+@pytest.mark.parametrize("row", ["Mean,,102.3", "Mittelwert:,6.0,102,3", "3.00,6.0,total"])
+def test_rows_with_the_word_of_a_summary_in_place_of_a_number_are_left_out(heard, row):
+    data, told = heard([*written(ROWS), ",".join(row.split(",")[:3])])
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert len(told) == 1
+    assert "line 17" in data.table.attrs["repairs"]
+
+
+def test_other_words_in_place_of_a_number_are_errors(heard):
+    with pytest.raises(DatasetError) as caught:
+        heard([*written(ROWS), "OVL,6,102"])
+    assert [problem.line for problem in caught.value.problems] == [17]
+
+
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
 def test_points_at_the_middle_of_a_stroke_are_kept(heard, order):
     strokes = np.concatenate([EPS, EPS[-2::-1]])
@@ -138,6 +152,15 @@ def test_paths_of_names_are_read_by_their_last_part(heard):
     assert told == []
     with pytest.raises(DatasetError):
         heard(written(ROWS), "/set/pressure_bar,/rig/contraction_percent,/rig/force_N")
+
+
+def test_headers_and_signs_of_loggers_are_read(heard):
+    header = "pressure_bar:1,Contraction (%) Ave,Force [N] mean"
+    data, told = heard([",".join(f"+ {value}" for value in line.split(",")) for line in written(ROWS)], header)
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert told == []
+    with pytest.raises(DatasetError):
+        heard(written(ROWS), "pressure_bar,contraction_percent,Force [N] Max")
 
 
 def test_copies_of_a_column_are_left_out(heard):

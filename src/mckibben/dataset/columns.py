@@ -87,6 +87,7 @@ _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*(?:\((?P<a>.+)\)|\[(?P<b>.+)\]|[/,]\s*
 _NUMBER_AND_UNIT = re.compile(r"([+\-\u2212]?[0-9.,'’\s]+?(?:[eE][+-]?[0-9]+)?)\s*([A-Za-z%]+)")
 _GAUGE = re.compile(r"(.*?)(?:\s*\((?:g|gauge|rel)\)| ?gauge| rel| g|(?<=bar|psi)g)", re.IGNORECASE)
 _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a|(?<=bar|psi)a)", re.IGNORECASE)
+_SUFFIX = re.compile(r":[0-9]+$|(?<=[\])])\s*(?:ave|avg|mean)\.?$", re.IGNORECASE)  # Simulink's port, PicoLog's average
 _OTHER_PLACE = re.compile(r"set|soll|target|ref|demand|command|desired|goal|supply|tank|reservoir", re.IGNORECASE)
 ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut", re.IGNORECASE)
 """Words of names and comments that may mean an absolute pressure."""
@@ -166,6 +167,7 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
         return []
     text = unicodedata.normalize("NFC", " ".join(header.split()).rstrip("_"))  # MATLAB writes Pressure_bar_
     found: list[tuple[str, str]] = []
+    text = _SUFFIX.sub("", text)
     path, _, last = text.rpartition("/")
     if (path.count("/") or _CLASSIC.fullmatch(last)) and not _OTHER_PLACE.search(path):  # rig/pressure_bar
         text = last.strip()

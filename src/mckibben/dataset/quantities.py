@@ -15,7 +15,7 @@ from mckibben.dataset.columns import find_columns, parse_header, without_units
 from mckibben.dataset.plausibility import implied_diameter, missing_marks
 from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
-from mckibben.dataset.summaries import MOST_POINTS, invalid_rows, is_status, summaries
+from mckibben.dataset.summaries import MOST_POINTS, invalid_rows, is_status, labelled_summaries, summaries
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, mm, quantity
 
@@ -123,7 +123,8 @@ class ColumnConverter:
         ]
         invalid, states = invalid_rows([one for one in others if len(one.cells) == len(self.lines)], sheet.unit)
         self.suspect += states
-        self.missing += [sheet.kind(mark, line=line) for line, mark in invalid.items()]
+        self.summaries = labelled_summaries(numeric)
+        self.missing += [sheet.kind(mark, line=line) for line, mark in (invalid | self.summaries).items()]
         self.decimal, question = decimal_sign(numeric, others, sheet.delimiter, decimal)
         if question is not None:
             self.problems.append(sheet.kind(question.message, question.line, question.field, question.remedy))
@@ -178,6 +179,7 @@ class ColumnConverter:
         self, path: Path, data: dict[str, np.ndarray], on_corrupt: OnCorrupt
     ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """Valid rows, and attributes that list the corrupt ones; raises a `DatasetError` with all problems."""
+        self.corrupt = [one for one in self.corrupt if one.line not in self.summaries]
         self._leave_out_summaries(data)
         omitted = self.corrupt + self.missing
         bad = {problem.line for problem in omitted}

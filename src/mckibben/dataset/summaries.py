@@ -44,8 +44,10 @@ _STATUS |= _GOOD | _BAD
 _INVALID = frozenset(
     "fault error err invalid bad fail failed failure nok overload overrange overflow underrange ol saturated clipped "
     "outlier discard discarded ignore ignored reject rejected exclude excluded leak slipped stuck burst wrong "
-    "ungültig fehler fehlerhaft défaut erreur inválido errore invalide mean average avg median std stdev sum total "
-    "mittelwert mittel summe moyenne promedio media".split()
+    "ungültig fehler fehlerhaft défaut erreur inválido errore invalide".split()
+)
+_SUMMARY = frozenset(
+    "mean average avg median std stdev sum total mittelwert mittel summe moyenne promedio media".split()
 )
 _WORD = re.compile(r"[^\W\d_]+")
 _VALUES = 10_000  # different values that are compared
@@ -137,7 +139,7 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
             np.asarray(channel.cells), return_index=True, return_inverse=True, return_counts=True
         )
         texts = [f"{value:g}" if isinstance(value, np.floating) else str(value).strip() for value in values[:_VALUES]]
-        invalid = [at for at, text in enumerate(texts) if not _INVALID.isdisjoint(_words(text))]
+        invalid = [at for at, text in enumerate(texts) if not (_INVALID | _SUMMARY).isdisjoint(_words(text))]
         invalid = invalid or _false(channel.label, texts)
         if invalid and 2 * counts[invalid].sum() < len(channel.cells):
             for row in np.flatnonzero(np.isin(which, invalid)):
@@ -153,6 +155,17 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
                 "out the rows that it marks as invalid"
             )
     return lines, warnings
+
+
+def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
+    """Lines with a word such as mean in place of a number, and the word."""
+    return {
+        channel.lines[row]: f"has {cell.strip()[:_LONGEST]!r} in place of a number: a summary is not a measurement"
+        for channel in channels
+        if not isinstance(channel.cells, np.ndarray)
+        for row, cell in enumerate(channel.cells)
+        if cell and cell.strip().rstrip(":=").lower() in _SUMMARY
+    }
 
 
 def _false(name: str, texts: Sequence[str]) -> list[int]:
