@@ -93,6 +93,7 @@ def test_a_linear_ramp_has_no_summary(heard):
         ("valid", "1", "0"),
         ("Overload", "FALSE", "TRUE"),
         ("note", "", "outlier"),
+        ("remark", "ok", "Invalid; repeat"),
         ("run", "2", "mean"),
     ],
 )
@@ -105,7 +106,8 @@ def test_rows_that_another_column_marks_are_left_out(heard, name, usual, mark):
 
 
 @pytest.mark.parametrize(
-    ("name", "usual", "mark"), [("quality", "192", "0"), ("error code", "0", "17"), ("state", "M", "E")]
+    ("name", "usual", "mark"),
+    [("quality", "192", "0"), ("error code", "0", "17"), ("state", "M", "E"), ("note", "", "leak test passed")],
 )
 def test_states_whose_meaning_is_unknown_are_reported(heard, name, usual, mark):
     lines = [f"{line},{mark if at == 7 else usual}" for at, line in enumerate(written(ROWS))]

@@ -379,12 +379,9 @@ def _leave_out_constant_length(
 
 
 def _is_copy(sheet: RawTable, index: int) -> bool:
-    """True if an earlier column has the same name and the same cells."""
-    cells = sheet.channels[index].cells
-    return any(
-        one.name == sheet.channels[index].name and type(one.cells) is type(cells) and np.array_equal(one.cells, cells)
-        for one in sheet.channels[:index]
-    )
+    """True if the first column of the same name has the same cells."""
+    cells, first = sheet.channels[index].cells, sheet.channels[sheet.names.index(sheet.channels[index].name)].cells
+    return type(first) is type(cells) and np.array_equal(first, cells)
 
 
 def _is_constant(channel: RawColumn) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -50,7 +51,7 @@ _SUMMARY = frozenset(
     "mean average avg median std stdev sum total mittelwert mittel summe moyenne promedio media".split()
 )
 _WORD = re.compile(r"[^\W\d_]+")
-_VALUES = 10_000  # different values that are compared
+_VALUES = 100  # different numbers in a column of states
 _LONGEST = 40  # characters of a value
 _SHOWN = 4  # values in a warning
 
@@ -71,9 +72,10 @@ def summaries(columns: Mapping[str, tuple[Floats, float]]) -> dict[int, str]:
     found: dict[int, str] = {}
     jumps = (np.abs(np.diff(rows, axis=1)) > _JUMP * steps[:, None]).any(axis=0)
     apart = np.append(True, jumps) & np.append(jumps, True)  # others may be points of a ramp
-    for at, values, what in (*_ends(rows), *_of_all_before(rows), *_of_levels(rows, [*columns])):
-        if at not in found and apart[at] and _equal(rows, at, values):
-            found[at] = what
+    with np.errstate(over="ignore", invalid="ignore"):
+        for at, values, what in (*_ends(rows), *_of_all_before(rows), *_of_levels(rows, [*columns])):
+            if at not in found and apart[at] and _equal(rows, at, values):
+                found[at] = what
     return found
 
 
@@ -132,27 +134,31 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
     lines: dict[int, str] = {}
     warnings = []
     for channel in channels:
-        status = is_status(channel.label)
-        if not len(channel.cells) or (not status and isinstance(channel.cells, np.ndarray)):
+        status, cells = is_status(channel.label), channel.cells
+        if isinstance(cells, np.ndarray):
+            if not status or len(np.unique(cells)) > _VALUES:
+                continue
+            cells = [f"{value:g}" for value in cells]
+        counts = Counter(cells)
+        words = {text: _words(text) for text in counts}
+        begin = {text: _words(re.split("[,;]", text, maxsplit=1)[0]) for text in counts}  # outlier, to be repeated
+        invalid = {text for text, found in begin.items() if found and found <= _INVALID | _SUMMARY}
+        invalid |= _false(channel.label, [*counts])
+        if invalid and 2 * sum(map(counts.__getitem__, invalid)) < len(cells):
+            for line, text in zip(channel.lines, cells, strict=True):
+                if text in invalid:
+                    lines[line] = f"is marked as {text.strip()[:_LONGEST]!r} by {channel.name!r}"
             continue
-        values, first, which, counts = np.unique(
-            np.asarray(channel.cells), return_index=True, return_inverse=True, return_counts=True
-        )
-        texts = [f"{value:g}" if isinstance(value, np.floating) else str(value).strip() for value in values[:_VALUES]]
-        invalid = [at for at, text in enumerate(texts) if not (_INVALID | _SUMMARY).isdisjoint(_words(text))]
-        invalid = invalid or _false(channel.label, texts)
-        if invalid and 2 * counts[invalid].sum() < len(channel.cells):
-            for row in np.flatnonzero(np.isin(which, invalid)):
-                lines[channel.lines[int(row)]] = f"is marked as {texts[which[row]][:_LONGEST]!r} by {channel.name!r}"
-            continue
-        marked = [at for at in range(len(texts)) if at != np.argmax(counts)]
-        if invalid or (status and marked and len(values) < max(len(channel.cells) / 2, _FEWEST)):
-            marked = sorted(invalid or marked, key=first.__getitem__)
-            shown = ", ".join(repr(texts[at][:_LONGEST]) for at in marked[:_SHOWN])
+        marked = invalid or {text for text, found in words.items() if not found.isdisjoint(_INVALID)}
+        if not marked and status and 1 < len(counts) < max(len(cells) / 2, _FEWEST):
+            marked = {*counts} - {counts.most_common(1)[0][0]}
+        if marked:
+            first = next(line for line, text in zip(channel.lines, cells, strict=True) if text in marked)
+            shown = [repr(text.strip()[:_LONGEST]) for text in counts if text in marked]
             warnings.append(
-                f"{channel.name!r} is not read, and {counts[marked].sum()} of {len(channel.cells)} rows have {shown}"
-                f"{' ...' if len(marked) > _SHOWN else ''}, first {unit} {channel.lines[int(first[marked[0]])]}; leave "
-                "out the rows that it marks as invalid"
+                f"{channel.name!r} is not read, and {sum(map(counts.__getitem__, marked))} of {len(cells)} rows have "
+                f"{', '.join(shown[:_SHOWN])}{' ...' if len(shown) > _SHOWN else ''}, first {unit} {first}; leave out "
+                "the rows that it marks as invalid"
             )
     return lines, warnings
 
@@ -168,15 +174,15 @@ def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
     }
 
 
-def _false(name: str, texts: Sequence[str]) -> list[int]:
-    """Place of the value of invalid rows in a column of two truth values, by its name."""
-    truth = [_TRUTH.get(text.lower()) for text in texts]
-    if sorted(map(str, truth)) != ["False", "True"]:
-        return []
+def _false(name: str, texts: Sequence[str]) -> set[str]:
+    """Value of invalid rows in a column of two truth values, by its name; empty in other columns."""
+    truth = {_TRUTH.get(text.strip().lower()): text for text in texts}
+    if len(texts) != 2 or truth.keys() != {True, False}:
+        return set()
     words = _words(name)
     if not words.isdisjoint(_GOOD):
-        return [truth.index(False)]
-    return [truth.index(True)] if not words.isdisjoint(_BAD) else []
+        return {truth[False]}
+    return set() if words.isdisjoint(_BAD) else {truth[True]}
 
 
 def is_status(name: str) -> bool:
