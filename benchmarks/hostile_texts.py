@@ -36,6 +36,17 @@ def text_blank_lines(rng):
 
 
 @kind
+def text_two_million_points_without_order(rng):
+    """Each pressure occurs once, twice or thrice: as many levels, and strokes of two points."""
+    count, each = near(rng, 2e6), int(rng.integers(1, 4))
+    pressure = np.repeat(np.linspace(1, 7, count // each + 1), each)[:count]
+    table = np.stack([np.arange(count), pressure, rng.uniform(0, 25, count), rng.uniform(0, 600, count)], axis=1)
+    stream = io.BytesIO()
+    np.savetxt(stream, table, fmt="%.7g", delimiter=",")
+    return text(head(), stream.getvalue())
+
+
+@kind
 def text_one_line_without_delimiters(rng):
     letter = pick(rng, b"1", b"x", b" ", b"\t")
     return text(*[head()] * int(rng.integers(2)), letter * near(rng, 150e6))

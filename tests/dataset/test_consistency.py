@@ -123,6 +123,33 @@ def test_a_muscle_that_is_slack_at_the_lowest_pressure_and_pulls_at_the_next_is_
     assert any("absolute" in one for one in heard(pressure + 1.01325, contraction, force)[1])
 
 
+def test_absolute_pressures_of_a_muscle_that_is_never_slack_are_reported(heard):
+    pressure, contraction, force = points((1, 2, 3, 4), contractions=6, largest=6.0)
+    assert heard(pressure, contraction, force)[1] == []
+    assert any("absolute" in one for one in heard(pressure + 1.01325, contraction, force)[1])
+
+
+def test_a_force_that_contradicts_those_at_less_pressure_is_named(heard):
+    pressure, contraction, force = points((2, 4, 6), contractions=3, largest=12.0)
+    told = [one for one in heard(pressure, contraction, changed(force, [14], force[14] - 400.0))[1] if " 15 (" in one]
+    assert len(told) == 1
+
+
+def test_forces_of_a_slower_channel_that_holds_its_value_are_reported(heard):
+    pressure, contraction, force = points(contractions=9)
+    rows = np.arange(len(force))
+    assert any("repeat" in one for one in heard(pressure, contraction, force[rows - rows % 2])[1])
+    weights = np.repeat([50.0, 100.0, 150.0], 36)  # isotonic: the force is constant by design
+    assert not any("repeat" in one for one in heard(pressure, np.sort(contraction), weights)[1])
+
+
+def test_two_equal_largest_forces_are_reported(heard):
+    pressure, contraction = np.repeat([2.0, 3.0, 4.0], 5), np.tile(np.arange(0, 15, 3.0), 3)
+    force = 83.7 * pressure * (1 - contraction / 28) ** 2
+    assert heard(pressure, contraction, force)[1] == []
+    assert any("saturated" in one for one in heard(pressure, contraction, np.minimum(force, 255.0))[1])
+
+
 def test_a_dead_band_is_no_offset_of_the_pressure(heard):
     pressure, contraction, force = points((0, 0.3, 1, 2, 3, 4, 5))
     dead = np.where(pressure < 0.8, np.minimum(force, 0.4), force * (pressure - 0.8) / np.maximum(pressure, 0.8))

@@ -42,7 +42,7 @@ def test_the_kinds_of_the_finding_are_right_or_asked(messy, tmp_path):
         "gnuplot_blocks": "right",
         "origin_with_three_rows_of_header": "right",
         "words_at_the_end": "right",
-        "mean_at_the_end": "asked",
+        "mean_at_the_end": "right",
         "no_units": "asked",
         "hdf5_rows_of_records": "right",
         "labview_without_times": "right",

@@ -181,6 +181,27 @@ def test_passes_need_reversals():
     assert passes(one, np.random.default_rng(0).uniform(0, 0.2, 30)) is None
 
 
+def test_passes_are_found_whatever_the_order_of_the_levels():
+    up = np.linspace(0, 0.2, 10)
+    strokes = np.concatenate([up, up[::-1]])
+    levels, contraction = np.repeat([5, 2, 9], 20), np.tile(strokes, 3)
+    order = np.argsort(np.tile(np.arange(20), 3), kind="stable")  # row by row of all levels
+    found, swapped = passes(levels, contraction), passes(levels[order], contraction[order])
+    assert found is not None and swapped is not None
+    assert (found[0][order] == swapped[0]).all() and (found[1][order] == swapped[1]).all()
+    assert passes(np.arange(0), up[:0]) is None
+
+
+def test_levels_of_two_points_each_have_no_passes(tmp_path):
+    rng, count = np.random.default_rng(0), 60_000
+    pressure, contraction = np.repeat(np.linspace(1, 6, count // 2), 2), rng.uniform(0, 20, count)
+    rows = np.stack([pressure, contraction, 100 * pressure * (1 - contraction / 28) ** 2], axis=1)
+    np.savetxt(tmp_path / "rig.csv", rows, "%.5f", ",", header="pressure_bar,contraction_percent,force_N", comments="")
+    data = read_dataset(tmp_path / "rig.csv")
+    assert len(data) == count
+    assert "direction" not in data.table
+
+
 def test_points_without_levels_have_blocks_all_the_same(written):
     pressure, contraction, force, _ = measured(scatter=0.3)
     data = read(written(pressure, contraction, force))

@@ -87,9 +87,10 @@ _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*(?:\((?P<a>.+)\)|\[(?P<b>.+)\]|[/,]\s*
 _NUMBER_AND_UNIT = re.compile(r"([+\-\u2212]?[0-9.,'’\s]+?(?:[eE][+-]?[0-9]+)?)\s*([A-Za-z%]+)")
 _GAUGE = re.compile(r"(.*?)(?:\s*\((?:g|gauge|rel)\)| ?gauge| rel| g|(?<=bar|psi)g)", re.IGNORECASE)
 _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a|(?<=bar|psi)a)", re.IGNORECASE)
-
-
-_ABSOLUTE_NAME = re.compile(r"(?<![a-z])abs(?![a-z])|absolut", re.IGNORECASE)
+_SUFFIX = re.compile(r":[0-9]+$|(?<=[\])])\s*(?:ave|avg|mean)\.?$", re.IGNORECASE)  # Simulink's port, PicoLog's average
+_OTHER_PLACE = re.compile(r"set|soll|target|ref|demand|command|desired|goal|supply|tank|reservoir", re.IGNORECASE)
+ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut", re.IGNORECASE)
+"""Words of names and comments that may mean an absolute pressure."""
 _UNITS = frozenset(name.lower() for name in units.UNITS)
 _FOREIGN = frozenset("at atm torr mmhg mh2o v mv g kg cn dn mn hpa mbar lb volts".split())
 """Units, in small letters, that contradict any other, in addition to those of `units`."""
@@ -166,6 +167,10 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
         return []
     text = unicodedata.normalize("NFC", " ".join(header.split()).rstrip("_"))  # MATLAB writes Pressure_bar_
     found: list[tuple[str, str]] = []
+    text = _SUFFIX.sub("", text)
+    path, _, last = text.rpartition("/")
+    if (path.count("/") or _CLASSIC.fullmatch(last)) and not _OTHER_PLACE.search(path):  # rig/pressure_bar
+        text = last.strip()
     if match := _CLASSIC.fullmatch(text):
         quantity = match[1].lower()
         found.append((quantity, match[2] or (_bare(unit) if ACCEPTED[quantity] else "")))
@@ -209,7 +214,7 @@ def _same_unit(spelled: str, known: str, quantity: str) -> bool:
 
 
 _BY_NAME = "columns={...} (command line: --column 'HEADER=NAME')"
-_SUBTRACT = "subtract the ambient pressure in the file, and state a gauge pressure in its header"
+SUBTRACT = "subtract the ambient pressure in the file, and state a gauge pressure in its header"
 _LONGEST = 200  # characters of a name; matching takes quadratic time
 _SHOWN = 40  # names of the file's columns in a message
 
@@ -277,14 +282,14 @@ def find_columns(
         mapped = index in assigned
         seen.add(header[index - 1] if index else "")
         if text and text in seen and index not in positions:
-            if text in chosen:
+            if text in chosen or _is_copy(sheet, index):
                 layout.ignored.append(text)
             else:
                 by_position = f"columns={{'{index + 1}': ...}} (command line: --column {index + 1}=NAME)"
                 problem("appears twice in the header", text, f"choose one by its position: {by_position}")
         elif column is None or (column.quantity in known and not mapped):
             if column is None and not mapped and (reason := unit_error(channel.label, channel.unit)):
-                remedy = _SUBTRACT if "absolute" in reason else f"accepted are {_accepted(channel.label)}"
+                remedy = SUBTRACT if "absolute" in reason else f"accepted are {_accepted(channel.label)}"
                 problem(reason, text, remedy)
             layout.ignored += [text] if text else []
         elif column.quantity in layout.places:
@@ -338,10 +343,10 @@ def _compare_units(
         named = _bare(named) if _is_contradiction(_bare(named)) else ""
     if column.quantity.endswith("pressure"):
         if any(map(_is_absolute, (_bare(channel.unit), named))):
-            problem("is an absolute pressure; a gauge pressure is needed", channel.name, _SUBTRACT)
+            problem("is an absolute pressure; a gauge pressure is needed", channel.name, SUBTRACT)
             return
-        if mapped and _ABSOLUTE_NAME.search(channel.label):
-            layout.suspect.append(f"{channel.name!r} is read as a gauge pressure; if it is absolute, {_SUBTRACT}")
+        if mapped and ABSOLUTE.search(channel.label):
+            layout.suspect.append(f"{channel.name!r} is read as a gauge pressure; if it is absolute, {SUBTRACT}")
     for stated, where in ((_bare(channel.unit), "the file has"), (named, "its name says")):
         if not stated or not column.unit or _same_unit(stated, column.unit, column.quantity):
             continue
@@ -371,6 +376,12 @@ def _leave_out_constant_length(
     columns[length] = None
     names = [sheet.channels[index].name for index in (length, displacement)]
     layout.suspect.append(f"{names[0]!r} is constant and is left out; {names[1]!r} is read")
+
+
+def _is_copy(sheet: RawTable, index: int) -> bool:
+    """True if the first column of the same name has the same cells."""
+    cells, first = sheet.channels[index].cells, sheet.channels[sheet.names.index(sheet.channels[index].name)].cells
+    return type(first) is type(cells) and np.array_equal(first, cells)
 
 
 def _is_constant(channel: RawColumn) -> bool:

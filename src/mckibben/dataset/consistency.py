@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.plausibility import resolution
 from mckibben.units import bar, percent
 
 Floats = NDArray[np.float64]
@@ -21,15 +22,22 @@ _RISING = 0.7  # correlation of force and contraction at constant pressure
 _TOLERANCE = 0.25  # of the force that a tenth of the points exceed: more than friction and creep
 _NOISE = 0.05  # of the largest force
 _SAME = 0.1 * percent  # contraction
-_LOOP = 2.0  # usual steps of the force from contraction to contraction, which friction adds to
+_LOOP = 2.0  # usual distances between loading and unloading
 _AGAINST = 3  # points that an outlier contradicts
 _SHARE = 0.1  # of the points: more are not single errors
 _MOST = 1000  # points at a level that are compared in pairs
 _NAMED = 5  # points named in a warning
+_HELD = 0.2  # of the rows: forces that repeat although the muscle moved
+_VARIED = 1 / 6  # of the rows: different forces of a test that is not isotonic
+_COARSE = 10  # steps of the resolution of the force, below which equal forces are rounded ones
 _UNSTRETCHED = 2 * percent  # contraction of a muscle that does not pull without pressure
 _NEAR = 0.5 * percent  # contraction at which a muscle pulls as soon as there is pressure
 _VENTED = 0.2 * bar  # lowest pressure of a muscle that should pull
 _DEAD_BAND = 0.4  # of the step above the lowest pressure
+_ATMOSPHERE = (0.75 * bar, 1.6 * bar)  # pressure at which the force of a muscle may begin if pressures are absolute
+_LOWEST_ABSOLUTE = 0.7 * bar  # of the atmosphere, at 3,000 m
+_TAUT, _UPPER = 0.15, 0.6  # of the largest force, and of the range of contractions: points whose force is compared
+_CERTAIN = 2.5  # standard errors
 _MOVED = 0.2 * percent  # contraction from point to point
 _PAIRS = 3  # of points per direction
 _REVERSED = 0.9  # of these pairs
@@ -45,7 +53,8 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     levels = _levels(dataset.pressure)
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)
-    yield from _pressure_offset(dataset, levels)
+    yield from _held_forces(dataset)
+    yield from list(_pressure_offset(dataset, levels)) or _absolute_pressure(dataset)
     yield from _directions(dataset, levels)
 
 
@@ -94,8 +103,8 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
     tolerance = max(_TOLERANCE * float(np.quantile(force, 0.9)), _NOISE * float(force.max()))
     vented = (pressure <= _LEVEL / 2 * pressure.max()) & (force > tolerance) & (contraction > _UNSTRETCHED)
     found = set(np.flatnonzero(vented).tolist())
-    for rows in levels:
-        found |= set(rows[_against_others(contraction[rows], force[rows], tolerance)].tolist())
+    for part in [levels] if len(force) <= _MOST else [[rows] for rows in levels if len(rows) <= _MOST]:
+        found |= _against_others(contraction, force, part, tolerance)
     found = sorted(found)
     if found and len(found) <= _SHARE * len(force):
         shown = ", ".join(
@@ -109,21 +118,50 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
         )
 
 
-def _against_others(contraction: Floats, force: Floats, tolerance: float) -> list[int]:
-    """Fewest points at one pressure without which the force falls with the contraction."""
-    if not _AGAINST < len(force) <= _MOST:
-        return []
-    steps = np.abs(np.diff(force[np.argsort(contraction, kind="stable")]))
-    tolerance = max(tolerance, _LOOP * float(np.median(steps)))
-    against = contraction[:, None] <= contraction + _SAME
-    against &= force[:, None] < force - tolerance
-    against |= against.T
-    counts, found = against.sum(axis=1), []
+def _against_others(contraction: Floats, force: Floats, levels: Sequence[Rows], tolerance: float) -> set[int]:
+    """Fewest points without which the force falls with the contraction, and rises from level to level."""
+    rows = np.concatenate(levels)
+    level = np.repeat(np.arange(len(levels)), list(map(len, levels)))
+    loops = np.array([max(tolerance, _LOOP * _friction(contraction[each], force[each])) for each in levels])
+    eps, pull = contraction[rows], force[rows]
+    less = (pull - pull[:, None]) / loops[level][:, None]  # twice the tolerance counts twice
+    against = np.clip(less, 0, 2).astype(np.int64) * ((eps[:, None] <= eps + _SAME) & (level[:, None] >= level))
+    against += against.T
+    counts, found = against.sum(axis=1), set()
     while counts.max() >= _AGAINST:
-        found.append(int(np.argmax(counts)))
-        counts -= against[found[-1]]
-        counts[found[-1]] = 0
+        at = int(np.argmax(counts))
+        found.add(int(rows[at]))
+        counts -= against[at]
+        counts[at] = 0
     return found
+
+
+def _friction(contraction: Floats, force: Floats) -> float:
+    """Usual distance of the force [N] from the line through the points next to it in contraction."""
+    order = np.argsort(contraction, kind="stable")
+    eps, pull = contraction[order], force[order]
+    if len(eps) < 3:
+        return 0.0
+    span = eps[2:] - eps[:-2]
+    weight = np.divide(eps[1:-1] - eps[:-2], span, out=np.full(len(span), 0.5), where=span > 0)
+    return float(np.median(np.abs(pull[1:-1] - (1 - weight) * pull[:-2] - weight * pull[2:])))
+
+
+def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
+    """Warning if many forces repeat the one before although the muscle moved."""
+    force, change = dataset.force, np.diff(dataset.force)
+    moved = np.abs(np.diff(dataset.contraction)) > _MOVED
+    moved &= np.minimum(force[1:], force[:-1]) > _NOISE * force.max()
+    held = moved & (change == 0)
+    if not held.sum() > max(_HELD * moved.sum(), _PAIRS):
+        return
+    others = np.abs(change[moved & ~held])
+    rounded = not others.size or np.median(others) <= _COARSE * resolution(force)
+    if not rounded and len(np.unique(force)) > _VARIED * len(force):
+        yield (
+            f"force: {held.sum()} of {moved.sum()} forces repeat the row before, although the muscle moved: a channel "
+            "with a lower rate may hold its last value; leave these rows out"
+        )
 
 
 def _pressure_offset(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
@@ -143,6 +181,41 @@ def _pressure_offset(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterat
         yield (
             f"pressure: the muscle is slack at the lowest pressure, {at[0] / bar:.3g} bar, and pulls from there on; "
             "pressures may be absolute or have an offset: they are read as gauge pressures"
+        )
+
+
+def _absolute_pressure(dataset: IsobaricDataset) -> Iterator[str]:
+    """Warning if forces near the initial length begin at about the pressure of the atmosphere.
+
+    The force of a taut muscle is linear in the pressure: least squares with p (a + b eps + c eps^2) + d + e eps.
+    """
+    contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
+    stroke = np.ptp(contraction)
+    used = force > max(_TAUT * force.max(), dataset.table.attrs["slack_force"])
+    used &= contraction <= contraction.min() + _UPPER * stroke
+    p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
+    terms = [p, np.ones(len(p)), eps, p * eps, p * eps**2][: 5 if stroke else 2]
+    if (
+        pressure.min() < _LOWEST_ABSOLUTE
+        or len(p) <= len(terms)
+        or len(np.unique(np.round(p / (_LEVEL * p.max())))) < 3
+    ):
+        return
+    design = np.stack(terms, axis=1)
+    found = np.linalg.lstsq(design, force[used])[0]
+    slope, start = found[:2]
+    if slope <= 0:
+        return
+    begin = -start / slope
+    residual = force[used] - design @ found
+    covariance = np.linalg.pinv(design.T @ design)[:2, :2] * (residual @ residual) / (len(p) - len(terms))
+    gradient = np.array([begin, 1.0]) / slope
+    error = np.sqrt(gradient @ covariance @ gradient)
+    low, high = _ATMOSPHERE
+    if low <= begin * bar <= high and begin > _CERTAIN * error:
+        yield (
+            f"pressure: the force at the initial length begins at about {begin:.2g} bar; either the muscle needs this "
+            "pressure before it pulls, or the pressures are absolute: they are read as gauge pressures"
         )
 
 

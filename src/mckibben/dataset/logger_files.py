@@ -40,6 +40,8 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             sheets: list[Any] = book.worksheets
             notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in sheets}
+        used: Any = book
+        struck = {sheet.title: _struck(sheet) for sheet in sheets if any(font.strike for font in used._fonts)}
     except (DatasetError, MemoryError):
         raise
     except Exception as error:  # openpyxl raises almost any exception on a damaged file
@@ -57,7 +59,8 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
         sheet.suspect += [f"the hidden sheet {title!r} is not read" for title in skipped]
         filled = {title: channels for title, channels in filled.items() if title not in skipped}
     for title in filled:
-        note = f"{'is hidden; ' if title in hidden else ''}{notes[title]}".removesuffix("; ")
+        found = [*(["is hidden"] if title in hidden else []), *filter(None, (notes[title], struck.get(title, "")))]
+        note = "; ".join(found)
         sheet.suspect += [f"sheet {title!r} {note}"] if note else []
     for title, channels in filled.items():
         prefix = f"{title}/" if len(filled) > 1 else ""
@@ -86,6 +89,17 @@ def _hidden(archive: zipfile.ZipFile, part: str) -> str:
     found = [f"rows {shown}"] if rows else []
     found += [f"{columns} column{'s' if columns > 1 else ''}"] if columns else []
     return f"has hidden {' and '.join(found)}, which are read" if found else ""
+
+
+def _struck(sheet: Any) -> str:
+    """Rows of a sheet with struck-out cells, which are read as all others; empty if there are none."""
+    rows = [
+        str(number)
+        for number, row in enumerate(sheet.iter_rows(), 1)
+        if any(cell.value is not None and cell.font.strike for cell in row)
+    ]
+    shown = f"{', '.join(rows[:_LISTED])}{' ...' if len(rows) > _LISTED else ''}"
+    return f"has struck-out cells in rows {shown}, which are read" if rows else ""
 
 
 def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:

@@ -37,6 +37,8 @@ _SAME_PRESSURE = 0.05  # largest relative difference of pressures at one level
 _EVEN = 1.5  # distance of a point from its neighbor, over the distance between that and the next, at most
 _LINE = 0.1  # of the force at the closer point: least value of a line through two points
 _REPEATED = 3  # equal largest values that may be saturated
+_APART = 0.05  # of the range of pressures or contractions
+_FINE = 1000  # steps of the resolution up to the largest force, where even two equal ones are rare
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
@@ -71,7 +73,7 @@ def check_points(
             *_contractions(contraction, force > slack_force, initial_length),
             *check_pressures(float(pressure.max())),
             *_forces(pressure, force, specimen),
-            *_clipped("force", measured, 1.0, "N"),
+            *_clipped("force", measured, 1.0, "N", pressure, contraction),
             *_clipped("pressure", pressure, bar, "bar"),
             *_zeros(pressure, contraction, force, measured),
             *_copies(pressure, contraction, force),
@@ -167,9 +169,8 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
     distance = np.maximum(low - values[marks], values[marks] - high)
     negative = low >= 0 and bool((values[marks] < 0).all())
     isolated = negative or bool((distance > max(high - low, 0.5 * abs(high))).all())
-    three = bool((size[marks] >= 100).all())
     if not isolated:
-        marks[marks] = three & ~_continuous(values, marks, usual)
+        marks[marks] = (size[marks] >= 100) & ~_continuous(values, marks, usual)
     return marks, isolated
 
 
@@ -181,11 +182,17 @@ def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool
     return np.all(np.abs(ends - values[rows]) <= _STEADY * np.abs(values[rows]), axis=0)
 
 
-def _clipped(name: str, values: Floats, unit: float, symbol: str) -> Iterator[tuple[Problem, bool]]:
-    """Message on a largest value that repeats, where no other does."""
+def _clipped(
+    name: str, values: Floats, unit: float, symbol: str, *conditions: Floats
+) -> Iterator[tuple[Problem, bool]]:
+    """Message on a largest value that repeats, or occurs twice under different conditions, where no other does."""
     levels, counts = np.unique(values, return_counts=True)
     low = _CLEARLY * levels[-1]  # readings of a slack muscle repeat
-    if len(levels) > 2 and counts[-1] >= _REPEATED and counts[-1] > 2 * counts[:-1][levels[:-1] > low].max(initial=1):
+    others = counts[:-1][levels[:-1] > low].max(initial=1)
+    at = values == levels[-1]
+    twice = others == 1 < counts[-1] and any(np.ptp(one[at]) > _APART * np.ptp(one) for one in conditions)
+    twice = twice and resolution(values) * _FINE < levels[-1]
+    if len(levels) > 2 and ((counts[-1] >= _REPEATED and counts[-1] > 2 * others) or twice):
         text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
         yield Problem(text, field=name, remedy="check the range of the sensor"), False
 
@@ -219,7 +226,7 @@ def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats, measur
     if not (count and largest > 0 and pressure.max() > 0):
         return np.array([], np.intp)
     clearly = (3 * _NOISE if count <= max(3, _FEW * len(force)) else _CLEARLY) * largest
-    least = max(clearly / 3, 3 * _resolution(measured))
+    least = max(clearly / 3, 3 * resolution(measured))
     lost = np.zeros(len(force), bool)
     levels = np.clip(np.round(pressure / (2 * _SAME_PRESSURE * pressure.max())), 0, None).astype(np.int16)
     for order in (np.arange(len(force)), np.argsort(levels, kind="stable")):  # as measured, and pressure by pressure
@@ -238,7 +245,7 @@ def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats, measur
     return np.flatnonzero(lost)
 
 
-def _resolution(force: Floats) -> float:
+def resolution(force: Floats) -> float:
     """Largest power of ten [N] of which all forces are multiples; 0 below 0.1 N."""
     return next((step for step in (100.0, 10.0, 1.0, 0.1) if np.allclose(force, step * np.round(force / step))), 0.0)
 

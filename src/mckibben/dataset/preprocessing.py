@@ -23,6 +23,7 @@ Ints = NDArray[np.int_]
 Bools = NDArray[np.bool_]
 
 _FEWEST = 3  # points at a level
+_MOST_LEVELS, _MOST_RUNS = 10_000, 100_000  # beyond which levels and passes are not looked for, as they take long
 _SEPARATION = 2.5  # smallest ratio of gaps between levels to gaps within
 _ONE_LEVEL = 0.01  # of the highest pressure: a narrower range is scatter about one level
 _STEPS = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)  # bar, of nominal pressures
@@ -56,7 +57,7 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = Non
         )
     levels = _levels(table)
     values, groups = np.unique(levels, return_inverse=True)
-    grouped = 2 * len(values) <= len(levels)
+    grouped = 2 * len(values) <= len(levels) and len(values) <= _MOST_LEVELS
     if (
         "direction" not in table
         and (found := passes(groups if grouped else 0 * groups, contraction, files)) is not None
@@ -144,20 +145,21 @@ def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tupl
     direction, repeat = np.zeros(len(groups), "<U9"), np.zeros(len(groups), int)
     reversing = count = 0
     order = np.argsort(groups, kind="stable")
-    in_groups = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1)
-    for rows in in_groups:
+    levels = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
+    most = min(len(groups) // _FEWEST, _MOST_RUNS)
+    for rows in levels:
         ends = np.flatnonzero(np.diff(files[rows])) + 1 if files is not None else []
         found = ((one[part], word) for one in np.split(rows, ends) for part, word in _runs(contraction[one]))
-        runs = list(itertools.islice(found, len(groups) // _FEWEST + 1))  # more are too many
+        runs = list(itertools.islice(found, most + 1))  # more are too many
         reversing += len(runs) > 1
         count += len(runs)
-        if len(groups) < _FEWEST * count:
+        if count > most:
             return None
         strokes = {"loading": 0, "unloading": 0}
         for part, word in runs:
             direction[part], repeat[part] = word, strokes[word]
             strokes[word] += 1
-    return (direction, repeat) if 2 * reversing > len(in_groups) else None
+    return (direction, repeat) if 2 * reversing > len(levels) else None
 
 
 def _runs(values: Floats) -> Iterator[tuple[slice, Literal["loading", "unloading"]]]:

@@ -15,6 +15,7 @@ from mckibben.dataset.columns import find_columns, parse_header, without_units
 from mckibben.dataset.plausibility import implied_diameter, missing_marks
 from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
+from mckibben.dataset.summaries import MOST_POINTS, invalid_rows, is_status, labelled_summaries, summaries
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, mm, quantity
 
@@ -43,6 +44,7 @@ _NO_DISPLACEMENT = (
 _SLACK_REMEDY = "give a force of 0 N or more (command line: --slack-force '1 N')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
 _LONGEST = 20.0  # m
+_MEASURED = frozenset(("pressure", "force", "contraction", "length", "displacement"))
 _LISTED = 10_000  # problems of an error
 _WARNED = 5  # omitted rows listed in a warning
 
@@ -78,7 +80,8 @@ def impossible_settings(initial_length: float | None, slack_force: float | None)
 class ColumnConverter:
     """Converts the cells of a file to SI columns; collects `problems`, `corrupt` rows and `suspect` values.
 
-    `missing` are the rows with values that the file itself marks as missing: they are always left out.
+    `missing` are rows with values that the file itself marks as missing or invalid, and summaries of others: they are
+    always left out.
     """
 
     def __init__(
@@ -113,6 +116,15 @@ class ColumnConverter:
         numeric = [sheet.channels[index] for index, column in self.places.values() if column.quantity not in WORDS]
         self.suspect += [f"{channel.name}: {note}" for channel in numeric for note in channel.notes]
         others = [channel for channel in sheet.channels if all(channel is not one for one in read)]
+        self.suspect += [
+            f"{sheet.channels[index].name!r} is read as {name}, and has the name of a column of states"
+            for name, (index, column) in self.places.items()
+            if column.unit and is_status(sheet.channels[index].label)
+        ]
+        invalid, states = invalid_rows([one for one in others if len(one.cells) == len(self.lines)], sheet.unit)
+        self.suspect += states
+        self.summaries = labelled_summaries(numeric)
+        self.missing += [sheet.kind(mark, line=line) for line, mark in (invalid | self.summaries).items()]
         self.decimal, question = decimal_sign(numeric, others, sheet.delimiter, decimal)
         if question is not None:
             self.problems.append(sheet.kind(question.message, question.line, question.field, question.remedy))
@@ -167,6 +179,8 @@ class ColumnConverter:
         self, path: Path, data: dict[str, np.ndarray], on_corrupt: OnCorrupt
     ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """Valid rows, and attributes that list the corrupt ones; raises a `DatasetError` with all problems."""
+        self.corrupt = [one for one in self.corrupt if one.line not in self.summaries]
+        self._leave_out_summaries(data)
         omitted = self.corrupt + self.missing
         bad = {problem.line for problem in omitted}
         lines = self.line_numbers()
@@ -199,6 +213,21 @@ class ColumnConverter:
             warnings.warn(text, McKibbenWarning, stacklevel=4)
             data = {name: values[kept] for name, values in data.items()}
         return data, attrs
+
+    def _leave_out_summaries(self, data: Mapping[str, np.ndarray]) -> None:
+        """Count rows that are a statistic of others as missing."""
+        lines = self.line_numbers()
+        bad = [problem.line for problem in self.corrupt + self.missing if problem.line is not None]
+        kept = ~np.isin(lines, bad)
+        values = {**data, **self.measured}
+        read = {name: column.unit for name, (_, column) in self.places.items() if name in _MEASURED and name in values}
+        if self.problems or not read or kept.sum() > MOST_POINTS:
+            return
+        found = summaries({name: (values[name][kept], factor(unit)) for name, unit in read.items()})
+        self.missing += [
+            self.sheet.kind(f"is {what}: a summary is not a measurement", line=int(lines[kept][row]))
+            for row, what in found.items()
+        ]
 
     def _columns_read(self, data: Mapping[str, np.ndarray], kept: NDArray[np.bool_]) -> str:
         """Table of the columns read: quantity, unit, its origin, range in this unit, remark; rows, implied diameter."""

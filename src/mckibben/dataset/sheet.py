@@ -133,6 +133,7 @@ def at_type_limit(values: np.ndarray) -> tuple[str, ...]:
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*(?:([.,])[0-9]*)?")
 _ONE_SIGN = re.compile(r"[+-]?([0-9]*)([.,])([0-9]*)([eEdD][+-]?[0-9]+)?")
 _FORTRAN = re.compile(r"(?<=[0-9.,])[dD](?=[+-]?[0-9])")
+_SIGN = re.compile(r"^([+-])\s+(?=[0-9])")  # + 1.5, as some loggers write
 _LONGEST_TEXT = 200  # characters of a cell of a workbook or another binary file
 _FEW = 10_000  # cells of a column whose problems are all listed
 _UNDECIDED = "?"
@@ -151,7 +152,7 @@ class DecimalSign:
 
 def evidence(cell: str) -> str:
     """Decimal sign that a cell determines; "?" for 1.234 and 1,234, empty if it has none."""
-    text = cell.strip()
+    text = _SIGN.sub(r"\1", cell.strip())
     if isinstance(cell, NumberText):
         return ""
     if match := _ONE_SIGN.fullmatch(text):
@@ -254,6 +255,7 @@ def read_numbers(
 
     def trimmed(cell: str) -> str:
         text = _FORTRAN.sub("e", cell.strip().replace("\u2212", "-"))  # the exponent of 1.5D+02
+        text = _SIGN.sub(r"\1", text)
         return _without_thousands(text, decimal.sign, settled=settled)
 
     for index, cell in enumerate(cells):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mckibben.dataset.columns import is_unit
+from mckibben.dataset.columns import ABSOLUTE, SUBTRACT, is_unit
 from mckibben.dataset.sheet import COMMENTS, RawColumn, RawTable, numeric_bytes, parse_numbers
 from mckibben.errors import DatasetError, Problem
 
@@ -19,6 +19,7 @@ _DELIMITERS = (",", ";", "\t")
 _PREAMBLE = 60  # lines searched for a header
 _MOST_COLUMNS = 4096
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
+_SHOWN = 80  # characters of a line in a message
 _JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
@@ -62,6 +63,10 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
         _cells(lines, stream, number, sheet, known)
     else:
         sheet.channels = numbers
+    for at, line in enumerate(islice(_Lines(text), max(0, number - 1)), 1):
+        if ABSOLUTE.search(line):
+            words = repr(line.strip()[:_SHOWN])
+            sheet.suspect.append(f"line {at} says {words}: pressures are read as gauge pressures; {SUBTRACT}")
     sheet.suspect += split_numbers(sheet, known)
     check_last_line(text, text.count("\n") + 1, zeros, sheet)
     if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
@@ -112,7 +117,7 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
         cells = _split(candidate, delimiter)
         if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
             return lines[index:], number + index
-        if sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) >= 2:
+        if max(2, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
             break  # a row: the following lines cannot be a header
     return lines, number
 

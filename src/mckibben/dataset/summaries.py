@@ -1,0 +1,194 @@
+"""Rows that are not measurements: summaries of other rows, and rows that a column marks as invalid."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.dataset.sheet import RawColumn
+
+Floats = NDArray[np.float64]
+
+MOST_POINTS = 20_000
+"""Rows of a file, beyond which they are samples, not points."""
+_STATISTICS: Mapping[str, Callable[[Floats], Floats]] = {
+    "mean": lambda rows: rows.mean(axis=1),
+    "median": lambda rows: np.median(rows, axis=1),
+    "standard deviation": lambda rows: rows.std(axis=1, ddof=1),
+    "sum": lambda rows: rows.sum(axis=1),
+}
+_FEWEST = 4  # rows that a summary summarises
+_JUMP = 1.5  # usual steps from row to row, beyond which a summary is from its neighbors
+_ENDS = 8  # rows at either end of a file that may be a summary
+_COARSE = 0.02  # of the range of a column: largest rounding of a summary
+_LEVEL = 0.05  # of the largest value: rows of one level
+_DECIMALS = 9  # of a number in a file
+
+_GOOD = frozenset("valid ok good gültig valide válido valido".split())
+_BAD = frozenset(
+    "invalid error fault alarm overload overrange overflow saturated outlier excluded exclude bad reject rejected "
+    "discard ungültig fehler erreur errore".split()
+)
+_TRUTH = {
+    **dict.fromkeys(("1", "true", "yes", "y", "ja"), True),
+    **dict.fromkeys(("0", "false", "no", "n", "nein"), False),
+}
+_STATUS = frozenset(
+    "status state validity flag flags quality errors err warning outliers use used mask masked code zustand qualität "
+    "état estado stato".split()
+)
+_STATUS |= _GOOD | _BAD
+_INVALID = frozenset(
+    "fault error err invalid bad fail failed failure nok overload overrange overflow underrange ol saturated clipped "
+    "outlier discard discarded ignore ignored reject rejected exclude excluded leak slipped stuck burst wrong "
+    "ungültig fehler fehlerhaft défaut erreur inválido errore invalide".split()
+)
+_SUMMARY = frozenset(
+    "mean average avg median std stdev sum total mittelwert mittel summe moyenne promedio media".split()
+)
+_WORD = re.compile(r"[^\W\d_]+")
+_VALUES = 100  # different numbers in a column of states
+_LONGEST = 40  # characters of a value
+_SHOWN = 4  # values in a warning
+
+_Candidate = tuple[int, Floats, str]
+"""Row, the values of a statistic, and its name."""
+
+
+def summaries(columns: Mapping[str, tuple[Floats, float]]) -> dict[int, str]:
+    """Rows that are a statistic of others: of a file, a level, or all rows before them; and the statistic.
+
+    `columns` are values and the unit in which the file has them, of at most `MOST_POINTS` rows; all must agree to the
+    decimals of the row.
+    """
+    rows = np.stack([values / factor for values, factor in columns.values()])
+    if rows.shape[1] <= _FEWEST:
+        return {}
+    steps = np.median(np.abs(np.diff(rows, axis=1)), axis=1) + _COARSE * np.ptp(rows, axis=1)
+    found: dict[int, str] = {}
+    jumps = (np.abs(np.diff(rows, axis=1)) > _JUMP * steps[:, None]).any(axis=0)
+    apart = np.append(True, jumps) & np.append(jumps, True)  # others may be points of a ramp
+    with np.errstate(over="ignore", invalid="ignore"):
+        for at, values, what in (*_ends(rows), *_of_all_before(rows), *_of_levels(rows, [*columns])):
+            if at not in found and apart[at] and _equal(rows, at, values):
+                found[at] = what
+    return found
+
+
+def _ends(rows: Floats) -> Iterator[_Candidate]:
+    """The rows at the beginning and the end of a file, and statistics of the rows between."""
+    count = rows.shape[1]
+    for ends in range(1, min(_ENDS, count - _FEWEST) + 1):
+        for body, places, side in (
+            (rows[:, ends:], range(ends), "after"),
+            (rows[:, : count - ends], range(count - ends, count), "before"),
+        ):
+            for name, statistic in _STATISTICS.items():
+                values = statistic(body)
+                for at in places:
+                    yield at, values, f"the {name} of the rows {side} it"
+
+
+def _of_all_before(rows: Floats) -> Iterator[_Candidate]:
+    """Rows that may be the mean of all rows before them."""
+    means = np.cumsum(rows, axis=1)[:, :-1] / np.arange(1, rows.shape[1])
+    near = np.abs(rows[:, 1:] - means) <= _COARSE * np.ptp(rows, axis=1, keepdims=True)
+    for at in np.flatnonzero(near.all(axis=0)):
+        if at + 1 >= _FEWEST:
+            yield int(at) + 1, means[:, at], "the mean of the rows before it"
+
+
+def _of_levels(rows: Floats, names: Sequence[str]) -> Iterator[_Candidate]:
+    """The first and last row at each pressure or length, and the mean of the others."""
+    for name in ("pressure", "contraction", "length", "displacement"):
+        if name not in names:
+            continue
+        values = rows[names.index(name)]
+        steps = np.abs(np.diff(values)) > _LEVEL * np.abs(values).max()
+        for run in np.split(np.arange(len(values)), np.flatnonzero(steps) + 1):
+            if len(run) > _FEWEST:
+                text = f"the mean of the other rows of its {name}"
+                yield int(run[0]), rows[:, run[1:]].mean(axis=1), text
+                yield int(run[-1]), rows[:, run[:-1]].mean(axis=1), text
+
+
+def _equal(rows: Floats, at: int, values: Floats) -> bool:
+    """True if a row has these values, rounded to its own decimals; constant columns say nothing."""
+    varied = 0
+    for column, value in zip(rows, values, strict=True):
+        spread, number = float(np.ptp(column)), float(column[at])
+        decimals = len(f"{number:.{_DECIMALS}f}".rstrip("0").partition(".")[2])
+        rounding = min(0.5001 * 10.0**-decimals, _COARSE * spread) + 10.0**-_DECIMALS
+        if not abs(number - value) <= rounding:
+            return False
+        varied += spread > 10 * rounding
+    return varied > 1
+
+
+def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, str], list[str]]:
+    """Lines that a column which is not read marks as invalid, with the mark; and warnings of other states."""
+    lines: dict[int, str] = {}
+    warnings = []
+    for channel in channels:
+        status, cells = is_status(channel.label), channel.cells
+        if isinstance(cells, np.ndarray):
+            if not status or len(np.unique(cells)) > _VALUES:
+                continue
+            cells = [f"{value:g}" for value in cells]
+        counts = Counter(cells)
+        words = {text: _words(text) for text in counts}
+        begin = {text: _words(re.split("[,;]", text, maxsplit=1)[0]) for text in counts}  # outlier, to be repeated
+        invalid = {text for text, found in begin.items() if found and found <= _INVALID | _SUMMARY}
+        invalid |= _false(channel.label, [*counts])
+        if invalid and 2 * sum(map(counts.__getitem__, invalid)) < len(cells):
+            for line, text in zip(channel.lines, cells, strict=True):
+                if text in invalid:
+                    lines[line] = f"is marked as {text.strip()[:_LONGEST]!r} by {channel.name!r}"
+            continue
+        marked = invalid or {text for text, found in words.items() if not found.isdisjoint(_INVALID)}
+        if not marked and status and 1 < len(counts) < max(len(cells) / 2, _FEWEST):
+            marked = {*counts} - {counts.most_common(1)[0][0]}
+        if marked:
+            first = next(line for line, text in zip(channel.lines, cells, strict=True) if text in marked)
+            shown = [repr(text.strip()[:_LONGEST]) for text in counts if text in marked]
+            warnings.append(
+                f"{channel.name!r} is not read, and {sum(map(counts.__getitem__, marked))} of {len(cells)} rows have "
+                f"{', '.join(shown[:_SHOWN])}{' ...' if len(shown) > _SHOWN else ''}, first {unit} {first}; leave out "
+                "the rows that it marks as invalid"
+            )
+    return lines, warnings
+
+
+def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
+    """Lines with a word such as mean in place of a number, and the word."""
+    return {
+        channel.lines[row]: f"has {cell.strip()[:_LONGEST]!r} in place of a number: a summary is not a measurement"
+        for channel in channels
+        if not isinstance(channel.cells, np.ndarray)
+        for row, cell in enumerate(channel.cells)
+        if cell and cell.strip().rstrip(":=").lower() in _SUMMARY
+    }
+
+
+def _false(name: str, texts: Sequence[str]) -> set[str]:
+    """Value of invalid rows in a column of two truth values, by its name; empty in other columns."""
+    truth = {_TRUTH.get(text.strip().lower()): text for text in texts}
+    if len(texts) != 2 or truth.keys() != {True, False}:
+        return set()
+    words = _words(name)
+    if not words.isdisjoint(_GOOD):
+        return {truth[False]}
+    return set() if words.isdisjoint(_BAD) else {truth[True]}
+
+
+def is_status(name: str) -> bool:
+    """True for a name of a column of states, such as valid or error code."""
+    return not _STATUS.isdisjoint(_words(name))
+
+
+def _words(text: str) -> set[str]:
+    return set(_WORD.findall(text[:_LONGEST].lower()))

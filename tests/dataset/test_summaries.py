@@ -1,0 +1,172 @@
+"""Rows that are not measurements: summaries without a label, and rows that another column marks as invalid."""
+
+import warnings
+
+import numpy as np
+import openpyxl
+import pytest
+from openpyxl.styles import Font
+
+from mckibben.dataset import read_dataset
+from mckibben.errors import DatasetError, McKibbenWarning
+
+HEADER = "pressure_bar,contraction_percent,force_N"
+EPS = np.array([0.0, 3.0, 6.0, 9.0, 12.0])
+ROWS = np.array([[p, e, round(83.7 * p * (1 - e / 28) ** 2, 1)] for p in (2.0, 3.0, 4.0) for e in EPS])
+
+
+def written(rows):
+    return [",".join(f"{value:g}" for value in row) for row in rows]
+
+
+def means(rows):
+    return "{:.2f},{:.1f},{:.1f}".format(*rows.mean(axis=0))
+
+
+@pytest.fixture
+def heard(tmp_path):
+    """Write lines, read them, and return the dataset and its warnings."""
+
+    def read(lines, header=HEADER):
+        path = tmp_path / "rig.csv"
+        path.write_text("\n".join([header, *lines]) + "\n")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", McKibbenWarning)
+            data = read_dataset(path)
+        return data, [str(one.message) for one in caught]
+
+    return read
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda lines: [*lines, means(ROWS)],
+        lambda lines: [means(ROWS), *lines],
+        lambda lines: [*lines[:10], means(ROWS[:10]), *lines[10:]],
+        lambda lines: [*lines[:5], means(ROWS[:5]), *lines[5:]],
+        lambda lines: [*lines, "{:.2f},{:.2f},{:.2f}".format(*np.median(ROWS, axis=0))],
+        lambda lines: [*lines, means(ROWS), "{:.3f},{:.3f},{:.2f}".format(*ROWS.std(axis=0, ddof=1))],
+    ],
+    ids=["below", "above", "in the middle", "of a pressure", "median", "deviation"],
+)
+def test_summaries_without_a_label_are_left_out(heard, spoil):
+    data, told = heard(spoil(written(ROWS)))
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert len(told) == 1
+    assert "summary" in data.table.attrs["repairs"]
+
+
+@pytest.mark.parametrize("row", ["Mean,,102.3", "Mittelwert:,6.0,102,3", "3.00,6.0,total"])
+def test_rows_with_the_word_of_a_summary_in_place_of_a_number_are_left_out(heard, row):
+    data, told = heard([*written(ROWS), ",".join(row.split(",")[:3])])
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert len(told) == 1
+    assert "line 17" in data.table.attrs["repairs"]
+
+
+def test_other_words_in_place_of_a_number_are_errors(heard):
+    with pytest.raises(DatasetError) as caught:
+        heard([*written(ROWS), "OVL,6,102"])
+    assert [problem.line for problem in caught.value.problems] == [17]
+
+
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
+def test_points_at_the_middle_of_a_stroke_are_kept(heard, order):
+    strokes = np.concatenate([EPS, EPS[-2::-1]])
+    rows = np.array([[p, e, 300 - 20 * e] for p in (2.0, 3.0) for e in strokes])[order]  # a straight line
+    data, told = heard(written(rows))
+    assert len(data) == len(rows)
+    assert told == []
+
+
+def test_a_linear_ramp_has_no_summary(heard):
+    p = np.linspace(1, 5, 401)
+    data, _ = heard(written(np.stack([p, 0 * p + 5, 100 * p], axis=1)))
+    assert len(data) == len(p)
+
+
+@pytest.mark.parametrize(
+    ("name", "usual", "mark"),
+    [
+        ("status", "OK", "FAULT"),
+        ("valid", "1", "0"),
+        ("Overload", "FALSE", "TRUE"),
+        ("note", "", "outlier"),
+        ("remark", "ok", "Invalid; repeat"),
+        ("run", "2", "mean"),
+    ],
+)
+def test_rows_that_another_column_marks_are_left_out(heard, name, usual, mark):
+    lines = [f"{line},{mark if at == 7 else usual}" for at, line in enumerate(written(ROWS))]
+    data, told = heard(lines, f"{HEADER},{name}")
+    np.testing.assert_allclose(data.force, np.delete(ROWS[:, 2], 7))
+    assert len(told) == 1
+    assert name in data.table.attrs["repairs"]
+
+
+@pytest.mark.parametrize(
+    ("name", "usual", "mark"),
+    [("quality", "192", "0"), ("error code", "0", "17"), ("state", "M", "E"), ("note", "", "leak test passed")],
+)
+def test_states_whose_meaning_is_unknown_are_reported(heard, name, usual, mark):
+    lines = [f"{line},{mark if at == 7 else usual}" for at, line in enumerate(written(ROWS))]
+    data, told = heard(lines, f"{HEADER},{name}")
+    assert len(data) == len(ROWS)
+    assert [name in one and "line 9" in one for one in told] == [True]
+
+
+@pytest.mark.parametrize(("name", "cell"), [("status", "OK"), ("valid", "1"), ("sample", "a"), ("note", "")])
+def test_other_columns_are_not_reported(heard, name, cell):
+    data, told = heard([f"{line},{cell}" for line in written(ROWS)], f"{HEADER},{name}")
+    assert len(data) == len(ROWS)
+    assert told == []
+
+
+def test_a_column_of_states_that_is_assigned_to_a_quantity_is_reported(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("\n".join(["valve state,contraction_percent,force_N", *written(ROWS)]) + "\n")
+    with pytest.warns(McKibbenWarning, match="states"):
+        read_dataset(path, columns={"valve state": "pressure_bar"})
+
+
+def test_struck_out_cells_are_reported(tmp_path):
+    book = openpyxl.Workbook()
+    for row in [HEADER.split(","), *ROWS.tolist()]:
+        book.active.append(row)
+    for cell in book.active[5]:
+        cell.font = Font(strike=True)
+    book.save(tmp_path / "rig.xlsx")
+    with pytest.warns(McKibbenWarning, match="rows 5"):
+        read_dataset(tmp_path / "rig.xlsx")
+
+
+@pytest.mark.parametrize("line", ["# pressures are absolute", "Sensor: Absolutdruck 0..10 bar"])
+def test_words_above_the_header_that_mean_absolute_pressures_are_reported(heard, line):
+    data, told = heard([HEADER, *written(ROWS)], line)
+    assert len(data) == len(ROWS)
+    assert ["line 1" in one for one in told] == [True]
+
+
+def test_paths_of_names_are_read_by_their_last_part(heard):
+    data, told = heard(written(ROWS), "/rig/pressure_bar,/rig/contraction_percent,Untitled/Force (N)")
+    assert len(data) == len(ROWS)
+    assert told == []
+    with pytest.raises(DatasetError):
+        heard(written(ROWS), "/set/pressure_bar,/rig/contraction_percent,/rig/force_N")
+
+
+def test_headers_and_signs_of_loggers_are_read(heard):
+    header = "pressure_bar:1,Contraction (%) Ave,Force [N] mean"
+    data, told = heard([",".join(f"+ {value}" for value in line.split(",")) for line in written(ROWS)], header)
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert told == []
+    with pytest.raises(DatasetError):
+        heard(written(ROWS), "pressure_bar,contraction_percent,Force [N] Max")
+
+
+def test_copies_of_a_column_are_left_out(heard):
+    lines = [f"{at},{line},{at}" for at, line in enumerate(written(ROWS))]
+    assert len(heard(lines, f"X_Value,{HEADER},X_Value")[0]) == len(ROWS)
+    with pytest.raises(DatasetError):
+        heard([f"{at},{line},{2 * at}" for at, line in enumerate(written(ROWS))], f"X_Value,{HEADER},X_Value")
