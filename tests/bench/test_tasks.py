@@ -151,6 +151,12 @@ def test_baselines_name_what_they_cannot_do(map_task):
 
 
 @pytest.mark.slow
+def test_friction_is_identified_along_the_recorded_paths():
+    task = task_named("hysteresis")
+    assert task.score(predictions(BASELINES["friction"], task)).nrmse.value < 0.06
+
+
+@pytest.mark.slow
 def test_the_network_learns_a_recording():
     task = task_named("isometric")
     found = predictions(BASELINES["gru"], task)

@@ -13,7 +13,7 @@ from mckibben.bench.gaussian_process import GaussianProcess
 from mckibben.bench.task import Floats, Predict, Training
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import McKibbenWarning
-from mckibben.identification import identify
+from mckibben.identification import identify, identify_hysteresis
 from mckibben.muscle import LAWS, ForceLaw, forces
 
 Fit = Callable[[Training], "Predict | None"]
@@ -36,9 +36,12 @@ def fit_law(law_type: type[ForceLaw], training: Training) -> Predict | None:
     blocks = training.blocks[:-1] if training.kind == "transfer" else training.blocks
     inputs, output = (np.concatenate([getattr(one, name) for one in blocks]) for name in ("inputs", "output"))
     chosen = _thinned(len(output), _MOST_POINTS)
-    length = training.facts.get("initial_length")
     points = IsobaricDataset.of(
-        contraction=inputs[chosen, 0], pressure=inputs[chosen, 1], force=output[chosen], initial_length=length
+        contraction=inputs[chosen, 0],
+        pressure=inputs[chosen, 1],
+        force=output[chosen],
+        initial_length=training.facts.get("initial_length"),
+        slack_force=training.facts.get("slack_force", 0.0),
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", McKibbenWarning)
@@ -49,6 +52,35 @@ def fit_law(law_type: type[ForceLaw], training: Training) -> Predict | None:
         static = forces(law, known[:, 0], known[:, 1])
         scale = float(static @ force / (static @ static))
     return lambda new: scale * forces(law, new[:, 0], new[:, 1])
+
+
+def fit_with_friction(training: Training) -> Predict | None:
+    """Fit Eq. 2 and Maxwell-slip friction along the recorded paths; None for other data than cycles of the length."""
+    if training.kind != "hysteresis":
+        return None
+    length = training.facts["initial_length"]
+    stride = max(1, training.stacked[1].size // _MOST_POINTS)
+    inputs = np.concatenate([one.inputs[::stride] for one in training.blocks])
+    output = np.concatenate([one.output[::stride] for one in training.blocks])
+    rates = np.concatenate([np.gradient(one.inputs[::stride, 0]) for one in training.blocks])
+    points = IsobaricDataset.of(
+        contraction=inputs[:, 0],
+        pressure=inputs[:, 1],
+        force=output,
+        direction=np.where(rates > 0, "unloading", "loading"),
+        initial_length=length,
+        slack_force=training.facts.get("slack_force", 0.0),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", McKibbenWarning)
+        found = identify_hysteresis(LAWS["ExponentialLaw"], points, drift=False)
+
+    def predict(new: Floats) -> Floats:
+        tension = forces(found.law, new[:, 0], new[:, 1])
+        friction = found.friction.path_response(length * (1 - new[:, 0]), tension, new[:, 1])
+        return np.maximum(tension + friction, 0.0)
+
+    return predict
 
 
 def fit_gaussian_process(training: Training) -> Predict:
@@ -86,6 +118,7 @@ def _recurrent(training: Training) -> Predict | None:
 BASELINES: dict[str, Fit] = {
     "eq2": functools.partial(fit_law, LAWS["ExponentialLaw"]),
     "chou": functools.partial(fit_law, LAWS["ChouLaw"]),
+    "friction": fit_with_friction,
     "smooth": functools.partial(fit_law, LAWS["SmoothLaw"]),
     "gp": fit_gaussian_process,
     "gru": _recurrent,

@@ -13,7 +13,18 @@ from mckibben.bench.task import KINDS, DataBlock, Task, Training
 from mckibben.config.fields import OneOf
 from mckibben.config.model import ConfigModel, DocumentModel, explicit_fields
 from mckibben.errors import DatasetError, Problem, UnitError
-from mckibben.units import BraidAngle, Contraction, Diameter, Inertia, Length, MomentArm, PositiveTime, Torque, factor
+from mckibben.units import (
+    BraidAngle,
+    Contraction,
+    Diameter,
+    Force,
+    Inertia,
+    Length,
+    MomentArm,
+    PositiveTime,
+    Torque,
+    factor,
+)
 
 FILE = "task.yaml"
 
@@ -24,6 +35,7 @@ class SetupFacts(ConfigModel):
     initial_length: Length | None = None
     initial_diameter: Diameter | None = None
     braid_angle: BraidAngle | None = None
+    slack_force: Force | None = None
     pulley_radius: MomentArm | None = None
     contraction_at_zero: Contraction | None = None
     inertia: Inertia | None = None

@@ -30,6 +30,7 @@ def _setup(muscle: ForeignMuscle) -> dict[str, float]:
         "initial_length": muscle.length,
         "initial_diameter": muscle.diameter,
         "braid_angle": muscle.braid_angle,
+        "slack_force": 4 * _NOISE,
     }
 
 
