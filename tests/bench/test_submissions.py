@@ -51,11 +51,20 @@ def test_a_wrong_submission_names_file_function_and_remedy(write, text, function
     assert file in error.value.message
 
 
-def test_an_exception_names_its_line(write):
+def test_an_exception_names_its_line(write, monkeypatch, tmp_path):
     file = write("def fit(training):\n    x = 1\n    return [][x]\n")
-    with pytest.raises(SubmissionError) as error:
-        compare_submissions([task_named("map-four-lengths")], [file], baselines=())
-    assert "line 3" in error.value.message
+    monkeypatch.chdir(tmp_path)
+    for path in (file, "mine.py"):
+        with pytest.raises(SubmissionError) as error:
+            compare_submissions([task_named("map-four-lengths")], [path], baselines=())
+        assert "line 3" in error.value.message
+
+
+def test_a_submission_may_define_dataclasses(write):
+    model = "import dataclasses\n\n@dataclasses.dataclass\nclass Model:\n    mean: float\n"
+    file = write("from __future__ import annotations\n" + model + MEAN)
+    table = compare_submissions([task_named("map-four-lengths")], [file], baselines=())
+    assert table.entries[0].score is not None
 
 
 def test_a_missing_file_is_named(tmp_path):

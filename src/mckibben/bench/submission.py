@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 import traceback
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +26,7 @@ def read_submission(path: str | os.PathLike[str]) -> Fit:
     spec = importlib.util.spec_from_file_location(f"mckibben_submission_{file.stem}", file)
     if file.suffix != ".py" or not file.is_file() or spec is None or spec.loader is None:
         raise SubmissionError(f"{file} is not a Python file", file=str(file), remedy="name a file that ends in .py")
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
     except Exception as error:
@@ -97,5 +98,5 @@ def _failed(file: Path, function: str, error: Exception, remedy: str) -> Submiss
 
 def _last_line(trace: TracebackType | None, file: Path) -> int | None:
     """Line of the innermost frame of an exception in a file."""
-    lines = [one.lineno for one in traceback.extract_tb(trace) if Path(one.filename) == file]
+    lines = [one.lineno for one in traceback.extract_tb(trace) if Path(one.filename).resolve() == file.resolve()]
     return lines[-1] if lines else None
