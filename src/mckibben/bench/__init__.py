@@ -6,7 +6,7 @@ from mckibben.bench.folder import SetupFacts, TaskFile, read_task
 from mckibben.bench.foreign import ForeignJoint, ForeignMuscle
 from mckibben.bench.identibench import identibench_model, identibench_spec
 from mckibben.bench.submission import read_submission
-from mckibben.bench.task import KINDS, DataBlock, Interval, Task, TaskScore, Training
+from mckibben.bench.task import KINDS, DataBlock, ScoreInterval, Task, TaskScore, Training
 from mckibben.bench.tasks import TASKS, task_named
 
 __all__ = [
@@ -18,7 +18,7 @@ __all__ = [
     "DataBlock",
     "ForeignJoint",
     "ForeignMuscle",
-    "Interval",
+    "ScoreInterval",
     "SetupFacts",
     "Task",
     "TaskFile",

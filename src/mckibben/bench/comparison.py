@@ -12,7 +12,7 @@ from typing import Any
 
 from mckibben.bench.baselines import BASELINES, Fit
 from mckibben.bench.submission import predictions, read_submission
-from mckibben.bench.task import Interval, Task, TaskScore
+from mckibben.bench.task import ScoreInterval, Task, TaskScore
 from mckibben.errors import IdentificationError, ParameterError, suggest
 from mckibben.storage.files import atomic_write
 
@@ -30,7 +30,7 @@ class BenchEntry:
     kind: str
     method: str
     score: TaskScore | None
-    relative: Interval | None
+    relative: ScoreInterval | None
     seconds: float
     reason: str = ""
 
@@ -89,7 +89,7 @@ class BenchTable:
                 csv.writer(to).writerows(table)
 
 
-def _shown(one: Interval | None) -> tuple[str, str]:
+def _shown(one: ScoreInterval | None) -> tuple[str, str]:
     return ("-", "-") if one is None else (f"{one.value:.4f}", f"{one.lower:.4f}..{one.upper:.4f}")
 
 

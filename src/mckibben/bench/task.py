@@ -95,7 +95,7 @@ class Training:
         return np.concatenate([one.inputs for one in self.blocks]), np.concatenate([one.output for one in self.blocks])
 
 
-class Interval(NamedTuple):
+class ScoreInterval(NamedTuple):
     """A value, and the ends of its 95 % bootstrap interval."""
 
     value: float
@@ -125,11 +125,11 @@ class TaskScore:
     blocks: tuple[str, ...]
 
     @property
-    def nrmse(self) -> Interval:
+    def nrmse(self) -> ScoreInterval:
         """Root mean square error relative to `scale`; the interval resamples test blocks."""
         return self._interval(lambda chosen: np.sqrt(self._mean(chosen)) / self.scale)
 
-    def relative_to(self, other: TaskScore) -> Interval:
+    def relative_to(self, other: TaskScore) -> ScoreInterval:
         """RMSE relative to that of another submission; the interval resamples test blocks, the same for both."""
 
         def ratio(chosen: NDArray[np.int64]) -> Floats:
@@ -146,12 +146,12 @@ class TaskScore:
         weights = self.sizes[chosen]
         return (weights * self.squares[chosen]).sum(axis=-1) / weights.sum(axis=-1)
 
-    def _interval(self, statistic: Callable[[NDArray[np.int64]], Floats]) -> Interval:
+    def _interval(self, statistic: Callable[[NDArray[np.int64]], Floats]) -> ScoreInterval:
         count = len(self.sizes)
         chosen = np.random.default_rng(0).integers(count, size=(_RESAMPLED, count))
         rest = (100 - _COVERAGE) / 2
         lower, upper = np.percentile(statistic(chosen), (rest, 100 - rest))
-        return Interval(float(statistic(np.arange(count))), float(lower), float(upper))
+        return ScoreInterval(float(statistic(np.arange(count))), float(lower), float(upper))
 
 
 @dataclass(frozen=True)
