@@ -207,6 +207,7 @@ def main():
     parser.add_argument("data", choices=("muscle-sensory", "elbow", "pneu-sim"))
     parser.add_argument("folder", type=Path)
     parser.add_argument("--tasks", default="map,isometric,transfer", help="of muscle-sensory")
+    parser.add_argument("--methods", default="", help="default: all that apply")
     options = parser.parse_args()
     warnings.simplefilter("ignore", McKibbenWarning)
     print("| task | method | RMSE [N or rad] | NRMSE | relative |\n|---|---|---|---|---|")
@@ -227,7 +228,7 @@ def main():
     methods, found = BASELINES | {"calibrated": calibrated_elbow}, {}
     for task, names in tasks:
         reference = None
-        for method in names:
+        for method in (one for one in names if one in (options.methods.split(",") if options.methods else names)):
             try:
                 score = task.score(predictions(methods[method], task))
             except IdentificationError as error:

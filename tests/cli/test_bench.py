@@ -2,6 +2,8 @@
 
 import csv
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -66,3 +68,10 @@ def test_a_folder_takes_the_place_of_the_tasks(cli, submission, tmp_path):
     shown = json.loads(done.out)
     assert list(shown["tasks"]) == ["rig"]
     assert shown["entries"][0]["nrmse"]["value"] == pytest.approx(1.0)
+
+
+def test_the_submission_of_the_documentation_runs(cli, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "bench.md").read_text(encoding="utf-8")
+    (tmp_path / "affine.py").write_text(re.search(r"```py\n(.*?)```", page, re.DOTALL)[1], encoding="utf-8")
+    done = cli("bench", "affine.py", "--tasks", "map-wall", "--baselines", "none", "--json")
+    assert 0 < json.loads(done.out)["entries"][0]["nrmse"]["value"] < 2

@@ -49,9 +49,9 @@ def fit_law(law_type: type[ForceLaw], training: Training) -> Predict | None:
     scale = 1.0
     if training.kind == "transfer":
         known, force = training.blocks[-1].inputs, training.blocks[-1].output
-        static = forces(law, known[:, 0], known[:, 1])
+        static = _tension(law, known)
         scale = float(static @ force / (static @ static))
-    return lambda new: scale * forces(law, new[:, 0], new[:, 1])
+    return lambda new: scale * _tension(law, new)
 
 
 def fit_with_friction(training: Training) -> Predict | None:
@@ -76,7 +76,7 @@ def fit_with_friction(training: Training) -> Predict | None:
         found = identify_hysteresis(LAWS["ExponentialLaw"], points, drift=False)
 
     def predict(new: Floats) -> Floats:
-        tension = forces(found.law, new[:, 0], new[:, 1])
+        tension = _tension(found.law, new)
         friction = found.friction.path_response(length * (1 - new[:, 0]), tension, new[:, 1])
         return np.maximum(tension + friction, 0.0)
 
@@ -91,6 +91,11 @@ def fit_gaussian_process(training: Training) -> Predict:
     chosen = _thinned(len(output), _MOST_CONDITIONED)
     found = GaussianProcess.fitted(inputs[chosen], output[chosen])
     return lambda new: found.predict(features(new))[0]
+
+
+def _tension(law: ForceLaw, inputs: Floats) -> Floats:
+    """Force of a law [N], 0 where the muscle is slack."""
+    return np.maximum(forces(law, inputs[:, 0], inputs[:, 1]), 0.0)
 
 
 def _features(inputs: Floats, period: float | None) -> Floats:

@@ -21,6 +21,8 @@ _ANGLE_NOISE = 5e-4  # rad
 _LEAST_LENGTHS = 6  # of a map of which one is left out
 _SIMULATED = "mckibben.bench.foreign (simulated; equations and sources there); test data are without noise"
 _MUSCLE = ForeignMuscle()
+SOFT = ForeignMuscle(contact=1.2 * bar, contact_slope=4 * bar, contact_width=0.6 * bar, thread=2e-7)
+"""The muscle of the tasks "map-wall" and "map-four-lengths": its threads stretch, and its bladder is stiff."""
 JOINT = ForeignJoint()
 """The joint of the task "joint"."""
 
@@ -76,9 +78,9 @@ def _noisy_map(muscle: ForeignMuscle, contraction: Floats, pressure: Floats, see
 def _simulated_map() -> Task:
     """A dense map; the pressures begin below that of the contact between bladder and braid."""
     contraction, pressure = _grid(np.linspace(-0.02, 0.22, 9), np.linspace(0.25, 6, 12) * bar)
-    training = _noisy_map(_MUSCLE, contraction, pressure, 1)
-    task = split_map("map-wall", contraction, pressure, training, source=_SIMULATED, facts=_setup(_MUSCLE))
-    return Task(task.training, tuple(_exact(_MUSCLE, one) for one in task.tests), _SIMULATED)
+    training = _noisy_map(SOFT, contraction, pressure, 1)
+    task = split_map("map-wall", contraction, pressure, training, source=_SIMULATED, facts=_setup(SOFT))
+    return Task(task.training, tuple(_exact(SOFT, one) for one in task.tests), _SIMULATED)
 
 
 def _exact(muscle: ForeignMuscle, block: DataBlock) -> DataBlock:
@@ -89,14 +91,14 @@ def _four_lengths() -> Task:
     """Four fixed lengths, as in most laboratories, with one typing error of 12 %; the lengths between are tested."""
     lengths, between, pressures = np.array([0.0, 0.06, 0.12, 0.18]), (0.03, 0.09, 0.15), np.arange(1, 7) * bar
     contraction, pressure = _grid(lengths, pressures)
-    force = _noisy_map(_MUSCLE, contraction, pressure, 2)
+    force = _noisy_map(SOFT, contraction, pressure, 2)
     force[np.flatnonzero((contraction == 0.06) & (pressure == 4 * bar))] *= 1.12
     block = DataBlock.of("four lengths", np.column_stack([contraction, pressure]), force)
-    training = Training("map-four-lengths", "map", (block,), facts=_setup(_MUSCLE))
+    training = Training("map-four-lengths", "map", (block,), facts=_setup(SOFT))
     tests = []
     for one in between:
         inputs = np.column_stack(_grid(np.array([one]), np.linspace(1, 6, 21) * bar))
-        tests.append(DataBlock.of(f"contraction {one / percent:g} %", inputs, _MUSCLE.static_force(*inputs.T)))
+        tests.append(DataBlock.of(f"contraction {one / percent:g} %", inputs, SOFT.static_force(*inputs.T)))
     return Task(training, tuple(tests), _SIMULATED)
 
 
