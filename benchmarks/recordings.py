@@ -1,7 +1,7 @@
 """How well public recordings are predicted, by the tasks and baselines of `mckibben bench`.
 
     git clone https://github.com/Agile-and-Adaptive-Robotics/Muscle_Sensory
-    python benchmarks/recordings.py muscle-sensory Muscle_Sensory [--tasks map,isometric,transfer]
+    python benchmarks/recordings.py muscle-sensory Muscle_Sensory [--tasks map,isometric,transfer] [--methods eq2,gp]
     git clone https://github.com/gkharish/pneumaticarm_dentification
     python benchmarks/recordings.py elbow pneumaticarm_dentification
     git clone https://github.com/jonreal/pneu-sim && git -C pneu-sim checkout 06c6b0c
@@ -139,7 +139,7 @@ def elbow_task(folder):
 
 
 def calibrated_elbow(training):
-    """The model of elbow.py; it starts at the angle that it has at the first commands."""
+    """The model of elbow.py, which starts at angle 0: the measured one is not an input."""
     period = training.period
 
     def recording(commands, angle):
@@ -228,7 +228,7 @@ def main():
     methods, found = BASELINES | {"calibrated": calibrated_elbow}, {}
     for task, names in tasks:
         reference = None
-        for method in (one for one in names if one in (options.methods.split(",") if options.methods else names)):
+        for method in [one for one in names if not options.methods or one in options.methods.split(",")]:
             try:
                 score = task.score(predictions(methods[method], task))
             except IdentificationError as error:
