@@ -116,6 +116,18 @@ def test_a_folder_is_a_task(folder):
     assert TaskFile.read(folder / "task.yaml").licence == "CC0"
 
 
+def test_a_baseline_names_the_fact_that_it_lacks(folder):
+    text = TASK.replace("map", "joint").replace("facts: {initial_length: 180 mm}", "period: 10 ms")
+    (folder / "task.yaml").write_text(text, encoding="utf-8")
+    for name in ("known", "asked"):
+        (folder / f"{name}.csv").write_text("command1_bar,command2_bar,angle_deg\n1,2,3\n2,1,4\n", encoding="utf-8")
+    (entry,) = compare_submissions([read_task(folder)], baselines=("eq2",)).entries
+    assert entry.score is None and "initial_length" in entry.reason
+    with pytest.raises(ParameterError) as error:
+        compare_submissions([read_task(folder)] * 2, baselines=())
+    assert error.value.field == "name"
+
+
 def test_mistakes_in_a_folder_are_named(folder):
     (folder / "asked.csv").write_text("pressure_N,force_N\n1,2\n", encoding="utf-8")
     with pytest.raises(DatasetError) as error:

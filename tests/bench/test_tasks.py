@@ -176,6 +176,16 @@ def test_blocks_of_wrong_shape_are_refused(inputs, output):
     assert error.value.field == "rows"
 
 
+def test_tests_without_a_score_are_refused():
+    training = Training("a", "map", (DataBlock.of("known", np.zeros((1, 2)), np.zeros(1)),))
+    for names, outputs in ((("x", "x"), (0.0, 1.0)), (("x", "y"), (1.0, 1.0))):
+        blocks = tuple(
+            DataBlock.of(*one) for one in zip(names, np.zeros((2, 1, 2)), np.array(outputs)[:, None], strict=True)
+        )
+        with pytest.raises(ParameterError):
+            Task(training, blocks)
+
+
 def test_unknown_tasks_and_kinds_are_refused():
     with pytest.raises(ParameterError) as error:
         task_named("map-wal")

@@ -58,7 +58,7 @@ def fit_with_friction(training: Training) -> Predict | None:
     """Fit Eq. 2 and Maxwell-slip friction along the recorded paths; None for other data than cycles of the length."""
     if training.kind != "hysteresis":
         return None
-    length = training.facts["initial_length"]
+    length = training.fact("initial_length")
     stride = max(1, training.stacked[1].size // _MOST_POINTS)
     inputs = np.concatenate([one.inputs[::stride] for one in training.blocks])
     output = np.concatenate([one.output[::stride] for one in training.blocks])

@@ -110,7 +110,7 @@ def compare_submissions(
     SubmissionError
         If a submission cannot be run; it names the file and the function.
     ParameterError
-        If a baseline does not exist.
+        If a baseline does not exist, or two tasks or methods have one name.
     """
     for one in baselines:
         if one not in BASELINES:
@@ -119,6 +119,8 @@ def compare_submissions(
     names = [*(Path(one).stem for one in submissions), *BASELINES]
     if repeated := [one for one in names if names.count(one) > 1]:
         raise ParameterError(f"two methods are named {repeated[0]!r}", value=repeated[0], remedy="rename a file")
+    if len({one.name for one in tasks}) < len(tasks):
+        raise ParameterError("two tasks have one name", field="name", remedy="rename one in its task.yaml")
     fits: Mapping[str, Fit] = {name: read_submission(file) for name, file in files.items()}
     fits = {**fits, **{name: BASELINES[name] for name in baselines}}
     runs = [(task, method) for method in fits for task in tasks]

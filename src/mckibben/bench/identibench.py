@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mckibben import __version__
 from mckibben.bench.baselines import Fit
 from mckibben.bench.task import DataBlock, Floats, Task, Training
 from mckibben.bench.tasks import task_named
@@ -33,7 +34,9 @@ def identibench_spec(name: str) -> Any:
         If there is no such task, or IdentiBench is not installed.
     """
     package, task = _package(), task_named(name)
-    data = package.Dataset(f"{_PREFIX}{name}", prepare=functools.partial(_write, name), version=task.digest())
+    data = package.Dataset(
+        f"{_PREFIX}{name}", prepare=functools.partial(_write, name), version=f"{__version__} {task.digest()}"
+    )
     return package.BenchmarkSpec(
         name=f"{_PREFIX}{name}",
         u_cols=[f"u{i}" for i in range(len(task.training.inputs))],

@@ -22,22 +22,22 @@ _DAMPING = 0.05  # N*m*s/rad
 
 def fit_joint(law_type: type[ForceLaw], training: Training) -> Predict | None:
     """Calibrate a joint from commands, with a muscle of 10 mm before; None for laws that are fitted to a map only."""
-    facts = training.facts
-    length = facts["initial_length"]
+    fact = training.fact
+    length = fact("initial_length")
     published = catalog.law("lei-mas-10-180n")
     laws: dict[type[ForceLaw], ForceLaw] = {
         ExponentialLaw: published,
         ChouLaw: ChouLaw(
-            braid_angle=facts["braid_angle"], initial_diameter=facts["initial_diameter"], domain=published.domain
+            braid_angle=fact("braid_angle"), initial_diameter=fact("initial_diameter"), domain=published.domain
         ),
     }
     if law_type not in laws:
         return None
     muscle = Muscle(Specimen("muscle", length), laws[law_type])
-    mounted = length * (1 - facts["contraction_at_zero"])
-    paths = PairedPaths(Pulley(facts["pulley_radius"], mounted), Pulley(facts["pulley_radius"], mounted))
+    mounted = length * (1 - fact("contraction_at_zero"))
+    paths = PairedPaths(Pulley(fact("pulley_radius"), mounted), Pulley(fact("pulley_radius"), mounted))
     joint = AntagonisticJoint(paths, muscle, muscle)
-    load = GeneralLoad(facts["inertia"], facts["gravity_torque"], _DAMPING)
+    load = GeneralLoad(fact("inertia"), fact("gravity_torque"), _DAMPING)
     recordings = [_recording(one.inputs, one.output, training.period or 0.0) for one in training.blocks]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", McKibbenWarning)

@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.errors import ParameterError
+from mckibben.errors import IdentificationError, ParameterError
 
 Floats = NDArray[np.float64]
 Predict = Callable[[Floats], ArrayLike]
@@ -83,6 +83,12 @@ class Training:
                 f"{self.kind!r} is not a kind of task", value=self.kind, remedy=f"use one of {', '.join(KINDS)}"
             )
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
+
+    def fact(self, name: str) -> float:
+        """Return a fact; raises an `IdentificationError` if it is not given."""
+        if name not in self.facts:
+            raise IdentificationError(f"the task has no fact {name}", field=name, remedy="add it to the facts")
+        return self.facts[name]
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -175,6 +181,12 @@ class Task:
                     f"{self.name}: the {what} block {wrong[0]!r} does not have {width} inputs",
                     remedy=f"give {', '.join(self.training.inputs)}",
                 )
+
+        names = [one.name for one in self.tests]
+        if len(set(names)) < len(names):
+            raise ParameterError(f"{self.name}: two test blocks have one name", remedy="rename one")
+        if np.ptp(np.concatenate([one.output for one in self.tests])) == 0:
+            raise ParameterError(f"{self.name}: all outputs of the test are equal", remedy="add other test blocks")
 
     @property
     def name(self) -> str:
