@@ -90,7 +90,7 @@ class ForeignMuscle:
         return length * (thread**2 - length**2) / (4 * np.pi * turns**2) - self.wall
 
     def sliding_rate(self, state: ArrayLike, rate: ArrayLike) -> Floats:
-        """Rate of the hysteresis state (-1 to 1) from the rate of the contraction [1/s]."""
+        """Rate of the hysteresis state, 0 where friction is relaxed, from the rate of the contraction [1/s]."""
         state, rate = np.asarray(state, float), np.asarray(rate, float)
         shape = 0.5 + 0.5 * np.sign(rate * state) + self.asymmetry * (np.sign(rate) + np.sign(state))
         return rate / self.presliding * (1 - np.abs(state) ** 1.5 * shape)

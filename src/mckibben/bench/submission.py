@@ -30,7 +30,7 @@ def read_submission(path: str | os.PathLike[str]) -> Fit:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise _failed(file, "", error, "run it with python first") from error
+        raise _failed(file, "", error, "correct it; it must run without arguments") from error
     fit = getattr(module, "fit", None)
     if not callable(fit):
         found = "has no function fit" if fit is None else f"defines fit as {type(fit).__name__}, not as a function"
@@ -52,7 +52,7 @@ def predictions(fit: Fit, task: Task, file: str = "") -> dict[str, Floats] | Non
     except Exception as error:
         if where is None:
             raise
-        raise _failed(where, "fit", error, f"it failed in the task {task.name!r}") from error
+        raise _failed(where, "fit", error, f"correct it; it was called for the task {task.name!r}") from error
     if predict is None:
         return None
     if not callable(predict):
@@ -66,7 +66,7 @@ def predictions(fit: Fit, task: Task, file: str = "") -> dict[str, Floats] | Non
         except Exception as error:
             if where is None:
                 raise
-            raise _failed(where, "predict", error, f"it failed {place}") from error
+            raise _failed(where, "predict", error, f"correct it; it was called {place}") from error
         found[block.name] = _checked(output, block.output.size, file, place)
     return found
 
