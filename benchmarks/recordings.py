@@ -16,7 +16,7 @@ pressure [kPa], time [s], 1 while filling and 2 while venting; no licence), each
 vented three times by pulses of a valve. Lengths are those of the authors' LoadAll10mmData_New.m; the files *_Offset.csv
 give the zeros of the sensors. "map": plateaus of 0.2 s while filling; those about 2, 3.5 and 5 bar are tested.
 "isometric": samples of 50 Hz, Test10 from Test8 and Test9. "transfer": the map of each muscle from six of its points
-and the maps of the others.
+and the maps of the others. `--tasks phases` compares the phases of plateaus with the authors' column.
 
 elbow: joint motion, see elbow.py; every third file is fitted, the others are tested.
 
@@ -27,6 +27,7 @@ least squares, with the contraction at displacement 0 and the length as further 
 
 import argparse
 import functools
+import itertools
 import warnings
 from pathlib import Path
 
@@ -40,7 +41,7 @@ from mckibben.bench.gaussian_process import GaussianProcess
 from mckibben.bench.submission import predictions
 from mckibben.calibration import calibrate_from_commands
 from mckibben.dataset import Recording
-from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
 from mckibben.units import bar, cm, kPa, ms
 
 LENGTHS = {  # cut length [cm]: lengths in the test [cm], the first is the initial one
@@ -82,6 +83,24 @@ def map_of(folder, cut):
             own = (data.table["phase"].to_numpy() == "filling") & (data.force > SLACK)
             found.append(np.column_stack([data.contraction, data.pressure, data.force])[own])
     return np.concatenate(found)
+
+
+def print_phases(folder):
+    """Print how many plateaus of 0.5 s have another phase than the authors' column."""
+    wrong = total = 0
+    for cut, kink, test in itertools.product(LENGTHS, KINKS, ("Test8", "Test9", "Test10")):
+        contraction, time, pressure, force, phase = rows(folder, cut, kink, test)
+        record = Recording.of(time=time, pressure=pressure, force=force, contraction=contraction)
+        try:
+            table = record.plateaus(dwell=0.5).dataset.table
+        except (RangeError, DatasetError):  # nothing is steady, or only a slack muscle is
+            continue
+        if "phase" in table:
+            middles, found = table["time"].to_numpy(), table["phase"].to_numpy()
+            known = np.where(phase[np.searchsorted(time, middles) - 1] == 2, "venting", "filling")
+            wrong += np.count_nonzero((found != known) & (found != ""))
+            total += np.count_nonzero(found != "")
+    print(f"{wrong} of {total} plateaus have the wrong phase")
 
 
 def muscle_sensory(folder, chosen):
@@ -210,6 +229,9 @@ def main():
     parser.add_argument("--methods", default="", help="default: all that apply")
     options = parser.parse_args()
     warnings.simplefilter("ignore", McKibbenWarning)
+    if options.tasks == "phases":
+        print_phases(options.folder)
+        return
     print("| task | method | RMSE [N or rad] | NRMSE | relative |\n|---|---|---|---|---|")
     if options.data == "pneu-sim":
         blocks = pair_blocks(options.folder)
