@@ -1,7 +1,7 @@
 """A public elbow with two McKibben muscles, identified from recordings of commanded pressures, simulated on others.
 
     git clone https://github.com/gkharish/pneumaticarm_dentification
-    python benchmarks/elbow.py pneumaticarm_dentification [--seed 0] [--joint-friction 0.2] [--cross-validate]
+    python benchmarks/elbow.py CLONE [--seed 0] [--joint-friction 0.2] [--cross-validate] [--thirds]
 
 The recordings (folder ident_data: five pairs of time and value a row, commands in bar, angle in rad, 100 Hz) have no
 licence and are not part of this repository. Every third file in alphabetical order, from the first, is fitted; the
@@ -12,7 +12,8 @@ src/pneumaticarm_2linkmodel.cpp: muscles by the law of Tondu and Lopez, the one 
 contraction, pulleys of 15 mm, a forearm of 2.6 kg; lag 0.1 s, as in src/pneumaticarm_model.cpp.
 
 With --joint-friction [N*m] the joint has dry friction of its own before, with presliding of 1 deg. --cross-validate
-simulates each third of the fitted files by the model fitted to the others of them; no held-out file is read.
+simulates each third of the fitted files by the model fitted to the others of them; no held-out file is read. --thirds
+fits the three disjoint thirds of all files, and prints whether their estimates agree within their intervals.
 
 Rivals: three poles, no zeros, a delay and an offset after a polynomial of both pressures, linear or quadratic, fitted
 to the same samples from several starts; and the transfer function that the authors print in their report, from the
@@ -27,6 +28,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lsim, lti
+from scipy.special import chdtrc
 
 from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands
 from mckibben.joint import AntagonisticJoint, GeneralLoad, PairedPaths, Pulley
@@ -104,6 +106,20 @@ def cross_validated(recordings, friction):
         yield from (found.simulate(one).errors[1] for one in recordings[left::EVERY])
 
 
+def print_thirds(recordings, friction):
+    """Print estimates by disjoint thirds of the files, and the probability of a larger chi-squared of their scatter."""
+    found = [calibrate_from_commands(*elbow(), recordings[i::EVERY], PRIOR, friction=friction) for i in range(EVERY)]
+    print("| quantity | estimates of the thirds | p-value |\n|---|---|---|")
+    for name, one in found[0].quantities.items():
+        values, deviations = np.array(
+            [(each.quantities[name].value, each.quantities[name].deviation) for each in found]
+        ).T
+        weights = 1 / deviations**2
+        scatter = weights @ (values - weights @ values / weights.sum()) ** 2
+        shown = ", ".join(f"{value:.3g} +- {wide:.2g}" for value, wide in zip(values, deviations, strict=True))
+        print(f"| {name} [{one.unit}] | {shown} | {chdtrc(EVERY - 1, scatter):.2g} |")
+
+
 def main():
     """Print the tables."""
     options = argparse.ArgumentParser()
@@ -111,12 +127,16 @@ def main():
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--joint-friction", type=float, default=0.0)
     options.add_argument("--cross-validate", action="store_true")
+    options.add_argument("--thirds", action="store_true")
     given = options.parse_args()
     friction = JointFriction(given.joint_friction, 1 * deg) if given.joint_friction else None
     files = sorted(one for one in (given.clone / "ident_data").glob("*.csv") if one.stem != "datainfo")
     if given.cross_validate:
         errors = np.array(list(cross_validated([recording(one) for one in files[::EVERY]], friction)))
         print("cross-validated:", *(f"{error:.4f}" for error in errors), f"root mean square {rms(errors):.4f} rad")
+        return
+    if given.thirds:
+        print_thirds([recording(one) for one in files], friction)
         return
     recordings = {one.stem: recording(one) for one in files}
     fitted = list(recordings)[::EVERY]

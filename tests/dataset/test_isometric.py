@@ -168,3 +168,52 @@ def test_an_overshoot_of_a_ramp_is_no_phase():
     data = record(pressure=CLEAN + ripple).isometric([2 * bar, 4 * bar]).dataset
     assert data.table["phase"].values.tolist()[:4] == ["filling", "filling", "venting", "venting"]
     assert data.table["repeat"].values.tolist()[:4] == [0] * 4
+
+
+def regulated(levels, overshoot, hold=12.0, period=0.01, start=0.08):
+    """Pressure [Pa] of an underdamped regulator along a staircase [bar], and a force that follows it."""
+    damping = -np.log(overshoot) / np.hypot(np.pi, np.log(overshoot))
+    frequency, samples = 12.0, round(hold / period)
+    time = period * np.arange(samples)
+    fast = frequency * np.sqrt(1 - damping**2)
+    ringing = np.exp(-damping * frequency * time)
+    response = 1 - ringing * (np.cos(fast * time) + damping * frequency / fast * np.sin(fast * time))
+    before = np.array([start, *levels[:-1]])
+    pressure = np.concatenate([a + (b - a) * response for a, b in zip(before, levels, strict=True)]) * bar
+    return Recording.of(
+        time=period * np.arange(pressure.size), pressure=pressure, force=pressure / 2e3, contraction=0.1
+    )
+
+
+@pytest.mark.parametrize("overshoot", [0.05, 0.4, 0.8])
+def test_filling_in_steps_is_filling_whatever_the_overshoot(overshoot):
+    levels = [1.6, 2.2, 3.0, 3.3, 4.1, 5.0, 5.9]
+    data = regulated(levels, overshoot).plateaus(dwell=0.5).dataset
+    assert data.table["phase"].values.tolist() == ["filling"] * len(levels)
+    down = regulated(levels[::-1], overshoot, start=6.5).plateaus(dwell=0.5).dataset
+    assert down.table["phase"].values.tolist() == ["venting"] * len(levels)
+
+
+def test_a_large_excursion_before_a_plateau_is_venting():
+    """From 1 to 3 bar by way of 6 bar: the friction has the sign of venting."""
+    pressure = np.concatenate([np.full(300, 1.0), np.linspace(1, 6, 200), np.linspace(6, 3, 200), np.full(300, 3.0)])
+    record = Recording.of(time=0.01 * np.arange(1000), pressure=pressure * bar, force=50.0 * pressure, contraction=0.1)
+    assert record.plateaus().dataset.table["phase"].values.tolist() == ["", "venting"]
+
+
+def test_small_steps_are_several_pressures():
+    """Plateaus of 601 to 623 kPa that follow each other by steps are not one level; equal ones are."""
+    levels = [3.0, 6.01, 6.06, 6.12, 6.18, 6.23, 3.002]
+    data = regulated(levels, 0.1).plateaus(dwell=0.5).dataset
+    assert np.unique(data.levels).size == 6
+    np.testing.assert_allclose(data.levels / bar, [3.0, *levels[1:-1], 3.0], atol=0.006)
+
+
+def test_the_scatter_of_a_regulator_over_lengths_is_one_pressure():
+    """The length changes between the plateaus, so that 601 to 607 kPa are one level."""
+    pressure = np.repeat([6.01, 6.04, 6.07, 6.02], 300) * bar
+    contraction = np.repeat([0.0, 0.05, 0.10, 0.15], 300)
+    record = Recording.of(
+        time=0.01 * np.arange(1200), pressure=pressure, force=400 - 2e3 * contraction, contraction=contraction
+    )
+    assert np.unique(record.plateaus().dataset.levels).size == 1

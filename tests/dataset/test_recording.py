@@ -251,7 +251,9 @@ def test_set_pressures_of_the_record_go_before_clusters():
 
 def test_pressures_without_steps_have_no_level():
     pressure = np.repeat(np.arange(1e5, 1e5 + 12 * 6 * kPa, 6 * kPa), 400)
-    record = Recording.of(time=np.arange(len(pressure)) / RATE, pressure=pressure, force=pressure / 1e4, contraction=0)
+    contraction = np.repeat(0.01 * np.arange(12), 400)
+    time = np.arange(len(pressure)) / RATE
+    record = Recording.of(time=time, pressure=pressure, force=pressure / 1e4, contraction=contraction)
     points = record.plateaus()
     assert np.isnan(points.dataset.table["set_pressure"]).all()
     assert points.notes == ("the pressures of 12 plateaus follow each other without a step: they get no set pressure",)

@@ -6,14 +6,14 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from scipy.ndimage import gaussian_filter1d
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 from mckibben.calibration.equations import (
     COEFFICIENTS,
@@ -45,6 +45,7 @@ from mckibben.numerics.compiled import compiled
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], until residuals are available
 _LEAST_VARIANCE = 1e-8
+_LEAST_RECORDINGS = 3  # for their scatter
 _INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
 _UNEXPLAINED = 3.0  # ratio of residual to noise above which the model does not describe the recordings
 _NEGLIGIBLE = 1e-3  # ratio of residual to highest torque up to which that is irrelevant
@@ -381,3 +382,29 @@ def correlation_time(one: Floats) -> float:
     correlation /= max(correlation[0], 1e-300)
     negative = np.flatnonzero(correlation < 0)
     return float(1 + 2 * correlation[1 : negative[0] if negative.size else one.size].sum())
+
+
+class Scatter(NamedTuple):
+    """Variance of the influence of each recording on each parameter relative to the expected one, and its p-value."""
+
+    ratio: Floats
+    p_value: Floats
+
+
+def scatter_between(covariance: Floats, parts: Sequence[tuple[Floats, Floats]]) -> Scatter:
+    """Scatter of the estimates between recordings, from gradient and Hessian of each; 1 for less than three.
+
+    If the model is right, the gradient of a recording at the estimate has the covariance H_r - H_r C H_r. The influence
+    of a recording is C times its gradient; its sum of squares is compared with the expected one (Birge ratio), as a
+    chi-squared variable with Satterthwaite's degrees of freedom.
+    """
+    if len(parts) < _LEAST_RECORDINGS:
+        return Scatter(*np.ones((2, len(covariance))))
+    influence = np.array([covariance @ gradient for gradient, _ in parts])
+    expected = np.array(
+        [np.diag(covariance @ (hessian - hessian @ covariance @ hessian) @ covariance) for _, hessian in parts]
+    )
+    total = np.maximum(expected.sum(axis=0), 1e-300)
+    freedom = np.maximum(total**2 / np.maximum((expected**2).sum(axis=0), 1e-300) - 1, 1)
+    ratio = (influence**2).sum(axis=0) / total
+    return Scatter(ratio, chdtrc(freedom, ratio * freedom))

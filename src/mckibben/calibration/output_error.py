@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -31,13 +32,15 @@ from mckibben.calibration.estimation import (
     STARTS,
     JointCalibration,
     JointEstimate,
+    Scatter,
     minimised,
     number,
     quantities_of,
+    scatter_between,
     start,
     variance_of,
 )
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled
@@ -54,6 +57,7 @@ _DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
 _DELAY = 20 * ms  # prior median
 _DAMPING_TIME = 1.0  # s, ratio of inertia to damping of a load without damping in the model
 _FIRST_VARIANCE = 0.1**2  # rad^2
+_DIFFERS = 1e-3  # probability of a larger scatter between recordings
 _RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
 _STRENGTHS, _FIRST, _STAGES, _ITERATIONS = 3, 8, 3, 25
 _FRICTION = 2 * COEFFICIENTS  # index of the half width among a muscle's parameters
@@ -213,7 +217,8 @@ def calibrate_from_commands(
     medians = (valve.time_constant, rate, delay or _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
     medians += () if friction is None else (friction.torque, friction.presliding)
     problem = _Problem(base, valve, friction, tuple(map(float, medians)))
-    z, covariance, residual = _solve(problem, motions)
+    z, covariance, residual, scatter = _solve(problem, motions)
+    _warn_of_scatter(scatter, len(medians))
     full, slope = map(np.asarray, _full_and_slope(base, z))
     wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # keeps what is not estimated
     found = jax.tree.map(number, _model(problem, jnp.asarray(z)))
@@ -376,8 +381,24 @@ def _total_friction(problem: _Problem, plant: JointPlant, z: Floats, covariance:
     return JointEstimate(total, math.sqrt(slope @ covariance @ slope), float(np.linalg.norm(slope)), "N*m")
 
 
-def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Floats, float]:
-    """Estimates and covariance of the parameters, and the residual angle [rad]."""
+def _warn_of_scatter(scatter: Scatter, own: int) -> None:
+    """Warn of valve, delay and load if they differ between the recordings by more than their intervals allow."""
+    rows = zip(list(_OWN)[:own], scatter.ratio[-own:], scatter.p_value[-own:], strict=True)
+    differing = [f"{name} ({math.sqrt(ratio):.2g})" for name, ratio, p_value in rows if p_value < _DIFFERS]
+    if differing:
+        text = "the model is wrong: the recordings disagree by more than the noise allows"
+        warnings.warn(
+            f"{text} about {', '.join(differing)}; standard deviations are multiplied by the factors in parentheses",
+            McKibbenWarning,
+            stacklevel=3,
+        )
+
+
+def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Floats, float, Scatter]:
+    """Estimates and covariance of the parameters, the residual angle [rad], and scatter between recordings.
+
+    Parameters that scatter more between recordings than expected have a larger variance, by that ratio.
+    """
     muscles, own = muscle_parameters(problem.base), len(problem.medians)
     count, substeps, variance = muscles + _SHARED + own, _substeps(motions), _FIRST_VARIANCE
     padded, sizes = list(map(_padded, motions)), [one.angle.size for one in motions]
@@ -413,4 +434,9 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Float
         error = linearised(z)[0]
         variance = variance_of(np.split(error, np.cumsum(sizes)[:-1]))
     covariance: Any = np.linalg.inv(terms(z)[2])
-    return z, covariance, float(np.sqrt(np.mean(error**2)))
+    error, slope = linearised(z)
+    ends = np.cumsum(sizes)[:-1]
+    parts = zip(np.split(error, ends), np.split(slope, ends, axis=1), strict=True)
+    scatter = scatter_between(covariance, [(part @ one / variance, part @ part.T / variance) for one, part in parts])
+    wider = np.sqrt(np.maximum(scatter.ratio, 1.0))
+    return z, covariance * np.outer(wider, wider), float(np.sqrt(np.mean(error**2))), scatter

@@ -20,6 +20,7 @@ import typer
 from typer import Argument, Option
 
 import mckibben
+from mckibben.cli.bench import bench
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
@@ -258,7 +259,7 @@ _PANELS = {
         rig,
     ),
     "Joint, leg and control": (size, simulate, envelope, stiffness, margins, oracle, calibrate, leg),
-    "Studies": (tune, compare, sweep, merge),
+    "Studies": (tune, compare, sweep, merge, bench),
     "Other programs": (web, export, check),
 }
 for _panel, _commands in _PANELS.items():

@@ -143,7 +143,8 @@ class Recording(MeasuredTable):
             Initial part of a segment excluded from the means [s], in addition to a twentieth of `dwell` at either end.
         level_tolerance
             Plateau pressures closer to each other than this [Pa] belong to one level, whose mean (in whole kPa) is
-            their set pressure, if the recording has no set pressures.
+            their set pressure, if the recording has no set pressures. Where the pressure was changed from one of them
+            to the next at a fixed length, they are several levels, told apart by twice the `pressure_tolerance`.
         gap
             Samples further apart than this [s] are not joined. Default: 10 times the usual interval.
 
@@ -240,16 +241,18 @@ class Recording(MeasuredTable):
 
         p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
         spread = np.sqrt(np.bincount(owner, (force[at] - f[owner]) ** 2) / samples)
+        levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
+        direction, phase = approaches(self.table, account.broken, first, last, levels)
         if "set_pressure" in self.table:
             set_pressure = mean(self.table["set_pressure"].to_numpy())
         else:
-            set_pressure, wide = levels_of(p, level_tolerance)
+            finer = 2 * pressure_tolerance
+            stepped = (phase != "") & (np.abs(np.diff(p, prepend=p[0])) > finer)
+            set_pressure, wide = levels_of(p, level_tolerance, stepped, finer)
             if wide:
                 account.notes.append(
                     f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
                 )
-        levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
-        direction, phase = approaches(self.table, account.broken, first, last, levels)
         points = extracted_points(
             self.table,
             account,

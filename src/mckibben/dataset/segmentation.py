@@ -124,11 +124,20 @@ def _trimmed(
 _WIDE = 3  # level tolerances that a level may span
 
 
-def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:
-    """Mean pressure of each cluster [whole kPa], NaN in too wide ones, and the number of points in these."""
+def levels_of(
+    pressures: NDArray[np.float64], tolerance: float, stepped: NDArray[np.bool_], finer: float
+) -> tuple[NDArray[np.float64], int]:
+    """Mean pressure of each cluster [whole kPa], NaN in too wide ones, and the number of points in these.
+
+    A cluster that holds both sides of a step of the pressure (mask of its second points) has a finer tolerance.
+    """
     order = np.argsort(pressures, kind="stable")
-    ranked = pressures[order]
-    group = np.concatenate([[0], np.cumsum(np.diff(ranked) > tolerance)])
+    ranked, gaps = pressures[order], np.diff(pressures[order])
+    group = np.concatenate([[0], np.cumsum(gaps > tolerance)])
+    of = np.empty_like(group)
+    of[order] = group
+    several = of[1:][stepped[1:] & (of[1:] == of[:-1])]
+    group = np.concatenate([[0], np.cumsum(gaps > np.where(np.isin(group[1:], several), finer, tolerance))])
     count = np.bincount(group)
     mean = np.bincount(group, ranked) / count
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])
@@ -139,7 +148,7 @@ def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray
     return levels, int(count[wide].sum())
 
 
-_OVERSHOOT = 0.5  # of a step: a larger excursion beyond its level is a deliberate move
+_OVERSHOOT = 1.0  # of a step, that of an undamped second-order system: a larger excursion is a deliberate move
 
 
 def approaches(
@@ -151,8 +160,8 @@ def approaches(
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """Direction and phase of each plateau, never across a gap.
 
-    The direction is that of the last motion. The phase follows from the step between levels, which exceeds any
-    overshoot; without a step, from the last motion.
+    The direction is that of the last motion. The phase follows from the step from the level before, or from the start
+    of the recording, which exceeds any overshoot; without a step, from the last motion.
     """
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))
@@ -169,7 +178,8 @@ def approaches(
             if len(out):
                 side[i] = 1 if away[out[-1]] > 0 else -1
                 beyond[i] = np.max(side[i] * away)
-        jump = np.where(anew, 0.0, np.diff(level, prepend=level[0]))
+        start = np.where(before < first, values[before], level)
+        jump = np.where(anew, level - start, np.diff(level, prepend=level[0]))
         stepped = np.abs(jump) > 2 * tolerance
         by_step = stepped & ((side == 0) | ((name == "pressure") & (beyond < _OVERSHOOT * np.abs(jump))))
         sides.append(np.where(by_step, -np.sign(jump), side).astype(int))

@@ -1,0 +1,102 @@
+"""Submissions: one Python file with a function `fit`, run and checked."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import traceback
+from pathlib import Path
+from types import TracebackType
+from typing import cast
+
+import numpy as np
+
+from mckibben.bench.baselines import Fit
+from mckibben.bench.task import Floats, Task
+from mckibben.errors import SubmissionError
+
+_FIT = "define fit(training), which returns predict(inputs); see docs/bench.md"
+_PREDICT = "return one finite number for each row of inputs"
+
+
+def read_submission(path: str | os.PathLike[str]) -> Fit:
+    """Run a Python file and return its function `fit`; raises a `SubmissionError`."""
+    file = Path(path)
+    spec = importlib.util.spec_from_file_location(f"mckibben_submission_{file.stem}", file)
+    if file.suffix != ".py" or not file.is_file() or spec is None or spec.loader is None:
+        raise SubmissionError(f"{file} is not a Python file", file=str(file), remedy="name a file that ends in .py")
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise _failed(file, "", error, "correct it; it must run without arguments") from error
+    fit = getattr(module, "fit", None)
+    if not callable(fit):
+        found = "has no function fit" if fit is None else f"defines fit as {type(fit).__name__}, not as a function"
+        raise SubmissionError(f"{file} {found}", file=str(file), function="fit", remedy=_FIT)
+    return cast(Fit, fit)
+
+
+def predictions(fit: Fit, task: Task, file: str = "") -> dict[str, Floats] | None:
+    """Return the predicted outputs by name of the test block; None if `fit` does not apply to the task.
+
+    Raises
+    ------
+    SubmissionError
+        If a function of the file fails, or returns something else.
+    """
+    where = Path(file) if file else None
+    try:
+        predict = fit(task.training)
+    except Exception as error:
+        if where is None:
+            raise
+        raise _failed(where, "fit", error, f"correct it; it was called for the task {task.name!r}") from error
+    if predict is None:
+        return None
+    if not callable(predict):
+        text = f"{file}: fit returned {type(predict).__name__} in the task {task.name!r}, not a function"
+        raise SubmissionError(text, file=file, function="fit", remedy=_FIT)
+    found = {}
+    for block in task.tests:
+        place = f"for the block {block.name!r} of the task {task.name!r}"
+        try:
+            output = predict(block.inputs.copy())
+        except Exception as error:
+            if where is None:
+                raise
+            raise _failed(where, "predict", error, f"correct it; it was called {place}") from error
+        found[block.name] = _checked(output, block.output.size, file, place)
+    return found
+
+
+def _checked(output: object, size: int, file: str, place: str) -> Floats:
+    try:
+        values = np.asarray(output, float)
+    except (TypeError, ValueError):
+        text = f"{file}: predict returned {type(output).__name__} {place}, not numbers"
+        raise SubmissionError(text, file=file, function="predict", remedy=_PREDICT) from None
+    if values.shape not in ((size,), (size, 1)):
+        text = f"{file}: predict returned the shape {values.shape} instead of ({size},) {place}"
+        raise SubmissionError(text, file=file, function="predict", remedy=_PREDICT)
+    if not np.isfinite(values).all():
+        count = int(np.count_nonzero(~np.isfinite(values)))
+        text = f"{file}: predict returned {count} values that are not finite {place}"
+        raise SubmissionError(text, file=file, function="predict", remedy=_PREDICT)
+    return values.reshape(size)
+
+
+def _failed(file: Path, function: str, error: Exception, remedy: str) -> SubmissionError:
+    line = _last_line(error.__traceback__, file)
+    place = f"{file}, line {line}" if line else str(file)
+    of = f"{function} " if function else ""
+    return SubmissionError(
+        f"{place}: {of}raised {type(error).__name__}: {error}", file=str(file), function=function, remedy=remedy
+    )
+
+
+def _last_line(trace: TracebackType | None, file: Path) -> int | None:
+    """Line of the innermost frame of an exception in a file."""
+    lines = [one.lineno for one in traceback.extract_tb(trace) if Path(one.filename).resolve() == file.resolve()]
+    return lines[-1] if lines else None
