@@ -38,16 +38,19 @@ def test_drawn_parameters_are_those_of_the_environments(tmp_path):
     assert all(f"'{name}'" in names for name in known)
 
 
-def simulated(entity, commands, integrator=mujoco.mjtIntegrator.mjINT_RK4, again=()):
-    """Angles after each control period; the worlds `again` are reset after 20 periods and begin anew."""
+def simulated(entity, commands, again=(), **others):
+    """Angles after each control period; the worlds `again` are reset after 20 periods and begin anew.
+
+    Other entities in the scene are without pressure.
+    """
     torch = pytest.importorskip("torch")
     from mjlab.scene import Scene, SceneCfg
     from mjlab.sim import MujocoCfg, Simulation, SimulationCfg
 
-    scene = Scene(SceneCfg(num_envs=WORLDS, entities={"knee": entity}), device="cpu")
+    scene = Scene(SceneCfg(num_envs=WORLDS, entities={"knee": entity, **others}), device="cpu")
     config = SimulationCfg(mujoco=MujocoCfg(timestep=PERIOD))
     sim = Simulation(num_envs=WORLDS, cfg=config, model=scene.compile(), device="cpu")
-    sim.wp_model.opt.integrator = integrator
+    sim.wp_model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     scene.initialize(sim.mj_model, sim.model, sim.data)
     knee, found = scene["knee"], []
 
@@ -85,7 +88,7 @@ def wanted(plant, state, commands):
 
 
 @pytest.mark.slow
-def test_a_second_in_mjlab_agrees_in_every_world_also_after_a_reset():
+def test_a_second_in_mjlab_agrees_in_every_world_after_a_reset_and_next_to_another_joint():
     pytest.importorskip("mjlab", reason="mjlab is not installed")
     from mckibben.export.mjlab import muscle_entity
 
@@ -104,7 +107,8 @@ def test_a_second_in_mjlab_agrees_in_every_world_also_after_a_reset():
     assert np.min(np.ptp(angles, axis=0)) > 0.05
     assert np.max(np.abs(angles[:, 0] - angles[:, 1])) > 1e-3
     np.testing.assert_allclose(simulated(entity, commands), angles, atol=TOLERANCE)
-    found = simulated(entity, commands[:60], again=(1,))
+    other = muscle_entity("examples/own-joint.yaml")
+    found = simulated(entity, commands[:60], again=(1,), other=other)
     np.testing.assert_allclose(found[20:, 1], angles[:40, 1], atol=TOLERANCE)
     np.testing.assert_allclose(found[:, 0], angles[:60, 0], atol=TOLERANCE)
 

@@ -10,6 +10,8 @@ import importlib.util
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -157,12 +159,14 @@ def check_version(version: str) -> None:
         raise ExportError(f"mjlab is {version}", field="mjlab", value=version, remedy=remedy)
 
 
+@cache
 def _loaded(text: str) -> ModuleType:
-    """Module of a text; Warp reads the source of its functions while it is executed."""
+    """Module of a text; Warp reads its source while it is executed, and replaces a module of the same name."""
+    name = f"joint_warp_{sha256(text.encode()).hexdigest()[:16]}"
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "joint_warp.py"
+        path = Path(folder) / f"{name}.py"
         path.write_text(text)
-        spec = importlib.util.spec_from_file_location("joint_warp", path)
+        spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
