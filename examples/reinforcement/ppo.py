@@ -33,6 +33,7 @@ from mckibben.units import bar, deg
 SUITE = Suite.read("examples/comparison/knee.yaml")
 REPEAT, HISTORY, LANES = 5, 4, 256
 REWARD = RewardTerms(angle_scale=1 * deg, stiffness_scale=1.0, air_price=0.1)
+FAILURE = 10.0  # cost of a failed run, as much as ten steps can earn
 TRAINING, UNSEEN = 0, 1  # seeds of the plants
 FACTORS = np.array(list(product((1.0, 4.0, 16.0, 64.0), (0.25, 0.5, 1.0, 2.0), (0.3, 1.0, 3.0, 10.0))))
 """Factors of the PID: integral gain and other gains of the angle, gains of the stiffness."""
@@ -52,7 +53,10 @@ def features(observation):
 
 
 class Joints(VecEnv):
-    """The environments as Stable-Baselines3 takes them: an episode is done when its plant is replaced."""
+    """The environments as Stable-Baselines3 takes them: an episode is done when its plant is replaced.
+
+    A failed run terminates, and costs; the end of the scenario truncates.
+    """
 
     def __init__(self, envs):
         from gymnasium.spaces import Box
@@ -62,7 +66,8 @@ class Joints(VecEnv):
         super().__init__(envs.num_envs, space, envs.single_action_space)
 
     def reset(self):
-        self.over, self.last = np.zeros(self.num_envs, bool), features(self.envs.reset(seed=0)[0])
+        self.failed = self.ended = np.zeros(self.num_envs, bool)
+        self.last = features(self.envs.reset(seed=0)[0])
         return self.last
 
     def step_async(self, actions):
@@ -70,11 +75,11 @@ class Joints(VecEnv):
 
     def step_wait(self):
         observation, reward, failed, ended, _ = self.envs.step(self.actions)
-        done, before = self.over, self.last
-        self.over, self.last = failed | ended, features(observation)
-        infos = [{"terminal_observation": before[lane], "TimeLimit.truncated": True} if one else {}
+        done, truncated, before = self.failed | self.ended, self.ended & ~self.failed, self.last
+        self.failed, self.ended, self.last = failed, ended, features(observation)
+        infos = [{"terminal_observation": before[lane], "TimeLimit.truncated": bool(truncated[lane])} if one else {}
                  for lane, one in enumerate(done)]  # fmt: skip
-        return self.last, reward.astype(np.float32), done, infos
+        return self.last, np.where(failed, -FAILURE, reward).astype(np.float32), done, infos
 
     def close(self):
         pass

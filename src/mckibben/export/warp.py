@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
+import jax
+import numpy as np
 
 import mckibben
 from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
 from mckibben.export.controller_files import filled
+from mckibben.export.episodes import plants_of
 from mckibben.export.mjcf import COMMAND_DELAY, joint_model
 from mckibben.export.muscle_plugin import PluginMuscle
 from mckibben.export.targets import Exported
@@ -45,6 +49,21 @@ def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState,
     left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
     text = warp_muscles(model.module, model.muscles, title or name, float(plant.command_delay or 0.0), left_out)
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
+
+
+def drawn_parameters(
+    scenario: Scenario, random_plant: Sequence[str], count: int, seed: int, known: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[str]]:
+    """Varied parameters of a plant that a module has, one row per plant, and the names of those that it lacks.
+
+    `known` is the `PARAMETERS` of the module. The plants are those of `mckibben.export.gym` with the same seed.
+    """
+    drawn = plants_of(scenario, random_plant, count, seed).varying if random_plant else ()
+    leaves = jax.tree_util.tree_flatten_with_path(drawn)[0]
+    table = {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}
+    table = {name.removeprefix("plant."): values for name, values in table.items()}
+    carried = {name for name in table if name in known or name == "command_delay"}
+    return {name: table[name] for name in carried}, sorted(table.keys() - carried)
 
 
 def warp_muscles(

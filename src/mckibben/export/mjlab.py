@@ -1,0 +1,173 @@
+"""The muscles of a joint as an actuator of mjlab, with plants drawn from intervals as domain randomisation.
+
+Needs mjlab 1.6, which is not an extra of mckibben, because it needs PyTorch and another version of MuJoCo Warp.
+"""
+
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from hashlib import sha256
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from mjlab.actuator.actuator import TransmissionType
+from mjlab.actuator.xml_actuator import XmlActuator, XmlActuatorCfg
+from mjlab.entity import Entity, EntityArticulationInfoCfg, EntityCfg
+
+from mckibben.errors import ExportError
+from mckibben.export.episodes import conditions_of
+from mckibben.export.warp import drawn_parameters, warp_files
+from mckibben.scenario import Scenario
+from mckibben.study.benchmark.suite import Suite
+
+_MUSCLES = "muscle1", "muscle2"  # actuators and tendons of the exported model
+_VERSIONS = (1, 6), (1, 7)  # of mjlab: from the first to below the second
+
+
+@dataclass(kw_only=True)
+class MuscleActuatorCfg(XmlActuatorCfg):
+    """Muscles of an exported joint; their commands [Pa] are the effort targets of its tendons."""
+
+    module: ModuleType
+    """Module written by ``mckibben export --to warp``."""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Values by the names of `PARAMETERS` and `command_delay`, one row per plant; worlds take the rows in turn."""
+    start: Sequence[float] = ()
+    """Activations at the start of each episode."""
+    left_out: tuple[str, ...] = ()
+    """Parts of the scenario, and varied parameters, that the actuator does not have."""
+
+    target_names_expr: tuple[str, ...] = _MUSCLES
+    transmission_type: TransmissionType = TransmissionType.TENDON
+    command_field: Any = "effort"
+
+    def build(self, entity: Entity, target_ids: list[int], target_names: list[str]) -> MuscleActuator:
+        return MuscleActuator(self, entity, target_ids, target_names)
+
+
+class MuscleActuator(XmlActuator):
+    """Muscles whose forces, pressures and delays are computed by callbacks of MuJoCo Warp in every world.
+
+    `muscles` has the parameters of the worlds: ``muscles.set("valve.time_constant", values)``.
+    """
+
+    cfg: MuscleActuatorCfg
+
+    def initialize(self, mj_model: mujoco.MjModel, model: Any, data: Any, device: str) -> None:
+        super().initialize(mj_model, model, data, device)
+        prefix = mj_model.actuator(self._mjs_actuators[0].id).name.removesuffix(_MUSCLES[0])
+        parameters = dict(self.cfg.parameters)
+        longest = float(np.max(parameters.get("command_delay", 0.0)))
+        self.muscles = self.cfg.module.Muscles(mj_model, data.nworld, device, prefix, max(longest, 0.02))
+        for name, values in parameters.items():
+            self.muscles.set(name, np.resize(values, (data.nworld, *np.shape(values)[1:])))
+        self._act, self._start = data.act, torch.tensor(self.cfg.start, dtype=torch.float, device=device)
+        actuators = [mj_model.actuator(one) for one in range(mj_model.nu)]
+        actuators = [one for one in actuators if one.name.startswith(f"{prefix}muscle") and one.actnum[0]]
+        self._places = [int(one.actadr[0]) for one in actuators]
+        self._needs_call = device != "cpu"  # in a captured graph, the callbacks are called at the capture alone
+        self.muscles.install(model)
+        model.callback.act_bias = self._noting(model.callback.act_bias)
+
+    def _noting(self, function: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+        def noting(m: Any, d: Any) -> None:
+            self._needs_call = False
+            function(m, d)
+
+        return noting
+
+    def compute(self, cmd: Any) -> torch.Tensor:
+        if self._needs_call:
+            raise RuntimeError("the CUDA graphs lack the muscles: call sim.create_graph() after creating the scene")
+        return super().compute(cmd)
+
+    def reset(self, env_ids: torch.Tensor | slice | None = None) -> None:
+        super().reset(env_ids)
+        rows = slice(None) if env_ids is None else env_ids
+        for place, value in zip(self._places, self._start, strict=True):
+            self._act[rows, place] = value
+
+
+def muscle_entity(
+    scenario: Scenario | Suite | str | os.PathLike[str],
+    random_plant: Sequence[str] = (),
+    plants: int = 256,
+    seed: int = 0,
+) -> EntityCfg:
+    """Entity of mjlab for the plant of a scenario: its MJCF, its start, and its muscles as actuator.
+
+    Each world has the muscles, valves and delay of a plant drawn from `random_plant`, such as
+    ``valve.time_constant=10..50 ms``, in the syntax of ``mckibben sweep``; a suite brings its conditions. Parameters of
+    the load, and parts that MuJoCo Warp cannot represent, are in `left_out` of the actuator: vary the load with the
+    events of mjlab.
+
+    Raises
+    ------
+    ExportError
+        For parts that cannot be exported, for muscles without a tendon, and for versions of mjlab that do not fit.
+    """
+    check_version(metadata.version("mjlab"))
+    if isinstance(scenario, Suite):
+        random_plant = (*conditions_of(scenario), *random_plant)
+        scenario = scenario.example()
+    scenario = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+    made = warp_files(scenario, "joint", Path())
+    spec = mujoco.MjSpec.from_string(made.files["joint.xml"])
+    if [one.name for one in spec.tendons] != list(_MUSCLES):
+        raise ExportError(
+            "a muscle without a tendon cannot be an actuator of mjlab",
+            field="geometry",
+            value=type(scenario.plant().joint.geometry).__name__,
+            remedy="give both muscles a path between two points or over a pulley",
+        )
+    module = _loaded(str(made.files["joint_warp.py"]))
+    parameters, others = drawn_parameters(scenario, random_plant, plants, seed, module.PARAMETERS)
+    key = spec.keys[0]
+    left_out = (*made.left_out, *(f"variation of {name}" for name in others))
+    if not np.array_equal(spec.option.gravity, mujoco.MjSpec().option.gravity):
+        left_out += (f"gravity of the load: give MujocoCfg the gravity {tuple(map(float, spec.option.gravity))}",)
+    actuator = MuscleActuatorCfg(module=module, parameters=parameters, start=list(key.act), left_out=left_out)
+
+    def start_left_out() -> mujoco.MjSpec:
+        spec = mujoco.MjSpec.from_string(made.files["joint.xml"])
+        spec.delete(spec.keys[0])  # mjlab adds its own
+        spec.option = mujoco.MjSpec().option  # those of `MujocoCfg` apply
+        return spec
+
+    return EntityCfg(
+        spec_fn=start_left_out,
+        init_state=EntityCfg.InitialStateCfg(joint_pos={"joint": key.qpos[0]}, joint_vel={"joint": key.qvel[0]}),
+        articulation=EntityArticulationInfoCfg(actuators=(actuator,)),
+    )
+
+
+def check_version(version: str) -> None:
+    """Raise an error for a version of mjlab that does not fit."""
+    if not _VERSIONS[0] <= tuple(map(int, version.split(".")[:2])) < _VERSIONS[1]:
+        remedy = "install a version from {} to below {}".format(*(".".join(map(str, one)) for one in _VERSIONS))
+        raise ExportError(f"mjlab is {version}", field="mjlab", value=version, remedy=remedy)
+
+
+@cache
+def _loaded(text: str) -> ModuleType:
+    """Module of a text; Warp reads its source while it is executed, and replaces a module of the same name."""
+    name = f"joint_warp_{sha256(text.encode()).hexdigest()[:16]}"
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.py"
+        path.write_text(text)
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,144 @@
+"""Muscles as an actuator of mjlab, on the CPU, against the plant in 64 bits. mjlab needs another environment."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import ExportError
+from mckibben.export.episodes import plants_of
+from mckibben.export.warp import drawn_parameters, warp_files
+
+SCENARIO = "examples/pre-contracted-step-pid.yaml"
+VARIED = ["valve.time_constant=10..50 ms", "joint.muscle.strength=+-10 %", "command_delay=3 ms", "load.mass2=+-1 %"]
+PERIOD, PERIODS, DELAY, WORLDS, SEED = 1e-3, 1000, 3, 3, 4
+TOLERANCE = 1e-5  # rad
+
+
+def test_drawn_parameters_are_those_of_the_environments(tmp_path):
+    scenario = mk.Scenario.read(SCENARIO)
+    known = {"valve.time_constant", "joint.muscle1.strength", "joint.muscle2.strength"}
+    found, others = drawn_parameters(scenario, VARIED, WORLDS, SEED, dict.fromkeys(known))
+    assert set(found) == known | {"command_delay"}
+    assert others == ["load.mass2"]
+    plants = plants_of(scenario, VARIED, WORLDS, SEED)
+    for row in range(plants.rows):
+        plant = plants.at(row).plant
+        assert found["valve.time_constant"][row] == plant.valve.time_constant
+        assert found["joint.muscle1.strength"][row] == plant.joint.muscle1.strength
+    assert np.ptp(found["valve.time_constant"]) > 1e-3
+    assert drawn_parameters(scenario, (), WORLDS, SEED, dict.fromkeys(known)) == ({}, [])
+    names = warp_files(scenario, "joint", tmp_path).files["joint_warp.py"]
+    assert all(f"'{name}'" in names for name in known)
+
+
+def simulated(entity, commands, again=(), **others):
+    """Angles after each control period; the worlds `again` are reset after 20 periods and begin anew.
+
+    Other entities in the scene are without pressure.
+    """
+    torch = pytest.importorskip("torch")
+    from mjlab.scene import Scene, SceneCfg
+    from mjlab.sim import MujocoCfg, Simulation, SimulationCfg
+
+    scene = Scene(SceneCfg(num_envs=WORLDS, entities={"knee": entity, **others}), device="cpu")
+    config = SimulationCfg(mujoco=MujocoCfg(timestep=PERIOD))
+    sim = Simulation(num_envs=WORLDS, cfg=config, model=scene.compile(), device="cpu")
+    sim.wp_model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    scene.initialize(sim.mj_model, sim.model, sim.data)
+    knee, found = scene["knee"], []
+
+    def reset(worlds):
+        sim.reset(worlds)
+        scene.reset(worlds)
+        start = knee.data.default_joint_pos, knee.data.default_joint_vel
+        knee.write_joint_state_to_sim(*(one if worlds is None else one[worlds] for one in start), env_ids=worlds)
+
+    reset(None)
+    period = torch.zeros(WORLDS, dtype=torch.long)
+    for now in range(len(commands)):
+        if now == 20 and again:
+            reset(torch.tensor(again))
+            period[list(again)] = 0
+        sim.forward()  # as the environment does for its observations
+        knee.set_tendon_effort_target(torch.tensor(commands, dtype=torch.float)[period])
+        scene.write_data_to_sim()
+        sim.step()
+        scene.update(PERIOD)
+        period += 1
+        found.append(knee.data.joint_pos[:, 0].numpy().copy())
+    return np.array(found)
+
+
+@eqx.filter_jit
+def wanted(plant, state, commands):
+    """Angles of a plant without delay after each control period."""
+
+    def period(state, commands):
+        state = plant.advance(state, (commands[0], commands[1]), PERIOD, 1)
+        return state, state.angle
+
+    return jax.lax.scan(period, state, commands)[1]
+
+
+@pytest.mark.slow
+def test_a_second_in_mjlab_agrees_in_every_world_after_a_reset_and_next_to_another_joint():
+    pytest.importorskip("mjlab", reason="mjlab is not installed")
+    from mckibben.export.mjlab import muscle_entity
+
+    varied = VARIED[:-1]
+    entity = muscle_entity(SCENARIO, varied, plants=WORLDS, seed=SEED)
+    scenario = mk.Scenario.read(SCENARIO)
+    plants = plants_of(scenario, varied, WORLDS, SEED)
+    swing = 5e4 * np.sin(12 * PERIOD * np.arange(PERIODS))
+    commands = np.stack([2.5e5 + swing, 3e5 - swing], -1)
+    late = np.concatenate([np.repeat(commands[:1], DELAY, axis=0), commands[:-DELAY]])
+    start, angles = scenario.initial(scenario.plant()), []
+    for row in range(WORLDS):
+        plant = dataclasses.replace(plants.at(row % plants.rows).plant, command_delay=None)
+        angles.append(np.asarray(wanted(plant, plant.complete_state(start), late)))
+    angles = np.stack(angles, -1)
+    assert np.min(np.ptp(angles, axis=0)) > 0.05
+    assert np.max(np.abs(angles[:, 0] - angles[:, 1])) > 1e-3
+    np.testing.assert_allclose(simulated(entity, commands), angles, atol=TOLERANCE)
+    other = muscle_entity("examples/own-joint.yaml")
+    found = simulated(entity, commands[:60], again=(1,), other=other)
+    np.testing.assert_allclose(found[20:, 1], angles[:40, 1], atol=TOLERANCE)
+    np.testing.assert_allclose(found[:, 0], angles[:60, 0], atol=TOLERANCE)
+
+
+@pytest.mark.slow
+def test_the_example_of_the_documentation_runs():
+    pytest.importorskip("mjlab", reason="mjlab is not installed")
+    page = Path("docs/export-simulators.md").read_text()
+    (example,) = re.findall(r"## mjlab\n.*?```py\n(.*?)```", page, re.DOTALL)
+    names = {}
+    exec(example, names)
+    angles = names["knee"].data.joint_pos[:, 0].numpy()
+    assert np.all(angles > 0.1)
+    assert np.ptp(angles) > 0.01
+
+
+def test_joints_without_tendons_and_other_versions_are_refused(tmp_path):
+    pytest.importorskip("mjlab", reason="mjlab is not installed")
+    from mckibben.export.mjlab import check_version, muscle_entity
+
+    for version in ("1.5.2", "1.7.0", "2.0"):
+        with pytest.raises(ExportError) as caught:
+            check_version(version)
+        assert (caught.value.field, caught.value.value) == ("mjlab", version)
+    text = Path("examples/own-joint.yaml").read_text()
+    path = tmp_path / "cam.yaml"
+    path.write_text(text.replace("{class: Pulley, radius: 30 mm,", "{class: Cam, arm: 30 mm,"))
+    with pytest.raises(ExportError) as caught:
+        muscle_entity(path)
+    assert caught.value.field == "geometry"
+    actuator = muscle_entity(SCENARIO, ["load.mass2=+-50 %"], plants=4).articulation.actuators[0]
+    assert not actuator.parameters
+    assert len(actuator.left_out) == 2  # the controller, and the mass
