@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _FORMATS = (
     "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
     "fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle. mjcf, osim: joint and "
-    "muscles for MuJoCo and OpenSim."
+    "muscles for MuJoCo and OpenSim. Of a leg: mjcf, or urdf without its muscles."
 )
 
 
@@ -57,17 +57,19 @@ def export(
 
 
 def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: float | None, force: bool) -> Exported:
-    """Export a leg, which only MuJoCo supports."""
-    if to != "mjcf" or single:
+    """Export a leg, as MJCF or URDF."""
+    if to not in ("mjcf", "urdf") or single:
         raise ParameterError(
             f"a leg cannot be written as {quoted(to)}{' in 32 bits' if single else ''}",
             field="to",
             value=to,
-            remedy="give --to mjcf, or a scenario of a joint",
+            remedy="give --to mjcf or --to urdf, or a scenario of a joint",
         )
     if fmi is not None:
         raise ParameterError("a leg cannot be an FMU", field="fmi", value=fmi, remedy="leave it out")
     from mckibben.export.leg_mjcf import export_leg
+    from mckibben.export.leg_urdf import export_leg_urdf
     from mckibben.leg import LegScenario
 
-    return export_leg(LegScenario.read(file), out, name=name or "leg", overwrite=force)
+    write = export_leg if to == "mjcf" else export_leg_urdf
+    return write(LegScenario.read(file), out, name=name or "leg", overwrite=force)

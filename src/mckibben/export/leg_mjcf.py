@@ -35,7 +35,7 @@ from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
 from mckibben.numerics.spatial import Vector, X, Z
 
-_LIGHT = 1e-12
+LIGHT = 1e-12
 """Mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass."""
 
 
@@ -213,7 +213,7 @@ def _bodies(plant: LegPlant) -> list[_Frame]:
 
 
 def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
-    mass, *inertias = (max(float(one), _LIGHT) for one in (mass, *inertias))
+    mass, *inertias = (max(float(one), LIGHT) for one in (mass, *inertias))
     return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{_numbers(inertias)}"/>'
 
 
