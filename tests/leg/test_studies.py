@@ -13,11 +13,14 @@ import pytest
 from typer.testing import CliRunner
 
 from mckibben.cli import app
+from mckibben.config.model import DocumentModel
 from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.leg import LegScenario, LegStart, Link, Trunk, jump_search, jumping, landing, study_landing
 from mckibben.leg.landing import valve_with
 from mckibben.leg.uncertainty import drawn_plant, with_mass
+from mckibben.scenario import Scenario
 from mckibben.storage.files import check_seal, file_lock
+from mckibben.study.benchmark.suite import Suite
 from tests.leg.conftest import FILE
 
 HEAD = "name: x\nleg:\n  from: lei-leg-planar\n"
@@ -330,3 +333,39 @@ def test_file_without_a_study(tmp_path: Path) -> None:
         done = CliRunner().invoke(app, ["leg", command, str(file)])
         assert isinstance(done.exception, ScenarioError)
     assert LegScenario.read(FILE).name
+
+
+@pytest.mark.parametrize(
+    ("kind", "file", "command"),
+    [
+        (LegScenario, "examples/own-joint.yaml", "simulate"),
+        (LegScenario, "examples/comparison/lab.yaml", "compare"),
+        (Scenario, "examples/leg/lei-leg.yaml", "leg"),
+        (Suite, "examples/leg/lei-leg.yaml", "leg"),
+    ],
+)
+def test_file_of_another_kind_is_one_problem_with_its_command(
+    kind: type[DocumentModel], file: str, command: str
+) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        kind.read(file)
+    (problem,) = caught.value.problems
+    assert f"mckibben {command}" in problem.remedy
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("squat: {hip: 0 deg, knee: -20 deg}", "squat: {hip: 0 deg, knee: -40 deg}", 23),
+        ("take_off: {hip: 0 deg, knee: 0 deg}", "take_off: {hip: 0 deg, ankle: 0 deg}", 26),
+        ("high: 6 bar", "high: 9 bar", 24),
+        ("joint: knee", "joint: ankle", 14),
+    ],
+)
+def test_a_mistake_in_a_section_has_the_line_of_its_key(old: str, new: str, line: int) -> None:
+    text = Path(FILE).read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse(text.replace(old, new))
+    (problem,) = caught.value.problems
+    assert problem.line == line

@@ -84,14 +84,20 @@ class _ValidationError(McKibbenError, ValueError):
 
 
 def fail_validation(
-    message: str, remedy: str = "", *, parent: bool = False, follows: bool = False, value: object = None
+    message: str,
+    remedy: str = "",
+    *,
+    parent: bool = False,
+    follows: bool = False,
+    value: object = None,
+    field: str | None = None,
 ) -> NoReturn:
     """Report a mistake from within a validator.
 
     With `parent` it is a mistake of the section around the field. One that `follows` from others is left out if there
-    are others.
+    are others. `field` is the key, or the keys joined by dots, below the place of the validator.
     """
-    raise _ValidationError(message, remedy=remedy, parent=parent, follows=follows, value=value)
+    raise _ValidationError(message, remedy=remedy, parent=parent, follows=follows, value=value, field=field)
 
 
 def with_changes(content: Any, section: Mapping[str, Any]) -> Any:
@@ -256,8 +262,8 @@ class _Diagnosis:
             place = place[:-1] if isinstance(error, _ValidationError) and error.parent else place
             while place not in self.document.lines and place:  # a name is short for `from`, a number for `constant`
                 place = place[:-1]
-            if error.field and (*place, error.field) in self.document.lines:
-                place = (*place, error.field)
+            if error.field and (inner := (*place, *error.field.split("."))) in self.document.lines:
+                place = inner
             return Problem.of(error, self.document.line(place), dotted(place))
         if kind == "missing":
             message, remedy = "is missing", f"add it{self.example(place)}"

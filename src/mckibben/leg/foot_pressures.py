@@ -21,7 +21,7 @@ from mckibben.leg.foot import FootStiffness, foot_jacobian, movable, stiffness_o
 from mckibben.leg.mechanism import Leg, check_contractions
 from mckibben.leg.stiffness_map import StiffnessMap, check_affine, map_at
 from mckibben.muscle import Domain
-from mckibben.units import bar
+from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.leg.scenario import LegScenario
@@ -86,6 +86,8 @@ class FootPressures(NamedTuple):
             "least_error": self.least,
             "limits": dict(self.limits),
             "principal": list(self.stiffness.principal),
+            "direction_deg": self.stiffness.direction / deg,
+            "wanted_direction_deg": stiffness_of(np.linalg.inv(self.wanted)).direction / deg,
             "axes": self.stiffness.axes.T.tolist(),
             "wanted": self.wanted.tolist(),
             "attained": np.linalg.inv(self.stiffness.compliance).tolist(),
@@ -102,8 +104,11 @@ class FootPressures(NamedTuple):
 
     def describe(self) -> str:
         """Return stiffness and error as text."""
-        found, wanted = self.stiffness.principal, stiffness_of(np.linalg.inv(self.wanted)).principal
-        text = f"main axes {_listed(found)} N/m, wanted {_listed(wanted)} N/m: "
+        found, wanted = self.stiffness, stiffness_of(np.linalg.inv(self.wanted))
+        text = (
+            f"main axes {_listed(found.principal)} N/m, wanted {_listed(wanted.principal)} N/m; the softest axis in "
+            f"the plane of walking is at {found.direction / deg:.3g} deg, wanted {wanted.direction / deg:.3g} deg: "
+        )
         if self.exact:
             return text + "exact"
         text += f"relative error {self.error:.3g}"

@@ -58,11 +58,29 @@ ControllerPart = Annotated[Controller, Part(Controller)]
 ReferencePart = Annotated[Reference, Part(Reference)]
 
 
+_KINDS = {
+    "scenario": ({"joint", "controller"}, "mckibben simulate"),
+    "suite": ({"controllers", "references"}, "mckibben compare"),
+    "leg": ({"leg"}, "mckibben leg"),
+}
+"""Keys by which a document of each kind is known, and its command."""
+
+
 class RunSettings(DocumentModel):
     """Base of documents with a plant and the timing of its runs.
 
     The key `packages` lists the installed packages of user-defined classes, with the versions that wrote the text.
     """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_this_kind(cls, value: Any) -> Any:
+        keys = value.keys() if isinstance(value, dict) else set()
+        if keys and not _KINDS[cls.kind][0] <= keys:
+            for kind, (marks, command) in _KINDS.items():
+                if marks <= keys:
+                    fail_validation(f"is a {kind}, and a {cls.kind} is expected", f"give it to `{command}`")
+        return value
 
     @model_validator(mode="before")
     @classmethod
