@@ -38,7 +38,6 @@ def leg_urdf(plant: LegPlant, name: str = "leg", title: str = "a leg") -> Export
     robot = Element("robot", name=name)
     SubElement(robot, "link", name="world")
     above = "world"
-    efforts = iter(_efforts(leg))
     for number, motion in enumerate(leg.trunk.motions, 1):
         last = number == len(leg.trunk.motions)
         below, slides = "trunk" if last else f"trunk_{motion}_link", motion in SLIDES
@@ -55,11 +54,11 @@ def leg_urdf(plant: LegPlant, name: str = "leg", title: str = "a leg") -> Export
     _inertial(trunk, leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias)
     _shape(trunk, "visual", float(leg.trunk.centre), "box", size="0.14 0.12 0.06")
     above, origin = "trunk", 0.0
-    for joint, link in zip(leg.joints, leg.links, strict=True):
+    for joint, link, effort in zip(leg.joints, leg.links, _efforts(leg), strict=True):
         below, length, locked = f"{joint.name}_link", float(link.length), joint.locked is not None
         turned = float(joint.link_angle) + joint.sign * float(joint.locked or 0.0)
         given = {"height": -origin, "turn": np.array(joint.direction, float) * turned}
-        axis, effort = joint.direction.scaled(joint.sign), next(efforts)
+        axis = joint.direction.scaled(joint.sign)
         made = _joint(robot, joint.name, "fixed" if locked else "revolute", above, below, **given, axis=axis)
         if not locked:
             limits = {"lower": repr(float(joint.lower)), "upper": repr(float(joint.upper))}
