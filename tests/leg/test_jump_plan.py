@@ -23,6 +23,7 @@ from mckibben.leg import (
     PlannedControl,
     foot_matrix,
     jump_search,
+    limit_jump,
     plan_jump,
     read_leg,
     simulate_leg,
@@ -273,3 +274,39 @@ def test_study_with_a_plan_goes_on(scenario: LegScenario, tmp_path: Path, monkey
     assert len(computed) == before
     with pytest.raises(FileError):
         study_jump(scenario.model_copy(update={"step": 0.2e-3}), journal=journal, resume=True)
+
+
+@pytest.mark.slow
+def test_limit_of_the_height_is_the_knee_and_not_the_work(plant: LegPlant, plan: JumpPlan) -> None:
+    """A plan at the limit is possible and one above it is not; the work is that of the muscles' torques."""
+    found = limit_jump(plant, SQUAT, TAKE_OFF, **HEIGHTS)
+    assert HEIGHTS["height"] < found.height < found.work_height
+    assert isinstance(found.binding, UnreachableError)
+    assert found.binding.message.startswith("knee")
+    with pytest.raises(UnreachableError):
+        plan_jump(plant, SQUAT, TAKE_OFF, height=found.height + 0.5 * mm, landing_depth=HEIGHTS["landing_depth"])
+    knee = np.linspace(-20 * deg, 0.0, 65)
+    highest = float(plant.leg.muscles[3].domain.pressure_max)
+    torques = np.asarray(plant.leg.torques((0.0, knee), (0.0, 0.0, 0.0, highest))[1])
+    assert found.work == pytest.approx(np.trapezoid(torques, knee), rel=1e-9)
+    stroke = plan.mass_height.max() - HEIGHTS["height"] - plan.mass_height[0]
+    assert found.stroke == pytest.approx(stroke, abs=0.1 * mm)  # of a grid of 4 ms
+    weight = float(plant.leg.total_mass * plant.gravity)
+    assert found.work == pytest.approx(weight * (found.stroke + found.work_height), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_planned_jump_in_space_on_sloped_ground() -> None:
+    """With real valves the leg swings upright, jumps and lands as planned."""
+    scenario = LegScenario.read("examples/leg/lei-leg-jump-in-space.yaml")
+    jump, plant = scenario.jump, scenario.plant()
+    assert jump is not None and jump.plan is not None and not plant.leg.is_planar
+    squat, take_off = (plant.leg.posture_angles(one) for one in (jump.squat, jump.plan.take_off))
+    heights: Any = {"height": jump.plan.height, "landing_depth": jump.plan.landing_depth}
+    plan = plan_jump(plant, squat, take_off, **heights)
+    run = simulate_leg(plant, plan.controller(), plan.start(), duration=0.6, control_period=0.25e-3, substeps=2)
+    assert float(run.metrics["apex"]) == pytest.approx(plan.mass_height.max(), abs=2 * mm)
+    weight = float(plant.leg.total_mass * plant.gravity)
+    assert plan.landing_force / weight < float(run.metrics["peak_landing_force"]) / weight < 3.5
+    assert run["angle"][0][0] == pytest.approx(5 * deg)
+    assert np.abs(run["angle"][0]).max() < 6 * deg

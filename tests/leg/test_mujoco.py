@@ -10,8 +10,7 @@ import pytest
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export.leg_compliance import compliance
-from mckibben.export.leg_mjcf import export_leg, leg_files, leg_model, leg_scene
-from mckibben.export.leg_urdf import export_leg_urdf, leg_urdf
+from mckibben.export.leg_mjcf import export_leg, leg_files, leg_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
 from mckibben.leg import (
@@ -285,53 +284,3 @@ def test_a_leg_of_a_file_is_written_under_a_name_of_c(tmp_path):
     with pytest.raises(ParameterError) as caught:
         export_leg(scenario, tmp_path, name="two legs")
     assert (caught.value.field, list(tmp_path.iterdir())) == ("name", [])
-
-
-@pytest.mark.parametrize(
-    ("freedom", "side"), [("fixed", True), ("vertical", False), ("planar", True), ("free", False), ("floating", True)]
-)
-def test_urdf_has_the_joints_inertias_and_points_of_the_leg(freedom, side):
-    plant = plant_of(freedom, side=side)
-    locked = dataclasses.replace(plant.leg.joints[-1], locked=7 * deg)
-    plant = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=(*plant.leg.joints[:-1], locked)))
-    text = (
-        leg_urdf(plant)
-        .files["leg.urdf"]
-        .replace('<robot name="leg">', '<robot name="leg"><mujoco><compiler fusestatic="false"/></mujoco>')
-    )
-    start = plant.init_state(plant.leg.posture_angles({}), [0.0] * len(plant.leg.muscles))
-    models = [mujoco.MjModel.from_xml_string(one) for one in (text, leg_scene(plant, start).xml)]
-    states = [mujoco.MjData(model) for model in models]
-    joints = [[model.joint(i).name for i in range(model.njnt)] for model in models]
-    assert joints[0] == joints[1]
-    lift = models[1].body("trunk").pos  # of a fixed trunk; zero of others
-    rng = np.random.default_rng(3)
-    for _ in range(5):
-        posture, velocity = rng.uniform(-1, 1, models[0].nq), rng.normal(size=models[0].nv)
-        masses = []
-        for model, state in zip(models, states, strict=True):
-            state.qpos[:], state.qvel[:] = posture, velocity
-            mujoco.mj_forward(model, state)
-            masses.append(np.zeros((model.nv, model.nv)))
-            mujoco.mj_fullM(model, state, masses[-1])
-        assert masses[0] == pytest.approx(masses[1], abs=1e-9)
-        assert states[0].qfrc_bias == pytest.approx(states[1].qfrc_bias, abs=1e-9)
-        assert states[0].geom("foot").xpos + lift == pytest.approx(states[1].geom("foot").xpos, abs=1e-9)
-        for site in range(models[1].nsite):
-            place = states[0].body(models[1].site(site).name).xpos
-            assert place + lift == pytest.approx(states[1].site_xpos[site], abs=1e-9)
-    for name in joints[0]:
-        if name in [joint.name for joint in plant.leg.joints]:
-            assert models[0].joint(name).range == pytest.approx(models[1].joint(name).range)
-            assert models[0].joint(name).damping == pytest.approx(models[1].joint(name).damping)
-
-
-def test_urdf_of_a_scenario_is_written(tmp_path):
-    scenario = LegScenario.read("examples/leg/lei-leg-in-space.yaml")
-    made = export_leg_urdf(scenario, tmp_path, name="lei")
-    assert (tmp_path / "lei.urdf").read_text() == made.files["lei.urdf"]
-    assert any("muscles" in one for one in made.left_out)
-    knee = scenario.plant().leg.joints[-1].muscles
-    torques = [abs(float(knee.torque(angle, (6 * bar, 0.0)))) for angle in np.linspace(-25, 30, 41) * deg]
-    effort = float(made.files["lei.urdf"].split('name="knee"')[1].split('effort="')[1].split('"')[0])
-    assert effort == pytest.approx(max(torques), rel=0.05)

@@ -330,3 +330,21 @@ def test_file_without_a_study(tmp_path: Path) -> None:
         done = CliRunner().invoke(app, ["leg", command, str(file)])
         assert isinstance(done.exception, ScenarioError)
     assert LegScenario.read(FILE).name
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("squat: {hip: 0 deg, knee: -20 deg}", "squat: {hip: 0 deg, knee: -40 deg}", 23),
+        ("take_off: {hip: 0 deg, knee: 0 deg}", "take_off: {hip: 0 deg, ankle: 0 deg}", 26),
+        ("high: 6 bar", "high: 9 bar", 24),
+        ("joint: knee", "joint: ankle", 14),
+    ],
+)
+def test_a_mistake_in_a_section_has_the_line_of_its_key(old: str, new: str, line: int) -> None:
+    text = Path(FILE).read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse(text.replace(old, new))
+    (problem,) = caught.value.problems
+    assert problem.line == line

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _FORMATS = (
     "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
     "fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle. mjcf, osim: joint and "
-    "muscles for MuJoCo and OpenSim; a leg as mjcf or urdf."
+    "muscles for MuJoCo and OpenSim. Of a leg: mjcf, or urdf without its muscles."
 )
 
 
@@ -57,13 +57,13 @@ def export(
 
 
 def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: float | None, force: bool) -> Exported:
-    """Export a leg."""
+    """Export a leg, as MJCF or URDF."""
     if to not in ("mjcf", "urdf") or single:
         raise ParameterError(
             f"a leg cannot be written as {quoted(to)}{' in 32 bits' if single else ''}",
             field="to",
             value=to,
-            remedy="give --to mjcf or urdf, or a scenario of a joint",
+            remedy="give --to mjcf or --to urdf, or a scenario of a joint",
         )
     if fmi is not None:
         raise ParameterError("a leg cannot be an FMU", field="fmi", value=fmi, remedy="leave it out")

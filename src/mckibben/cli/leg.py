@@ -87,6 +87,9 @@ def jump(
     animate: Animate = None,
     resume: Resume = False,
     accuracy: Accuracy = "",
+    limit: Annotated[
+        bool, Option("--limit", help="Find the greatest height of the planned jump as well, and what limits it.")
+    ] = False,
 ) -> None:
     """Find the highest jumps with constant and timed pressures, and simulate a planned one; can be resumed.
 
@@ -107,7 +110,8 @@ def jump(
     if journal and not resume:
         journal.unlink(missing_ok=True)  # of the study that --force replaces
     with long_job(quiet=json, kept="the search is kept; continue with --resume" if out else "") as report:
-        study = study_jump(read, source=str(file), journal=journal, resume=resume, progress=report)
+        given = {"journal": journal, "resume": resume, "limit": limit}
+        study = study_jump(read, source=str(file), **given, progress=report)
     numbers = study.records()
     if out:
         from mckibben.report.leg import write_jump

@@ -117,14 +117,20 @@ class _ValidationError(McKibbenError, ValueError):
 
 
 def fail_validation(
-    message: str, remedy: str = "", *, parent: bool = False, follows: bool = False, value: object = None
+    message: str,
+    remedy: str = "",
+    *,
+    parent: bool = False,
+    follows: bool = False,
+    value: object = None,
+    field: str | None = None,
 ) -> NoReturn:
     """Report a mistake from within a validator.
 
     With `parent` it is a mistake of the section around the field. One that `follows` from others is left out if there
-    are others.
+    are others. `field` is the key, or the keys joined by dots, below the place of the validator.
     """
-    raise _ValidationError(message, remedy=remedy, parent=parent, follows=follows, value=value)
+    raise _ValidationError(message, remedy=remedy, parent=parent, follows=follows, value=value, field=field)
 
 
 def with_changes(content: Any, section: Mapping[str, Any]) -> Any:
@@ -303,8 +309,8 @@ class _Diagnosis:
             lines = self.document.lines  # none of arguments in Python
             while lines and place not in lines and place:  # a name is short for `from`, a number for `constant`
                 place = place[:-1]
-            if error.field and (not lines or (*place, error.field) in lines):
-                place = (*place, error.field)
+            inner = (*place, *error.field.split(".")) if error.field else place
+            place = inner if not lines or inner in lines else place
             return Problem.of(error, self.document.line(place), dotted(place))
         if kind == "missing":
             message, remedy = "is missing", f"add it{self.example(place)}"

@@ -48,9 +48,11 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
     foot = _at_centre_of_last(leg)
     body = float(jnp.trace(foot_mobility(foot, zero))) / 3  # MuJoCo's mean over x, y and z
     normal = jnp.stack([jnp.asarray(one) for one in ground.normal])
-    mass, found = 1 / float(normal @ foot_mobility(leg, start.posture) @ normal), {}
+    mobility, found = float(normal @ foot_mobility(leg, start.posture) @ normal), {}
+    if leg.trunk.freedom == "fixed":  # a straight leg below a fixed trunk has no mobility along itself
+        mobility = max(mobility, 1 / float(leg.total_mass))
     stiffness = float(ground.stiffness)
-    damper = _damper(stiffness, float(ground.damping), mass, TOUCH_SPEED)
+    damper = _damper(stiffness, float(ground.damping), 1 / mobility, TOUCH_SPEED)
     found["ground"] = _scaled(stiffness, damper, body)
     weight = float(leg.total_mass * plant.gravity)
     slope = float(ground.friction * weight / ground.slip_speed) or 1.0

@@ -1,99 +1,143 @@
-"""A leg as URDF: bodies, joints and the points of its muscles. x is forwards, y to the left, and z up."""
+"""A leg as URDF: links, joints with limits and damping, inertias and shapes. x is forwards, y to the left, and z up."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from mckibben.export.leg_mjcf import LIGHT, Frame, add_muscles, leg_bodies
+from mckibben.errors import ExportError
+from mckibben.export.leg_mjcf import LIGHT, add_muscles, leg_bodies
 from mckibben.export.targets import Exported, check_name, write_exported
-from mckibben.leg import LegPlant, LegScenario
+from mckibben.leg import Leg, LegPlant, LegScenario
 from mckibben.leg.dynamics import SLIDES, TURNS
 from mckibben.numerics.spatial import Vector
 
-_TRAVEL = 100.0  # [m] of the trunk: a prismatic joint must have limits
-_SPEED = 100.0  # [m/s] or [rad/s]: so must the speed of each joint
-_ANGLES = 41  # at which the largest torque of a joint is sought
+_FAR = 100.0
+"""Limits that URDF requires and the leg does not have: travel of the trunk [m], and speeds [m/s, rad/s]."""
+_ANGLES = 41  # of each joint, over which its largest torque is sought
 
 
-def leg_urdf(plant: LegPlant, name: str = "leg") -> Exported:
-    """Return a leg as URDF, and the parts that the format cannot express.
+def leg_urdf(plant: LegPlant, name: str = "leg", title: str = "a leg") -> Exported:
+    """Return the bodies of a leg as `<name>.urdf`, and the parts that URDF cannot hold.
 
-    Coordinates are those of the leg: the trunk moves by joints named after its motions, relative to the fixed link
-    "world", and the angles of the joints are its own. The points of straight muscle paths are links without mass, named
-    as in MJCF. The limit of the effort of a joint is the largest torque of its muscles within their domains.
+    The trunk moves from a link `world`, with the hip at its origin, by one joint for each of its coordinates
+    (`trunk_z`, ...). Joints have the angles of the leg; those that are locked are fixed. The ends of straight muscle
+    paths are links without mass, such as `knee1_fixed` and `knee1_moving`.
+
+    Raises
+    ------
+    ExportError
+        If two joints or links have the same name.
     """
-    leg, bodies = plant.leg, leg_bodies(plant)
-    add_muscles(plant, bodies)
-    robot, parent = Element("robot", name=name), "world"
-    SubElement(robot, "link", name=parent)
-    for motion in leg.trunk.motions or ("fixed",):
-        child = "trunk" if motion == (leg.trunk.motions or ("fixed",))[-1] else f"trunk {motion}"
-        if motion == "fixed":
-            _joint(robot, "trunk", "fixed", parent, child)
-        elif motion in TURNS:
-            _joint(robot, motion, "continuous", parent, child, axis=TURNS[motion])
-        else:
-            moved = _joint(robot, motion, "prismatic", parent, child, axis=SLIDES[motion])
-            _limit(moved, -_TRAVEL, _TRAVEL, 0.0)
-        if child != "trunk":
-            _link(robot, child, 0.0, 0.0, (0.0, 0.0, 0.0))
-        parent = child
-    last = _link(robot, "trunk", leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias)
-    for frame, link in zip(bodies[1:], leg.links, strict=True):
-        _leg_joint(robot, frame, parent)
-        last = _link(robot, frame.name, link.mass, -link.centre, link.inertias)
-        parent = frame.name
-    foot = SubElement(last, "collision", name="foot")
-    SubElement(foot, "origin", xyz=_numbers((0.0, 0.0, -leg.links[-1].length)))
-    SubElement(SubElement(foot, "geometry"), "sphere", radius=repr(float(leg.foot_radius) or 1e-4))
-    for frame in bodies:
-        for site, place in frame.sites.items():
-            SubElement(robot, "link", name=site)
-            _joint(robot, site, "fixed", frame.name, site, place)
-    indent(robot)
-    left_out = (
-        "muscles, which URDF does not have: the points of straight paths are links",
-        "ground, friction of joints, sensors and command delay",
-    )
-    return Exported({f"{name}.urdf": tostring(robot, encoding="unicode") + "\n"}, left_out)
+    leg, left_out = plant.leg, _left_out(plant)
+    robot = Element("robot", name=name)
+    SubElement(robot, "link", name="world")
+    above = "world"
+    for number, motion in enumerate(leg.trunk.motions, 1):
+        last = number == len(leg.trunk.motions)
+        below, slides = "trunk" if last else f"trunk_{motion}_link", motion in SLIDES
+        kind = "prismatic" if slides else "continuous"
+        joint = _joint(robot, f"trunk_{motion}", kind, above, below, axis=(SLIDES if slides else TURNS)[motion])
+        travel = {"lower": repr(-_FAR), "upper": repr(_FAR)} if slides else {}
+        SubElement(joint, "limit", travel, effort="0.0", velocity=repr(_FAR))
+        if not last:
+            _inertial(SubElement(robot, "link", name=below), 0.0, 0.0, (0.0, 0.0, 0.0))
+        above = below
+    if not leg.trunk.motions:
+        _joint(robot, "trunk_fixed", "fixed", "world", "trunk")
+    trunk = SubElement(robot, "link", name="trunk")
+    _inertial(trunk, leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias)
+    _shape(trunk, "visual", float(leg.trunk.centre), "box", size="0.14 0.12 0.06")
+    above, origin = "trunk", 0.0
+    for joint, link, effort in zip(leg.joints, leg.links, _efforts(leg), strict=True):
+        below, length, locked = f"{joint.name}_link", float(link.length), joint.locked is not None
+        turned = float(joint.link_angle) + joint.sign * float(joint.locked or 0.0)
+        given = {"place": Vector(0.0, 0.0, -origin), "turn": np.array(joint.direction, float) * turned}
+        axis = joint.direction.scaled(joint.sign)
+        made = _joint(robot, joint.name, "fixed" if locked else "revolute", above, below, **given, axis=axis)
+        if not locked:
+            limits = {"lower": repr(float(joint.lower)), "upper": repr(float(joint.upper))}
+            SubElement(made, "limit", limits, effort=repr(effort), velocity=repr(_FAR))
+            SubElement(made, "dynamics", damping=repr(float(joint.damping)))
+        body = SubElement(robot, "link", name=below)
+        _inertial(body, link.mass, -link.centre, link.inertias)
+        if length:
+            _shape(body, "visual", -length / 2, "cylinder", radius="0.011", length=repr(length))
+        above, origin = below, length
+    if float(leg.foot_radius):
+        for what in ("visual", "collision"):
+            _shape(robot[-1], what, -origin, "sphere", radius=repr(float(leg.foot_radius)))
+    bodies = leg_bodies(plant)
+    try:
+        add_muscles(plant, bodies)
+    except ExportError as error:
+        left_out = *left_out, error.message
+    for body, owner in zip(bodies, ("trunk", *(f"{joint.name}_link" for joint in leg.joints)), strict=True):
+        for site, place in body.sites.items():
+            end = site.replace(" ", "_")
+            SubElement(robot, "link", name=end)
+            _joint(robot, f"{end}_joint", "fixed", owner, end, place=place)
+    names = [(one.tag, one.get("name")) for one in robot]
+    if len(set(names)) < len(names):
+        tag, twice = next(one for one in names if names.count(one) > 1)
+        raise ExportError(f"two of the {tag}s are named {twice}", field="name", remedy="rename a joint of the leg")
+    ElementTree.indent(robot)
+    comment = "\n".join(("", f"{title}: its bodies, without", *(f"- {one}" for one in left_out), ""))
+    text = ElementTree.tostring(robot, encoding="unicode")
+    header = f'<?xml version="1.0"?>\n<!--{comment.replace("--", "- -")}-->\n'
+    return Exported({f"{name}.urdf": f"{header}{text}\n"}, left_out)
 
 
 def export_leg_urdf(
     scenario: LegScenario, out: str | os.PathLike[str], *, name: str = "leg", overwrite: bool = False
 ) -> Exported:
     """Write the leg of a scenario as URDF to a folder."""
-    made = leg_urdf(scenario.plant(), check_name(name))
+    made = leg_urdf(scenario.plant(), check_name(name), scenario.name)
     write_exported(made, out, overwrite=overwrite)
     return made
 
 
-def _leg_joint(robot: Element, frame: Frame, parent: str) -> None:
-    """Joint of a leg, from a parent link to the link of a frame."""
-    joint = frame.joint
-    assert joint is not None
-    turn = np.asarray(joint.direction, float) * frame.rest
-    made = _joint(
-        robot,
-        joint.name,
-        "fixed" if joint.locked is not None else "revolute",
-        parent,
-        frame.name,
-        Vector(0.0, 0.0, -frame.origin),
-        turn,
-        None if joint.locked is not None else joint.direction.scaled(joint.sign),
+def _left_out(plant: LegPlant) -> tuple[str, ...]:
+    """Parts of a leg that URDF cannot hold."""
+    leg = plant.leg
+    found = [
+        f"muscles ({', '.join(leg.muscle_names)}) and valves: the effort of a joint is the largest torque of muscles",
+        "compliance of the stops: limits of the angles are rigid or ignored, as the reader of the file decides",
+        "ground, with its stiffness, friction and slope",
+    ]
+    if any(not float(link.mass) for link in leg.links) or len(leg.trunk.motions) > 1:
+        found.append(f"links without mass: they have {LIGHT:g} kg and kg*m^2, as some readers refuse 0")
+    if any(joint.friction is not None for joint in leg.joints):
+        found.append("friction of the joints")
+    if not plant.has_ideal_io or plant.command_delay is not None:
+        found.append("sensors, disturbances and command delay")
+    found.append(
+        f"limits of speed, which URDF requires: {_FAR:g} rad/s; the trunk can move by {_FAR:g} m, without effort"
     )
-    if joint.locked is None:
-        muscles = joint.muscles
-        highest = [float(muscle.domain.pressure_max) for muscle in (muscles.muscle1, muscles.muscle2)]
-        angles = np.linspace(float(joint.lower), float(joint.upper), _ANGLES)
-        torques = [muscles.torque(angles, pressures) for pressures in ((highest[0], 0.0), (0.0, highest[1]))]
-        _limit(made, joint.lower, joint.upper, np.abs(torques).max())
-        SubElement(made, "dynamics", damping=repr(float(joint.damping)))
+    return tuple(found)
+
+
+def _efforts(leg: Leg) -> list[float]:
+    """Largest torque [N*m] of the muscles on each joint over its range, with the others in the middle of theirs."""
+    found = []
+    ranges = [np.linspace(joint.lower, joint.upper, _ANGLES) for joint in leg.joints]
+    middles = [float(np.mean(one)) for one in ranges]
+    highest = [float(muscle.domain.pressure_max) for muscle in leg.muscles]
+    for index, angles in enumerate(ranges):
+        at = leg.held([*middles[:index], angles, *middles[index + 1 :]])
+        signed = []
+        for number, pressure in enumerate(highest):
+            alone = [pressure if number == one else 0.0 for one in range(len(highest))]
+            signed.append(np.broadcast_to(np.asarray(leg.torques(at, alone)[index]), angles.shape))
+        both = [np.sum([side * np.maximum(side * one, 0.0) for one in signed], axis=0) for side in (1, -1)]
+        found.append(float(np.abs(both).max()))
+    return found
 
 
 def _joint(
@@ -102,39 +146,36 @@ def _joint(
     kind: str,
     parent: str,
     child: str,
+    *,
     place: Vector = Vector(0.0, 0.0, 0.0),  # noqa: B008
-    turn: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+    turn: Any = (0.0, 0.0, 0.0),
     axis: Vector | None = None,
 ) -> Element:
-    """Joint of a kind at a place, turned by a rotation vector [rad]."""
-    from scipy.spatial.transform import Rotation
-
-    joint = SubElement(robot, "joint", name=name, type=kind)
-    angles = Rotation.from_rotvec(turn).as_euler("xyz")
-    SubElement(joint, "origin", xyz=_numbers(place), rpy=_numbers(angles))
-    SubElement(joint, "parent", link=parent)
-    SubElement(joint, "child", link=child)
-    if axis is not None:
-        SubElement(joint, "axis", xyz=_numbers(axis))
-    return joint
+    """A joint at a place [m] in the parent, turned by a rotation vector [rad]."""
+    found = SubElement(robot, "joint", name=name, type=kind)
+    angles = Rotation.from_rotvec(turn).as_euler("xyz")  # about fixed axes: roll, pitch and yaw
+    SubElement(found, "origin", xyz=_numbers(place), rpy=_numbers(angles))
+    SubElement(found, "parent", link=parent)
+    SubElement(found, "child", link=child)
+    if axis is not None and kind != "fixed":
+        SubElement(found, "axis", xyz=_numbers(axis))
+    return found
 
 
-def _limit(joint: Element, lower: Any, upper: Any, effort: Any) -> None:
-    numbers = {"lower": lower, "upper": upper, "effort": effort, "velocity": _SPEED}
-    SubElement(joint, "limit", {name: repr(float(one)) for name, one in numbers.items()})
+def _inertial(link: Element, mass: Any, height: Any, inertias: Iterable[Any]) -> None:
+    mass, *inertias = (max(float(one), LIGHT) for one in (mass, *inertias))
+    found = SubElement(link, "inertial")
+    SubElement(found, "origin", xyz=_numbers((0.0, 0.0, height)), rpy=_numbers((0.0, 0.0, 0.0)))
+    SubElement(found, "mass", value=repr(mass))
+    ixx, iyy, izz = map(repr, inertias)
+    SubElement(found, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0.0", ixz="0.0", iyz="0.0")
 
 
-def _link(robot: Element, name: str, mass: Any, height: Any, inertias: Sequence[Any]) -> Element:
-    """Link with its inertia; a massless one has almost none, since readers refuse links that move without mass."""
-    link = SubElement(robot, "link", name=name)
-    inertial = SubElement(link, "inertial")
-    mass, *own = (max(float(one), LIGHT) for one in (mass, *inertias))
-    SubElement(inertial, "origin", xyz=_numbers((0.0, 0.0, height)))
-    SubElement(inertial, "mass", value=repr(mass))
-    principal = {axis: repr(one) for axis, one in zip(("ixx", "iyy", "izz"), own, strict=True)}
-    SubElement(inertial, "inertia", principal | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
-    return link
+def _shape(link: Element, what: str, height: float, kind: str, **sizes: str) -> None:
+    found = SubElement(link, what)
+    SubElement(found, "origin", xyz=_numbers((0.0, 0.0, height)), rpy=_numbers((0.0, 0.0, 0.0)))
+    SubElement(SubElement(found, "geometry"), kind, sizes)
 
 
 def _numbers(values: Iterable[Any]) -> str:
-    return " ".join(repr(float(one) + 0.0) for one in values)  # not -0.0
+    return " ".join(repr(float(one) + 0.0) for one in values)

@@ -18,6 +18,7 @@ from mckibben.leg.foot_pressures import (
 )
 from mckibben.leg.ground import Ground
 from mckibben.leg.jump_control import PlannedControl
+from mckibben.leg.jump_limit import JumpLimit, limit_jump
 from mckibben.leg.jump_plan import JumpPlan, plan_jump
 from mckibben.leg.jumping import JumpStudy, study_jump
 from mckibben.leg.landing import LandingStudy, study_landing
@@ -35,6 +36,7 @@ __all__ = [
     "FootStiffness",
     "Ground",
     "JointwiseControl",
+    "JumpLimit",
     "JumpPlan",
     "JumpStudy",
     "LandingStudy",
@@ -59,6 +61,7 @@ __all__ = [
     "foot_matrix",
     "foot_stiffness",
     "leg_metrics",
+    "limit_jump",
     "plan_jump",
     "pressures_for_foot_stiffness",
     "read_leg",

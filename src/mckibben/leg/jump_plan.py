@@ -203,7 +203,7 @@ def plan_jump(
             remedy="plan jumps with a trunk on a vertical slider (`freedom: vertical`)",
         )
     check_positive("plan_jump", "m", height=height, landing_depth=landing_depth)
-    line = _Line(plant, tuple(map(float, squat)), tuple(map(float, take_off)))
+    line = PostureLine(plant, tuple(map(float, squat)), tuple(map(float, take_off)))
     gravity = float(plant.gravity)
     speed, stroke = float(np.sqrt(2 * gravity * height)), line.stroke
     push, land = (Stance.push_off(length, speed, gravity) for length in (stroke, landing_depth))
@@ -255,7 +255,7 @@ def _quintic(start: Sequence[float], end: Sequence[float], duration: float) -> P
     return low + Polynomial([0, 0, 0, *np.linalg.solve(rows, left)])
 
 
-class _Line:
+class PostureLine:
     """Postures on a line in the angles of the joints, from a squat (0) to the take-off posture (1), and beyond."""
 
     def __init__(self, plant: LegPlant, squat: tuple[float, ...], take_off: tuple[float, ...]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from mckibben.leg.control import PressureSchedule
 from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.leg.foot_pressures import foot_matrix
 from mckibben.leg.jump_control import PlannedControl
+from mckibben.leg.jump_limit import JumpLimit, limit_jump
 from mckibben.leg.jump_plan import JumpPlan, plan_jump
 from mckibben.leg.jump_search import LANES, Evaluations, JumpRuns, ScheduleVariables, highest
 from mckibben.leg.landing import EDGES
@@ -130,6 +131,8 @@ class JumpStudy:
         The jumps; the last is None without a plan.
     plan
         Plan of the last one.
+    limit
+        Greatest height of such a plan and what limits it, if it was asked for.
     standing
         Greatest height [m] of the centre of mass with the foot on the ground, over the ranges of the joints; nominal.
     leg_length
@@ -143,6 +146,7 @@ class JumpStudy:
     leg_length: float
     planned: Jump | None = None
     plan: JumpPlan | None = None
+    limit: JumpLimit | None = None
 
     @property
     def jumps(self) -> dict[str, Jump]:
@@ -170,6 +174,7 @@ class JumpStudy:
             "gain_mm": gain[0] / mm,
             "gain_interval_mm": [gain[1] / mm, gain[2] / mm],
             "plan": None if self.plan is None else self.plan.record(self.standing),
+            "plan_limit": None if self.limit is None else self.limit.record(),
         }
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -207,7 +212,9 @@ class JumpStudy:
         """Gain in height by timing, and what the plan foresees, as text."""
         gain, low, high = (one / mm for one in self.gain())
         text = f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
-        return text if self.plan is None else f"{text}; planned: {self.plan.describe(self.standing)}"
+        if self.plan is not None:
+            text += f"; planned: {self.plan.describe(self.standing)}"
+        return text if self.limit is None else f"{text}\n{self.limit.describe()}"
 
     def __repr__(self) -> str:
         heights = ", ".join(f"{name} {jump.heights[0] / mm:.0f} mm" for name, jump in self.jumps.items())
@@ -251,6 +258,7 @@ def study_jump(
     seed: int = 0,
     journal: Path | None = None,
     resume: bool = False,
+    limit: bool = False,
     progress: Progress | None = None,
 ) -> JumpStudy:
     """Find the highest jumps of a scenario, with constant and with timed pressures, and simulate its planned one.
@@ -264,6 +272,8 @@ def study_jump(
         File of the leg, its name for errors, and the seed of the search.
     journal, resume
         File that keeps the evaluations of the search, and whether to continue one; its plan may be another.
+    limit
+        Whether to find the greatest height of the plan as well, which takes as long as ten plans.
 
     Raises
     ------
@@ -288,7 +298,9 @@ def study_jump(
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
-    plan = _plan(scenario, source)
+    plan = None if jump.plan is None else _plan(scenario, jump.plan, plan_jump, source)
+    if limit and plan is None:
+        raise ScenarioError(source, [Problem("lacks the section `plan`, whose limit is wanted", field="jump")])
     drawn = drawn_plant(scenario)
     standing, length = _standing_heights(plant, drawn)
     found, duration, substeps = [], scenario.whole_steps(jump.duration), scenario.substeps
@@ -318,7 +330,8 @@ def study_jump(
     if plan is not None:
         own = runs[0]._replace(start=plan.start(), duration=max(duration, float(plan.times[-1])))
         planned = _jump(scenario, own, plan.controller(), drawn, standing)
-    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length, planned, plan)
+    highest_plan = _plan(scenario, jump.plan, limit_jump, source) if limit and jump.plan is not None else None
+    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length, planned, plan, highest_plan)
 
 
 def _report(progress: Progress | None, name: str, search: int, part: float) -> None:
@@ -326,12 +339,10 @@ def _report(progress: Progress | None, name: str, search: int, part: float) -> N
         progress(name, (search + part) / 2)
 
 
-def _plan(scenario: LegScenario, source: str) -> JumpPlan | None:
-    """The planned jump of a scenario, if it has one."""
-    jump = scenario.jump
-    if jump is None or jump.plan is None:
-        return None
-    plan, plant = jump.plan, scenario.plant()
+def _plan(scenario: LegScenario, plan: PlanSettings, compute: Callable[..., Any], source: str) -> Any:
+    """Result of `plan_jump` or `limit_jump` for the planned jump of a scenario."""
+    assert scenario.jump is not None
+    plant = scenario.plant()
     wanted = None
     if plan.stiffness is not None:
         each = (plan.stiffness.squat, plan.stiffness.take_off, plan.stiffness.landing)
@@ -339,10 +350,10 @@ def _plan(scenario: LegScenario, source: str) -> JumpPlan | None:
             foot_matrix(one.principal, one.direction, one.sideways) for one in each
         )
         wanted = squat_matrix, take_off_matrix, landing_matrix
-    squat, take_off = (plant.leg.posture_angles(one) for one in (jump.squat, plan.take_off))
+    squat, take_off = (plant.leg.posture_angles(one) for one in (scenario.jump.squat, plan.take_off))
     heights = {"height": plan.height, "landing_depth": plan.landing_depth}
     try:
-        return plan_jump(plant, squat, take_off, **heights, stiffness=wanted, period=scenario.step)
+        return compute(plant, squat, take_off, **heights, stiffness=wanted, period=scenario.step)
     except McKibbenError as error:
         field = "jump.plan" if error.field not in PlanSettings.model_fields else f"jump.plan.{error.field}"
         raise ScenarioError(source, [Problem.of(error, field=field)]) from error

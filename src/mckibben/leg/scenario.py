@@ -257,26 +257,29 @@ class LegScenario(RunSettings):
             return value
         if leg.trunk.freedom == "fixed" and not isinstance(value, StiffnessSettings):
             fail_validation("needs a trunk that can move", "give the trunk a freedom such as vertical")
-        postures = []
+        postures: dict[str, Angles] = {}
         if isinstance(value, LandingSettings):
-            postures.append(value.touchdown)
+            postures["touchdown"] = value.touchdown
             if value.joint not in [joint.name for joint in leg.joints]:
-                fail_validation(*_unknown_joint(leg, value.joint))
+                fail_validation(*_unknown_joint(leg, value.joint), field="joint")
             if leg.joints[leg.index(value.joint)].locked is not None:
-                fail_validation(f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move")
+                fail_validation(
+                    f"{value.joint} is locked: its stiffness has no effect", "name a joint that can move", field="joint"
+                )
         elif isinstance(value, JumpSettings):
-            postures.append(value.squat)
+            postures["squat"] = value.squat
             if value.plan is not None:
-                postures.append(value.plan.take_off)
+                postures["plan.take_off"] = value.plan.take_off
                 if leg.trunk.freedom != "vertical":
                     fail_validation(
                         f"a plan needs a trunk on a vertical slider, and its freedom is {leg.trunk.freedom}",
                         "leave plan out, or give the trunk the freedom vertical",
+                        field="plan",
                     )
         else:
-            postures.append(value.posture)
-        for angles in postures:
-            _check_posture(leg, angles)
+            postures["posture"] = value.posture
+        for field, angles in postures.items():
+            _check_posture(leg, angles, field)
         return value
 
     @field_validator("jump", mode="after")
@@ -293,6 +296,7 @@ class LegScenario(RunSettings):
                     f"high is {value.high / bar:g} bar, above the {what} of {highest / bar:g} bar",
                     "lower it",
                     value=value.high,
+                    field="high",
                 )
         return value
 
@@ -332,20 +336,23 @@ def _unknown_joint(leg: Leg, name: str) -> tuple[str, str]:
     return f"there is no joint {quoted(name)}", suggest(name, [joint.name for joint in leg.joints])
 
 
-def _check_posture(leg: Leg, angles: Angles) -> None:
+def _check_posture(leg: Leg, angles: Angles, field: str) -> None:
     """Refuse angles of unknown joints, of joints that are locked elsewhere, and beyond stops."""
     joints = {joint.name: joint for joint in leg.joints}
     for name, angle in angles.items():
         if name not in joints:
-            fail_validation(*_unknown_joint(leg, name))
+            fail_validation(*_unknown_joint(leg, name), field=f"{field}.{name}")
         lower, upper, locked = joints[name].lower, joints[name].upper, joints[name].locked
         if locked is not None and abs(angle - locked) > 1e-9:
-            fail_validation(f"{name} is locked at {locked / deg:g} deg", "leave it out", value=angle)
+            fail_validation(
+                f"{name} is locked at {locked / deg:g} deg", "leave it out", value=angle, field=f"{field}.{name}"
+            )
         if not lower <= angle <= upper:
             fail_validation(
                 f"{name} is at {angle / deg:.4g} deg, beyond its stops",
                 f"give an angle of {lower / deg:.4g} to {upper / deg:.4g} deg",
                 value=angle,
+                field=f"{field}.{name}",
             )
 
 
