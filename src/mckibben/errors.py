@@ -149,7 +149,7 @@ class UnreachableError(McKibbenError, ValueError):
 
 
 class SubmissionError(McKibbenError, ValueError):
-    """A submission to the yardstick cannot be run; holds its `file` and the `function` at fault."""
+    """A submission to the benchmark cannot be run; holds its `file` and the `function` at fault."""
 
     def __init__(self, message: str, *, file: str, function: str = "", remedy: str = "") -> None:
         super().__init__(message, field=function, remedy=remedy)

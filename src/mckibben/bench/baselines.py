@@ -1,4 +1,4 @@
-"""Baselines of the yardstick: force laws of this package, a Gaussian process, and a recurrent network."""
+"""Baselines of the benchmark: force laws of this package, a Gaussian process, and a recurrent network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulated muscles and a joint whose equations no law of this package contains, for the yardstick.
+"""Simulated muscles and a joint whose equations no law of this package contains, for the benchmark.
 
 Every quantity is in SI units; pressures are gauge pressures. Nothing here uses the laws, friction, creep or valves of
 the package. The numbers are plausible for muscles of 10 mm, but not those of a product.

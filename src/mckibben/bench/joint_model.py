@@ -1,4 +1,4 @@
-"""Joint of the yardstick's baselines: the calibrated model of this package, with muscles of a law."""
+"""Joint of the baselines: the calibrated model of this package, with muscles of a law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks of the yardstick: training data that a submission sees, and test data that only the score sees."""
+"""Tasks of the benchmark: training data that a submission sees, and test data that only the score sees."""
 
 from __future__ import annotations
 

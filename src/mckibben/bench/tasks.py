@@ -1,4 +1,4 @@
-"""The tasks of the yardstick: published data with a licence, and simulated muscles of foreign equations."""
+"""The tasks of the benchmark: published data with a licence, and simulated muscles of foreign equations."""
 
 from __future__ import annotations
 

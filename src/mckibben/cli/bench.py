@@ -1,4 +1,4 @@
-"""`mckibben bench`: the yardstick."""
+"""`mckibben bench`: models of muscles on tasks with fixed splits."""
 
 from __future__ import annotations
 
