@@ -88,7 +88,7 @@ docs: $(VENV)/.installed-docs
 #   make course      notebooks of teachers and students and pages for the browser, in build/course
 course: $(VENV)/.installed-dev
 	rm -rf build/course
-	$(BIN)/python course/build.py build/course
+	$(BIN)/python course/notebooks.py build/course
 
 #   make wheel       source archive and wheel in dist, the wheel tried with all extras in a bare environment
 wheel: $(VENV)/.installed-dev

@@ -1,6 +1,7 @@
 """How soon a lab begins, and how fast its page answers a slider.
 
     python benchmarks/course.py
+    python benchmarks/course.py --image docs/images/course.png
 
 A lab begins in the browser when its first curves are drawn, and in a notebook when its first cells have run, from
 the start of the program. The answer of a slider is the time from its event to the end of the task that draws the new
@@ -9,6 +10,7 @@ curves. Needs Chromium.
 
 from __future__ import annotations
 
+import argparse
 import json
 import statistics
 import subprocess
@@ -17,11 +19,12 @@ import tempfile
 import time
 from pathlib import Path
 
+from PIL import Image
 from web import browser
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "course"))
-from build import PAGES, cells, page  # noqa: E402
+from notebooks import PAGES, cells, page  # noqa: E402
 
 MOVE = """(async () => {
   const sliders = [...document.querySelectorAll("form input")], times = [];
@@ -57,7 +60,17 @@ def first_cells(lab: str) -> float:
     return time.perf_counter() - start
 
 
-def main(moves: int = 120) -> None:
+def picture(target: Path) -> None:
+    """Save the upper part of a page."""
+    with tempfile.TemporaryDirectory() as folder, browser() as tab:
+        tab.open(page("attainable_stiffness", Path(folder) / "page.html").as_uri())
+        tab.wait(PATH)
+        tab.picture(target)
+    with Image.open(target) as image:
+        image.crop((100, 0, 1100, 900)).save(target, optimize=True)
+
+
+def measure(moves: int) -> None:
     """Measure all labs, and print a table and JSON."""
     found = {}
     with tempfile.TemporaryDirectory() as folder, browser() as tab:
@@ -76,6 +89,18 @@ def main(moves: int = 120) -> None:
             }
             print(f"{lab:22}", *(f"{name} {value:<8}" for name, value in found[lab].items()))
     print(json.dumps(found))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--moves", type=int, default=120, help="number of moves of sliders per page")
+    parser.add_argument("--image", type=Path, help="save a picture of a page instead")
+    options = parser.parse_args()
+    if options.image:
+        picture(options.image)
+    else:
+        measure(options.moves)
 
 
 if __name__ == "__main__":

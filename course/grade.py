@@ -18,7 +18,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from build import cells
+from notebooks import cells
 
 TIMEOUT = 600  # s
 

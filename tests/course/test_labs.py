@@ -31,8 +31,8 @@ def load(name):
     return module
 
 
-build, grade, grading = (load(name) for name in ("build", "grade", "grading"))
-LABS = [*build.PAGES]
+notebooks, grade, grading = (load(name) for name in ("notebooks", "grade", "grading"))
+LABS = [*notebooks.PAGES]
 WRONG = {  # task: plausible mistakes, as changes of the solution
     "force_law": {
         "ideal": [
@@ -75,7 +75,7 @@ def source_of(book):
 
 @pytest.mark.parametrize("lab", LABS)
 def test_a_released_notebook_has_the_tasks_but_neither_solutions_nor_hidden_tests(lab):
-    full, released = (build.notebook(lab, solutions=each) for each in (True, False))
+    full, released = (notebooks.notebook(lab, solutions=each) for each in (True, False))
     text = "\n".join(source_of(released))
     assert "SOLUTION" not in text
     assert "HIDDEN" not in text
@@ -88,13 +88,20 @@ def test_a_released_notebook_has_the_tasks_but_neither_solutions_nor_hidden_test
     assert {one.removeprefix("check_") for one in names if one.startswith("check_")} == set(WRONG[lab])
 
 
+@pytest.mark.parametrize("lab", LABS)
+def test_notebooks_have_the_format_of_jupyter(lab):
+    nbformat = pytest.importorskip("nbformat")
+    for solutions in (True, False):
+        nbformat.validate(notebooks.notebook(lab, solutions=solutions))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lab", LABS)
 def test_a_solution_earns_all_points_and_an_empty_notebook_none(lab, tmp_path):
-    most = {one.name: one.points for one in build.cells(lab) if one.kind == "check"}
+    most = {one.name: one.points for one in notebooks.cells(lab) if one.kind == "check"}
     for solutions, expected in ((True, most), (False, dict.fromkeys(most, 0))):
         path = tmp_path / f"{solutions}.ipynb"
-        path.write_text(json.dumps(build.notebook(lab, solutions=solutions)), encoding="utf-8")
+        path.write_text(json.dumps(notebooks.notebook(lab, solutions=solutions)), encoding="utf-8")
         assert grade.grade(lab, path) == expected
 
 
@@ -103,7 +110,7 @@ def test_a_solution_earns_all_points_and_an_empty_notebook_none(lab, tmp_path):
 def test_checks_fail_for_wrong_answers(lab):
     """Each wrong answer is tried where its task stands, then replaced by the solution."""
     space, wrong = {}, dict.fromkeys(WRONG[lab], 0)
-    found = build.cells(lab)
+    found = notebooks.cells(lab)
     checks = {one.name.removeprefix("check_"): one.source for one in found if one.kind == "check"}
     for one in found:
         name = one.name.removeprefix("task_")
@@ -146,9 +153,9 @@ def test_a_notebook_that_does_not_run_earns_nothing(tmp_path):
 @pytest.mark.parametrize("lab", LABS)
 def test_a_page_has_text_formulas_and_its_explorer_and_loads_nothing(lab, tmp_path):
     pytest.importorskip("docutils")
-    text = build.page(lab, tmp_path / "page.html").read_text(encoding="utf-8")
+    text = notebooks.page(lab, tmp_path / "page.html").read_text(encoding="utf-8")
     assert text.count("<h1>") == 1
-    assert f'id="explore-{build.PAGES[lab]}"' in text
+    assert f'id="explore-{notebooks.PAGES[lab]}"' in text
     assert text.count('class="explorer"') == 1
     assert "<math" in text
     assert "FORMULA" not in text

@@ -1,6 +1,6 @@
 """Build the course from its sources, to the folders that nbgrader knows and pages for the browser.
 
-    python course/build.py build/course
+    python course/notebooks.py build/course
 
 A source in `course/labs` is a Python script in the percent format: `# %% [markdown]`, `# %%`, `# %% task NAME` and
 `# %% check NAME POINTS` begin cells. Text between `### BEGIN SOLUTION` and `### END SOLUTION`, and between
