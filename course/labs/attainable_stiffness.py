@@ -6,7 +6,7 @@
 # derive torque and stiffness, and find the stiffness that a knee can attain while it holds its load.
 #
 # **You need** the lab on the force law, and derivatives. **You learn** to derive torque and stiffness from the lengths
-# of the muscles, to say which stiffness is attainable, and to change the geometry so that a required one is.
+# of the muscles, to determine which stiffness is attainable, and to change the geometry so that a required one is.
 
 # %% [markdown]
 # ## Torque and stiffness
@@ -92,7 +92,7 @@ def stiffness(joint, angle, pressure1, pressure2):
 
 
 # %% check stiffness 2
-for angle, pressures in ((0.0, (2 * bar, 2 * bar)), (10 * deg, (1.5 * bar, 3 * bar))):
+for angle, pressures in ((0.0, (4 * bar, 4 * bar)), (10 * deg, (3 * bar, 4.5 * bar))):
     grading.close(stiffness(knee, angle, *pressures), knee.stiffness(angle, pressures), tolerance=1e-2, unit="N*m/rad")
 ### BEGIN HIDDEN TESTS
 grading.close(
@@ -168,7 +168,7 @@ for panel, (name, joint) in zip(axes, {"as printed": printed, "longer connectors
 # ## Task 5: design
 #
 # A walking leg needs a knee with 14 N·m/rad at every angle from -10 to 10 deg. Choose the length of the connectors. The
-# check tries angles that you have not been told. Try the slider of the browser page first, or `with_connectors`.
+# check also tries angles that are not shown here. Try the slider of the browser page first, or `with_connectors`.
 
 # %% task design
 ### BEGIN SOLUTION
