@@ -84,6 +84,7 @@ def page(lab: str, path: Path) -> Path:
     from mckibben.report.page import write_explorers
     from mckibben.scenario import Scenario
 
+    path.parent.mkdir(parents=True, exist_ok=True)
     introduction, *rest = (one.source for one in cells(lab) if one.kind == "markdown")
     heading, _, lead = introduction.partition("\n")
     texts = {"title": heading.removeprefix("# "), "lead": _html(lead), "body": _html("\n\n".join(rest))}
@@ -116,7 +117,6 @@ def main(target: Path) -> None:
             text = json.dumps(notebook(lab, solutions=solutions), indent=1, ensure_ascii=False) + "\n"
             (place / f"{lab}.ipynb").write_text(text, encoding="utf-8")
             shutil.copy(FOLDER / "grading.py", place)
-        (target / "pages").mkdir(exist_ok=True)
         page(lab, target / "pages" / f"{lab}.html")
     shutil.make_archive(str(target / "students"), "zip", target, "release")
 

@@ -121,7 +121,7 @@ print(f"error at 0.5 Hz: {angle_error(first) / deg:.2f} deg, at 1 Hz: {angle_err
 # ## Task 3: tune
 #
 # Choose gains of the position loop such that the error stays below 0.8 deg at 0.5 Hz. The knee must also follow 0.6 Hz
-# within 0.9 deg, and carry a heavier foot; the check also tries combinations that are not shown here. Start from the
+# within 0.9 deg, and carry a heavier load; the check also tries combinations that are not shown here. Start from the
 # gains above and raise one at a time. Which one reduces the error the most?
 
 # %% task tune

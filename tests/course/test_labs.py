@@ -153,7 +153,7 @@ def test_a_notebook_that_does_not_run_earns_nothing(tmp_path):
 @pytest.mark.parametrize("lab", LABS)
 def test_a_page_has_text_formulas_and_its_explorer_and_loads_nothing(lab, tmp_path):
     pytest.importorskip("docutils")
-    text = notebooks.page(lab, tmp_path / "page.html").read_text(encoding="utf-8")
+    text = notebooks.page(lab, tmp_path / "pages" / "page.html").read_text(encoding="utf-8")
     assert text.count("<h1>") == 1
     assert f'id="explore-{notebooks.PAGES[lab]}"' in text
     assert text.count('class="explorer"') == 1
