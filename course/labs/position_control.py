@@ -11,9 +11,9 @@
 # %% [markdown]
 # ## Two loops
 #
-# Let $\bar p$ be the co-contraction and $\Delta p$ the differential pressure. The valves receive
+# Let $p_c$ be the co-contraction and $p_d$ the differential pressure. The valves receive
 #
-# $$p_1 = \bar p - \Delta p, \qquad p_2 = \bar p + \Delta p$$
+# $$p_1 = p_c - p_d, \qquad p_2 = p_c + p_d$$
 #
 # and each of the two quantities is the output $u$ of a PID controller, with the error $e$ of the angle or of the
 # stiffness,
