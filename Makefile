@@ -12,7 +12,7 @@ SEED   ?= 0
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: reproduce test verify lint style types quick-tests all-tests format hooks mutants lock bench docs wheel clean help
+.PHONY: reproduce test verify lint style types quick-tests all-tests format hooks mutants lock bench docs course wheel clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -84,6 +84,11 @@ docs: $(VENV)/.installed-docs
 	rm -rf build/docs build/doctrees docs/api docs/gallery  # or examples would keep the output of an older program
 	$(BIN)/python -m sphinx -b html -W --keep-going -j $(WORKERS) -d build/doctrees docs build/docs
 	$(BIN)/python docs/check_site.py build/docs
+
+#   make course      notebooks of teachers and students and pages for the browser, in build/course
+course: $(VENV)/.installed-dev
+	rm -rf build/course
+	$(BIN)/python course/notebooks.py build/course
 
 #   make wheel       source archive and wheel in dist, the wheel tried with all extras in a bare environment
 wheel: $(VENV)/.installed-dev

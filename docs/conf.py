@@ -18,6 +18,8 @@ from mckibben.scenario import Scenario
 
 mpl.use("agg")
 sys.path.insert(0, str(Path(__file__).parent))  # sphinx-gallery imports the scraper by name
+sys.path.insert(0, str(Path(__file__).parents[1] / "course"))
+import notebooks as course
 
 project = "mckibben"
 author = "The mckibben developers"
@@ -109,9 +111,11 @@ def _explorers(app: Sphinx, error: Exception | None) -> None:
     if error is None:
         scenario = Scenario.read(Path(app.srcdir).parent / "examples" / "pre-contracted-step-pid.yaml")
         write_explorers(scenario, Path(app.outdir) / "explorers.html")
+        for lab in course.PAGES:
+            course.page(lab, Path(app.outdir) / "course" / f"{lab}.html")
 
 
 def setup(app: Sphinx) -> None:
-    """Render formulas as MathML, which needs no scripts, and write the page with sliders."""
+    """Render formulas as MathML, which needs no scripts, and write the pages with sliders."""
     app.connect("build-finished", _explorers)
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))

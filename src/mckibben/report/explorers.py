@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from mckibben.plant import JointPlant
     from mckibben.scenario import Scenario
 
+KEYS = ("force", "attainable", "run")
 _ANGLES = (-45.0, 45.0)  # deg
 _GAINS = {
     "kp": ("proportional", "bar/rad"),
@@ -54,11 +56,15 @@ class Explorer(NamedTuple):
     script: markupsafe.Markup
 
 
-def explorers(scenario: Scenario) -> dict[str, Explorer]:
+def explorers(scenario: Scenario, keys: Sequence[str] = KEYS) -> dict[str, Explorer]:
     """Force law, attainable stiffness, and run of a scenario of the knee with two PID loops."""
     plant = scenario.plant()
-    found = (_force(plant.joint.muscle1), _attainable(plant), _run(scenario, plant))
-    return {one.key: one for one in found}
+    made = {
+        "force": lambda: _force(plant.joint.muscle1),
+        "attainable": lambda: _attainable(plant),
+        "run": lambda: _run(scenario, plant),
+    }
+    return {key: made[key]() for key in keys}
 
 
 def _explorer(key: str, title: str, text: str, sliders: list[Slider], module: SourceModule, options: Any) -> Explorer:
@@ -128,7 +134,7 @@ def _attainable(plant: JointPlant) -> Explorer:
     module.add("at", "lowest and highest stiffness [N*m/rad] at an angle [rad]", at, {"angle": np.zeros(())})
     text = (
         "Attainable stiffness while the knee holds each angle against gravity. Dashed: the pre-contracted "
-        "knee of this report. Longer connectors contract the muscles more; the paper's 190 mm hardly contract them."
+        "knee. Longer connectors contract the muscles more; the paper's 190 mm hardly contract them."
     )
     title = "Explore the attainable stiffness over the geometry"
     return _explorer("attainable", title, text, sliders, module, {"angles": _ANGLES})
@@ -196,7 +202,7 @@ def _run(scenario: Scenario, plant: JointPlant) -> Explorer:
     count = round(scenario.duration / scenario.control_period)
     text = (
         f"The run of {scenario.duration:g} s with a stiffness step, simulated again in this page with the same "
-        f"numbers as mckibben's, and played. Gains start at those of the report."
+        f"numbers as mckibben's, and played. Gains start at those of the scenario."
     )
     options = {"period": scenario.control_period, "count": count}
     return _explorer("run", "Explore a run over the gains of its two PID loops", text, sliders, module, options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import os
 import re
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ from mckibben.paper import Reproduction, file_stem
 from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report import tables
-from mckibben.report.explorers import explorers
+from mckibben.report.explorers import KEYS, explorers
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
@@ -98,10 +99,23 @@ def write_page(path: Path, text: str) -> Path:
     return path
 
 
-def write_explorers(scenario: Scenario, path: Path) -> Path:
-    """Write a self-contained page with only the explorers of a scenario."""
+def write_explorers(
+    scenario: Scenario,
+    path: Path,
+    *,
+    keys: Sequence[str] = KEYS,
+    title: str = "Force law, attainable stiffness and a run of the knee, with sliders",
+    lead: str = "",
+    body: str = "",
+) -> Path:
+    """Write a self-contained page with explorers of a scenario, between two parts of a text in trusted HTML.
+
+    With a text the page has its title as heading.
+    """
     parts = {"style": style_sheet(), "script": markupsafe.Markup(_resource("explorers.js"))}
-    return write_page(path, template_of("explorers.html.jinja").render(explorers=explorers(scenario), **parts))
+    text = {"title": title, "lead": markupsafe.Markup(lead), "body": markupsafe.Markup(body)}
+    template = template_of("explorers.html.jinja")
+    return write_page(path, template.render(explorers=explorers(scenario, keys), **parts, **text))
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:

@@ -1,0 +1,163 @@
+"""The labs of the course: solutions earn all points, empty and wrong answers none, pages load nothing."""
+
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+COURSE = Path(__file__).parents[2] / "course"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def on_path():
+    sys.path.insert(0, str(COURSE))
+    yield
+    sys.path.remove(str(COURSE))
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(f"course_{name}", COURSE / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    sys.path.insert(0, str(COURSE))
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(COURSE))
+    return module
+
+
+notebooks, grade, grading = (load(name) for name in ("notebooks", "grade", "grading"))
+LABS = [*notebooks.PAGES]
+WRONG = {  # task: plausible mistakes, as changes of the solution
+    "force_law": {
+        "ideal": [
+            ("np.pi * DIAMETER**2 / 4 * pressure", "np.pi * DIAMETER**2 / 4 * pressure / bar"),
+            ("** 2 / np.tan", "/ np.tan"),
+        ],
+        "fit": [("np.exp(-decay * contraction)", "contraction**2"), ("np.sqrt(np.mean(", "np.sqrt(np.sum(")],
+        "validate": [("data.select(~out)", "data"), ("np.unique(pressure)", "pressure[:3]")],
+        "compare": [("fit.rmse", "1.0")],
+    },
+    "attainable_stiffness": {
+        "torque": [("return -sum", "return sum"), ("joint.tensions", "(lambda *_: (100.0, 100.0))")],
+        "stiffness": [("return -(", "return ("), ("(2 * step)", "step")],
+        "common": [("6 * bar, 6 * bar", "4 * bar, 4 * bar")],
+        "attainable": [
+            ("taut & (pressure2 >= 0)", "(pressure2 >= 0)"),
+            ("& (pressure2 <= 6 * bar)", "& (pressure2 <= 4 * bar)"),
+        ],
+        "design": [("208 * mm", "190 * mm"), ("208 * mm", "201 * mm")],
+    },
+    "position_control": {
+        "step": [
+            ("ki * period * error", "ki * error"),
+            ("return integral, kp * error + integral", "return integral, kp * error"),
+        ],
+        "error": [("np.sqrt(np.mean(", "np.sqrt(np.max(")],
+        "tune": [("150 * bar", "60 * bar"), ("4 * bar", "4"), ("150 * bar", "5000 * bar")],
+        "feasible": [
+            ("np.all", "np.any"),
+            ("(lowest <= stiffness) & ", ""),
+            ("(lowest <= stiffness) &", "(lowest > 0) |"),
+        ],
+    },
+}
+
+
+def source_of(book):
+    return ["".join(cell["source"]) for cell in book["cells"] if cell["cell_type"] == "code"]
+
+
+@pytest.mark.parametrize("lab", LABS)
+def test_a_released_notebook_has_the_tasks_but_neither_solutions_nor_hidden_tests(lab):
+    full, released = (notebooks.notebook(lab, solutions=each) for each in (True, False))
+    text = "\n".join(source_of(released))
+    assert "SOLUTION" not in text
+    assert "HIDDEN" not in text
+    assert text.count("raise NotImplementedError()") == "\n".join(source_of(full)).count("### BEGIN SOLUTION")
+    for cell in source_of(released):
+        compile(cell, lab, "exec")
+    names = [cell["metadata"]["nbgrader"]["grade_id"] for cell in full["cells"] if cell["metadata"]]
+    assert len(set(names)) == len(names)
+    assert {one.removeprefix("task_") for one in names if one.startswith("task_")} == set(WRONG[lab])
+    assert {one.removeprefix("check_") for one in names if one.startswith("check_")} == set(WRONG[lab])
+
+
+@pytest.mark.parametrize("lab", LABS)
+def test_notebooks_have_the_format_of_jupyter(lab):
+    nbformat = pytest.importorskip("nbformat")
+    for solutions in (True, False):
+        nbformat.validate(notebooks.notebook(lab, solutions=solutions))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lab", LABS)
+def test_a_solution_earns_all_points_and_an_empty_notebook_none(lab, tmp_path):
+    most = {one.name: one.points for one in notebooks.cells(lab) if one.kind == "check"}
+    for solutions, expected in ((True, most), (False, dict.fromkeys(most, 0))):
+        path = tmp_path / f"{solutions}.ipynb"
+        path.write_text(json.dumps(notebooks.notebook(lab, solutions=solutions)), encoding="utf-8")
+        assert grade.grade(lab, path) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lab", LABS)
+def test_checks_fail_for_wrong_answers(lab):
+    """Each wrong answer is tried where its task stands, then replaced by the solution."""
+    space, wrong = {}, dict.fromkeys(WRONG[lab], 0)
+    found = notebooks.cells(lab)
+    checks = {one.name.removeprefix("check_"): one.source for one in found if one.kind == "check"}
+    for one in found:
+        name = one.name.removeprefix("task_")
+        if one.kind == "task":
+            for old, new in WRONG[lab][name]:
+                assert old in one.source
+                changed = one.source.replace(old, new)
+                tried = dict(space)
+                exec(changed, tried)
+                with pytest.raises(AssertionError):
+                    exec(checks[name], tried)
+                wrong[name] += 1
+        if one.kind != "markdown":
+            exec(one.source, space)
+    assert all(wrong.values())
+
+
+def test_comparisons_name_likely_causes():
+    cases = {"bar": 1e-5, "percent": 100.0, "mm": 1e3, "deg": np.pi / 180, "sign": -1.0}
+    for word, factor in cases.items():
+        with pytest.raises(AssertionError, match=word):
+            grading.close(3.0 * factor, 3.0, tolerance=0.01)
+    grading.close([1.0, 2.0], [1.0, 2.001], tolerance=0.01)
+    for answer in (None, "1", np.nan, [1.0, 2.0], lambda: 1.0):
+        with pytest.raises(AssertionError):
+            grading.close(answer, 1.5, tolerance=0.01)
+    with pytest.raises(AssertionError):
+        grading.below([0.1, np.nan], 1.0)
+    with pytest.raises(AssertionError):
+        grading.below([0.1, 1.1], 1.0)
+
+
+def test_a_notebook_that_does_not_run_earns_nothing(tmp_path):
+    path = tmp_path / "broken.ipynb"
+    path.write_text("{", encoding="utf-8")
+    assert set(grade.grade("force_law", path).values()) == {0}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lab", LABS)
+def test_a_page_has_text_formulas_and_its_explorer_and_loads_nothing(lab, tmp_path):
+    pytest.importorskip("docutils")
+    text = notebooks.page(lab, tmp_path / "pages" / "page.html").read_text(encoding="utf-8")
+    assert text.count("<h1>") == 1
+    assert f'id="explore-{notebooks.PAGES[lab]}"' in text
+    assert text.count('class="explorer"') == 1
+    assert "<math" in text
+    assert "FORMULA" not in text
+    assert not re.search(r"\$[^{]", text.partition("<body>")[2].partition("<script>")[0])
+    assert not re.search(r"(src|href)=|https?:|@import", re.sub(r"http://www\.w3\.org/\S+?\"", "", text))
