@@ -38,7 +38,7 @@ class Ground(Component):
     friction
         Coefficient of friction.
     slip_speed
-        Speed [m/s] v0 that regularises it: the force is -mu N v / sqrt(|v|^2 + v0^2), with the velocity v along the
+        Speed [m/s] v0 that regularises it: the force is ``-mu N v / sqrt(|v|^2 + v0^2)``, with the velocity v along the
         ground.
     slope, side_slope
         Angles [rad] by which the ground rises forwards and to the left. Default: level.
