@@ -105,8 +105,11 @@ def test_what_is_not_a_number_stays_so():
         return jnp.maximum(x, 0.0), jnp.minimum(x, 0.0), jnp.isfinite(x), x * jnp.inf, jnp.clip(x, -1.0, 1.0)
 
     many = NativeFunction(lambda _, x: function(x))(None, values)
-    for found, expected in zip(many, jax.jit(function)(values), strict=True):
+    alone = NativeFunction(lambda x, _: function(x))
+    one = np.transpose([alone(x) for x in values])
+    for found, single, expected in zip(many, one, jax.jit(function)(values), strict=True):
         np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(single, expected)
 
 
 @pytest.mark.parametrize("operation", [jnp.sort, jnp.linalg.inv, lambda x: lax.top_k(x, 1)])
@@ -154,6 +157,15 @@ def test_what_depends_on_parameters_alone_is_prepared(tmp_path):
     state = 0.5 + np.exp(-2.0)
     assert [float(x) for x in printed] == pytest.approx([3 * state, 0, state + 1, 1], rel=1e-15)
     assert "exp" not in source[source.index("void gain_step") :]  # it is computed once
+
+
+def test_divisions_by_parameters_are_products_in_the_functions():
+    module = SourceModule("ratio", {"scale": np.asarray(3.0)})
+    inputs = {"x": np.asarray(1.0), "y": np.asarray(1.0)}
+    module.add("step", "one period", lambda p, x, y: {"one": x / p["scale"], "other": x / y}, inputs)
+    function = write_c(module).source.partition("void ratio_step")[2]
+    assert function.count(" / ") == 1  # x / y
+    assert "x * self->prepared" in function
 
 
 def test_in_single_precision_what_depends_on_the_reference_alone_is_double(tmp_path):

@@ -198,9 +198,10 @@ class AirValve(AirActuator):
         error = self.effective((state + following) / 2 - pressure)
         side = jnp.where(error > 0, 1.0, -1.0)
         rate, drift = self.open_rate(side, pressure, air)
-        lag = self.band / rate
-        full = jnp.clip(jnp.abs(error) / rate - lag, 0.0, duration)  # time [s] with a fully open valve
-        left = exp((full - duration) / lag)
+        inverse = 1 / rate  # a single division, the slowest operation
+        lag = self.band * inverse
+        full = jnp.clip(jnp.abs(error) * inverse - lag, 0.0, duration)  # time [s] with a fully open valve
+        left = exp((full - duration) * (rate * (1 / self.band)))
         moved = error - (error - side * rate * full) * left
         return pressure + moved + drift * (full + lag * (1 - left)), following
 

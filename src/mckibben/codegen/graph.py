@@ -179,12 +179,15 @@ FOLDED: dict[str, Callable[..., Any]] = {
 class Graph:
     """Statements in scopes; `scope` is the current one."""
 
-    def __init__(self, *, lanes: bool = False, single: bool = False, threads: bool = False) -> None:
+    def __init__(
+        self, *, lanes: bool = False, single: bool = False, threads: bool = False, reciprocals: bool = False
+    ) -> None:
         self.root = Scope()
         self.scope = self.root
         self.lanes = lanes  # whether the program is batched
         self.threads = threads  # whether each run of a batch is a thread, instead of an element of a vector
         self.single = single  # whether values that differ between runs have 32 bits
+        self.reciprocals = reciprocals  # whether divisors known further out become factors, computed there
         self._kept: list[Value] = []  # expressions are distinguished by the identities of values
 
     def constant(self, number: Any, kind: Kind) -> Value:
@@ -205,6 +208,11 @@ class Graph:
         """The result of an operation."""
         if (simple := self._simplified(name, kind, arguments)) is not None:
             return simple
+        if self.reciprocals and name == "div" and kind is Kind.REAL:
+            numerator, divisor = arguments
+            if divisor.scope.depth < numerator.scope.depth:
+                reciprocal = self.operation("div", kind, self.constant(1.0, kind), divisor)
+                return self.operation("mul", kind, numerator, reciprocal)
         scope = self._place(arguments)
         key = (name, kind, *map(id, arguments))
         uniform = all(argument.uniform for argument in arguments)

@@ -75,9 +75,9 @@ def c_language(real: str = "double") -> Language:
                 "    memcpy(&x, &word, sizeof x);\n    return x;\n}\n"
             ),
             "single": "static double single(double x)\n{\n    return (float)x;\n}\n",
-            # NaN if either is NaN, unlike fmax
-            f"maximum{suffix}": function("maximum", "x, y", "x > y || x != x ? x : y"),
-            f"minimum{suffix}": function("minimum", "x, y", "x < y || x != x ? x : y"),
+            # NaN if either is NaN, unlike fmax; the order lets compilers use their instruction for `x > y ? x : y`
+            f"maximum{suffix}": function("maximum", "x, y", "x != x ? x : x > y ? x : y"),
+            f"minimum{suffix}": function("minimum", "x, y", "x != x ? x : x < y ? x : y"),
             f"sign{suffix}": function("sign", "x", f"({real})((x > 0) - (x < 0))"),
         },
         literal=literal,

@@ -68,7 +68,7 @@ class SourceModule:
     functions: list[Function] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.graph = Graph()
+        self.graph = Graph(reciprocals=True)
         self.members = members_of(self.parameters, self.prefix)
         """Members of the parameter structure."""
         self._lowering = Lowering(self.graph)

@@ -204,11 +204,12 @@ class DelayCompensation(ModelBasedControl):
 
         def advance(state: tuple[Scalar, Scalar, Pair, Any], commands: Pair) -> tuple[Any, None]:
             angle, velocity, pressures, actuators = state
-            valves = self._valves(estimates.valves, angle, velocity, pressures, actuators)
+            midway = angle + step / 2 * velocity  # one evaluation of the geometry
+            valves = self._valves(estimates.valves, midway, velocity, pressures, actuators)
             following, actuators = valves.predict(commands, step)
             middle = tuple((one + other) / 2 for one, other in zip(pressures, following, strict=True))
-            torque = model.torque(angle + step / 2 * velocity, (middle[0], middle[1])) + estimates.friction
-            acceleration = self.load.acceleration(angle, velocity, torque) + estimates.motion.disturbance
+            torque = model.torque(midway, (middle[0], middle[1])) + estimates.friction
+            acceleration = self.load.acceleration(midway, velocity, torque) + estimates.motion.disturbance
             moved = angle + step * (velocity + step / 2 * acceleration)
             return (moved, velocity + step * acceleration, following, actuators), None
 
