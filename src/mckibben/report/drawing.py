@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_kind
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
-from mckibben.joint.mechanism import Mechanism, Points, Strand, muscle_sizes
+from mckibben.joint.mechanism import SLENDER, Mechanism, Points, Strand, muscle_sizes
 from mckibben.plant import JointPlant
 from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
 from mckibben.units import bar, deg, mm
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from mckibben.joint.geometry import Pressures
 
 _BONE, _PLATE, _CABLE, _UNKNOWN = "#C9CED6", "#DCE1E8", "#555555", "#8FBBDD"
-SLENDER = 0.07
-"""Diameter per length of a muscle of unknown diameter."""
 _LIMB = 0.62  # length of the moving limb per height
 _NOTE = {"fontsize": 9, "color": BLACK}
 

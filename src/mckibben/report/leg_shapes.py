@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from mckibben.export.leg_mjcf import anchors
 from mckibben.export.mjcf import Transmission, path_transmission, transmissions
-from mckibben.joint.mechanism import specimen_size
+from mckibben.joint.mechanism import SLENDER, specimen_size
 from mckibben.leg.dynamics import Posture, at_rest, frames
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.bodies import Frame
-from mckibben.report.drawing import SLENDER
-from mckibben.report.style import VERMILLION
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,7 +21,7 @@ if TYPE_CHECKING:
     from mckibben.leg import LegJoint, LegPlant
     from mckibben.muscle import Muscle
 
-SLACK, FULL = np.array([0.80, 0.85, 0.90]), np.array(to_rgb(VERMILLION))
+SLACK, FULL = np.array([0.80, 0.85, 0.90]), np.array([0xD5, 0x5E, 0x00]) / 255
 """Colours of a muscle at zero pressure and at the largest pressure of a run."""
 
 
