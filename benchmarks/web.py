@@ -500,6 +500,24 @@ def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
     click(tab, "Start")
     settle(tab, "document.body.innerText.includes('points measured')")
     tab.picture(folder / f"web-rig{end}.png")
+    tab.open(f"{address}/tune", width, 900)
+    time.sleep(1.0)
+    for button, found in (("Tune", "points evaluated"), ("Compare", "on the same unseen runs, each")):
+        click(tab, button)
+        tab.wait(f"document.body.innerText.includes('{found}')", 600)
+    time.sleep(1.5)
+    tab.picture(folder / f"web-tune{end}.png")
+    tab.open(f"{address}/leg", width, 900)
+    time.sleep(1.0)
+    click(tab, "Compute")
+    tab.wait("document.body.innerText.includes('Motion')", 600)
+    time.sleep(1.5)
+    slider = "document.querySelector('.q-slider').getBoundingClientRect()"
+    x, y = tab.evaluate(f"(r => [r.x + 0.15 * r.width, r.y + r.height / 2])({slider})")
+    for kind in ("mousePressed", "mouseReleased"):
+        tab.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    time.sleep(1.5)
+    tab.picture(folder / f"web-leg{end}.png")
 
 
 if __name__ == "__main__":

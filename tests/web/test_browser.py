@@ -145,3 +145,55 @@ def test_a_test_on_the_rig_is_drawn_and_vented(page):
         chrome.click(tab, "Vent")
 
     page("/rig", act, shows("vented by hand"))
+
+
+def test_a_refused_scenario_leaves_the_old_curves_greyed(page):
+    def act(tab):
+        tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
+        set_text = """(area => {
+          Object.getOwnPropertyDescriptor(HTMLTextAreaElement.prototype, 'value').set.call(area, 'name: x');
+          area.dispatchEvent(new Event('input', {bubbles: true}));
+        })(document.querySelector('textarea[aria-label=scenario]'))"""
+        tab.evaluate(set_text)
+        time.sleep(0.5)
+        chrome.click(tab, "Run")
+
+    page("/run", act, shows("problem") + " && document.querySelector('.stale canvas')")
+
+
+def test_a_study_is_computed_shown_and_cancelled(page):
+    def act(tab):
+        tab.wait(shows("No study yet"))
+        chrome.click(tab, "Compare")
+        tab.wait(shows("Cancel"))
+        chrome.click(tab, "Cancel")
+        tab.wait(
+            "![...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'Cancel' && b.offsetParent)"
+        )
+        tab.evaluate(SET_NUMBER % ("iterations", 2))
+        tab.evaluate(SET_NUMBER % ("starts", 1))
+        time.sleep(0.5)
+        chrome.click(tab, "Tune")
+        tab.wait(shows("points evaluated"), 240)
+
+    page("/tune", act, shows("points evaluated") + " && " + chrome.FIRST_CURVE)
+
+
+# Sets the number field of a label.
+SET_NUMBER = """((label, value) => {
+  const field = [...document.querySelectorAll('input[type=number]')].find(one => one.ariaLabel === label);
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, value);
+  field.dispatchEvent(new Event('input', {bubbles: true}));
+})('%s', %d)"""
+
+
+def test_a_leg_lands_in_space_and_is_played(page):
+    def act(tab):
+        time.sleep(0.5)
+        chrome.click(tab, "Compute")
+        tab.wait(shows("Motion"), 300)
+        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
+        tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
+        tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
+
+    page("/leg", act, shows("Motion") + " && " + chrome.FIRST_CURVE)

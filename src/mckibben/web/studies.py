@@ -49,7 +49,7 @@ class TuningRequest:
 class ComparisonRequest:
     """Input of a comparison; `conditions` has one parameter and its range per line."""
 
-    controllers: tuple[str, ...] = ("two PID loops", "model inversion (decoupling)")
+    controllers: tuple[str, ...] = ("model inversion (decoupling)",)
     conditions: str = "load.mass2=+-30 %"
     runs: int = 64
     generations: int = 10

@@ -89,9 +89,13 @@ class _Page:
                 _lines("parameters, one NAME=RANGE per line; default: all gains", tuning, "over")
                 ui.button("Tune", on_click=self.tune).props("unelevated no-caps").mark("tune")
             with panel("Compare"):
-                ui.select(list(CONTROLLERS), label="with these controllers", multiple=True).props(
-                    "dense use-chips"
-                ).classes("w-full").mark("controllers").bind_value(comparison, "controllers", forward=tuple)
+                ui.select(
+                    list(CONTROLLERS),
+                    value=list(comparison.controllers),
+                    label="with these controllers",
+                    multiple=True,
+                    on_change=lambda event: setattr(comparison, "controllers", tuple(event.value or ())),
+                ).props("dense").classes("w-full").mark("controllers")
                 with ui.element("div").classes("fields"):
                     _number("unseen runs", comparison, "runs", 2, MOST_RUNS)
                     _number("generations", comparison, "generations", 1, MOST_GENERATIONS)
