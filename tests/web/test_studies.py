@@ -57,7 +57,7 @@ def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
     ):
         with pytest.raises(ParameterError) as found:
             call(long, request, tmp_path, silent)
-        assert found.value.value > found.value.upper == studies.MOST_STEPS
+        assert found.value.upper == studies.MOST_STEPS
     with pytest.raises(ParameterError) as found:
         leg.parse(leg.STARTS["landing in space"].replace("draws: 20", "draws: 5000"), tmp_path)
     assert found.value.upper == leg.MOST_LANDINGS

@@ -312,6 +312,7 @@ class _Page:
                     self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
             with panel() as self.nothing:
                 ui.label("Choose a leg and press Compute: its landings or jumps appear here in 3-D.").classes("quiet")
+        self.results.visible = False
         ui.timer(0.15, self.refresh)
 
     def choose(self, event: events.ValueChangeEventArguments) -> None:

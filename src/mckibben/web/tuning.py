@@ -46,8 +46,6 @@ from mckibben.web.studies import (
 )
 from mckibben.web.workbench import CONTROLLERS, Workbench
 
-START_NAME = "knee"
-
 
 @dataclass
 class StudyState:
@@ -86,7 +84,7 @@ class _Page:
                     _number("gain margin", tuning, "gain_margin", 1.0, 10.0)
                     _number("starts", tuning, "starts", 1, MOST_STARTS)
                     _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS)
-                _lines("parameters, one NAME=RANGE per line; default: all gains", tuning, "over")
+                _lines("NAME=RANGE per line, or all gains", tuning, "over")
                 ui.button("Tune", on_click=self.tune).props("unelevated no-caps").mark("tune")
             with panel("Compare"):
                 ui.select(
@@ -99,10 +97,11 @@ class _Page:
                 with ui.element("div").classes("fields"):
                     _number("unseen runs", comparison, "runs", 2, MOST_RUNS)
                     _number("generations", comparison, "generations", 1, MOST_GENERATIONS)
-                _lines("conditions that vary, one NAME=RANGE per line", comparison, "conditions")
+                _lines("conditions, NAME=RANGE per line", comparison, "conditions")
                 ui.button("Compare", on_click=self.compare).props("unelevated no-caps").mark("compare")
             ui.label(
-                f"At most {MOST_STEPS:.0e} integration steps each; the commands `tune` and `compare` have no limit."
+                f"At most {MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` "
+                "have no limit."
             ).classes("quiet")
         with results_side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
@@ -113,7 +112,8 @@ class _Page:
         state = self.state
         self.progress()
         self.job = notify_if_replaced(state.jobs, self.job)
-        self.name.text = printable(START_NAME if self.bench.scenario is None else self.bench.scenario.name, 80)
+        scenario = self.bench.scenario
+        self.name.text = "the first one" if scenario is None else printable(scenario.name, 80)
         if self.shown != state.jobs.version:
             self.shown = state.jobs.version
             self.results.clear()
