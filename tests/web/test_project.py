@@ -46,6 +46,7 @@ def test_a_project_comes_back_in_another_session_and_on_the_command_line(folder,
     other.mkdir()
     found = project.unpack(content, other)
     assert {one.name for one in other.iterdir()} == {"scenario.yaml", "muscle.yaml", "fit.yaml", "points.csv"}
+    assert found.points and found.muscle and found.scenario
     means = points.plateau_means().table
     assert all((found.points.table[name] == means[name]).all() for name in ("pressure", "contraction", "force"))
     zipfile.ZipFile(io.BytesIO(content)).extractall(unzipped)

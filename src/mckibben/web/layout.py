@@ -60,7 +60,7 @@ body { background: #f6f7f9; color: #1b2126; }
   .stays { order: -2; position: sticky; top: 58px; z-index: 3; box-shadow: 0 2px 6px #0001; }
   .nicegui-content { padding: 10px; }
   .panel { padding: 12px; }
-  .q-table td, .q-table th { padding: 4px 4px; font-size: 12px; }
+  .q-table td, .q-table th { padding: 4px 4px; font-size: 12px; overflow-wrap: anywhere; }
 }
 """
 

@@ -62,7 +62,7 @@ class Tuned:
     cost_before: float
     cost: float
     costs: np.ndarray
-    parameters: list[tuple[str, str, str, str]]
+    parameters: list[tuple[str, str, str]]
     metrics: list[tuple[str, str, str]]
     scenario: Scenario
     remarks: list[str]
@@ -115,13 +115,15 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
             each.name,
             "-" if (nominal := each.parameter.nominal) is None else each.parameter.show(nominal),
             each.parameter.show(found.values[each.name]),
-            "at a bound: consider a wider range" if each.name in found.at_bound else "",
         )
         for each in ranges
     ]
     metrics = [(_TITLES[name], f"{old[name]:.3g}", f"{new[name]:.3g}") for name in _TITLES]
     costs = np.array([trial.cost for trial in found.trials])
-    return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, list(scenario.joint.remarks))
+    remarks = list(scenario.joint.remarks)
+    if found.at_bound:
+        remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
+    return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, remarks)
 
 
 def _metrics(scenario: Scenario) -> dict[str, float]:

@@ -191,7 +191,7 @@ class _Page:
             costs = chart("evaluated point", "cost", height=220, yAxis={"type": "log"})
             number = np.arange(1, len(found.costs) + 1)
             draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])
-            table(("parameter", "before", "tuned", ""), found.parameters)
+            table(("parameter", "before", "tuned"), found.parameters)
             table(("metric", "before", "tuned"), found.metrics)
             ui.button("Run the tuned scenario", on_click=lambda: self.run(found.scenario)).props(
                 "unelevated no-caps"
@@ -221,7 +221,7 @@ def bars(errors: dict[str, tuple[float, float]]) -> ui.echart:
     options["yAxis"] = {
         "type": "category",
         "data": names,
-        "axisLabel": {"color": GREY, "width": 120, "overflow": "break"},
+        "axisLabel": {"color": GREY, "width": 120, "overflow": "break", "lineHeight": 14},
     }
     series = [
         {"type": "bar", "name": title, "data": [float(f"{errors[name][k]:.4g}") for name in names], "color": color}
