@@ -404,10 +404,10 @@ def session_folders() -> set[str]:
     return {one.name for one in Path(tempfile.gettempdir()).glob("mckibben-web-*")}
 
 
-def upload(tab: Tab, path: Path) -> None:
-    """Choose a file in the first upload of the page."""
+def upload(tab: Tab, path: Path, selector: str = "input[type=file]") -> None:
+    """Choose a file in the first upload of the page that a selector finds."""
     root = tab.send("DOM.getDocument")["root"]["nodeId"]
-    field = tab.send("DOM.querySelector", nodeId=root, selector="input[type=file]")["nodeId"]
+    field = tab.send("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
     tab.send("DOM.setFileInputFiles", files=[str(path)], nodeId=field)
 
 

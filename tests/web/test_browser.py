@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip("nicegui")
 
+from mckibben.web import project, workbench
+
 ROOT = Path(__file__).parents[2]
 _spec = importlib.util.spec_from_file_location("benchmarks_web", ROOT / "benchmarks" / "web.py")
 chrome = importlib.util.module_from_spec(_spec)
@@ -197,3 +199,16 @@ def test_a_leg_lands_in_space_and_is_played(page):
         tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
 
     page("/leg", act, shows("Motion") + " && " + chrome.FIRST_CURVE)
+
+
+def test_a_project_is_uploaded_runs_and_is_offered_for_download(page, tmp_path):
+    text = workbench.START.replace("name: knee", "name: of a project").replace("amplitude: 10 deg", "amplitude: 7 deg")
+    (tmp_path / "project.zip").write_bytes(project.pack(tmp_path, text, None))
+
+    def act(tab):
+        tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
+        chrome.upload(tab, tmp_path / "project.zip", "input[accept='.zip']")
+        tab.wait("document.querySelector('textarea[aria-label=scenario]').value.includes('of a project')")
+        chrome.click(tab, "Download project")
+
+    page("/run", act, shows("completed") + " && document.querySelector('textarea').value.includes('7 deg')")

@@ -358,7 +358,7 @@ def test_data_of_two_tabs_are_two_files():
     assert not remains  # nobody asks for it any more
 
 
-@pytest.mark.parametrize("where", ["/identify", "/run", "/rig"])
+@pytest.mark.parametrize("where", ["/identify", "/run", "/tune", "/rig", "/leg"])
 def test_a_page_is_freed_when_it_is_left(where):
     async def visit():
         async with visitor() as user:

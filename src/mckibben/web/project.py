@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
 import tempfile
 import zipfile
 from dataclasses import dataclass
@@ -89,7 +88,7 @@ def unpack(content: bytes, folder: Path) -> Project:
             (place / name).write_bytes(text)
         project = _read(files, place)
         for name in files:
-            shutil.move(place / name, folder / name)
+            (place / name).replace(folder / name)
     return project
 
 

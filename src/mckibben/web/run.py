@@ -148,8 +148,6 @@ class _Page:
             self.formed = state.form
             self.form.clear()
             if state.scenario is not None:
-                for label, kind in chosen_kinds(state.scenario).items():
-                    self.selects[label].value = kind
                 with self.form:
                     self.fields(state.scenario)
         if self.shown != state.jobs.version:
@@ -166,6 +164,9 @@ class _Page:
                 elif state.notes:
                     with panel():
                         show_warnings(state.notes)
+            if state.scenario is not None and not state.jobs.busy:
+                for label, kind in chosen_kinds(state.scenario).items():
+                    self.selects[label].value = kind
             for shown in (self.angle, self.results, self.form):
                 shown.classes(**{"remove" if state.error is None else "add": "stale"})
             if state.current is not None:
@@ -222,6 +223,8 @@ class _Page:
         def done(project: Project, _: list[str]) -> None:
             adopt(project, self.folder, state, identification)
             state.error = None
+            if project.scenario is None:
+                state.notes = ["the project has no scenario; its points and muscle are on the pages Muscle and Joint"]
             self.begin()
 
         def fail(error: McKibbenError) -> None:
