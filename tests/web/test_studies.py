@@ -43,7 +43,7 @@ def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
 @pytest.mark.slow
 def test_controllers_are_compared_on_the_same_runs(tmp_path):
     kinds = ("model inversion (decoupling)",)
-    request = studies.ComparisonRequest(kinds, "load.mass2=+-20 %", runs=8, generations=1)
+    request = studies.ComparisonRequest(("two PID loops", *kinds), "load.mass2=+-20 %", runs=8, generations=1)
     found = studies.compared(SHORT, request, tmp_path, silent)
     assert {row[0] for row in found.rows} == set(found.errors) == set(found.scenarios) == {"scenario", *kinds}
     assert all(0 < median <= late for median, late in found.errors.values())
@@ -59,6 +59,8 @@ def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
     with pytest.raises(ParameterError) as found:
         studies.compared(long, studies.ComparisonRequest(runs=512, generations=30), tmp_path, silent)
     assert found.value.upper == studies.MOST_STEPS
+    with pytest.raises(ParameterError):
+        studies.compared(SHORT, studies.ComparisonRequest(("two PID loops",)), tmp_path, silent)
     with pytest.raises(ParameterError) as found:
         leg.parse(leg.STARTS["landing in space"].replace("draws: 20", "draws: 5000"), tmp_path)
     assert found.value.upper == leg.MOST_LANDINGS

@@ -18,7 +18,7 @@ from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import parse_cost, parse_ranges, tune
 from mckibben.study.tune.objective import UNSTABLE_COST
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
-from mckibben.web.workbench import CONTROLLERS, parse, steps_of, with_section
+from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
 
 MOST_STEPS = 5e9
 """Most integration steps of a study of the page."""
@@ -49,7 +49,7 @@ class TuningRequest:
 class ComparisonRequest:
     """Input of a comparison; `conditions` has one parameter and its range per line."""
 
-    controllers: tuple[str, ...] = ("model inversion (decoupling)",)
+    controllers: tuple[str, ...] = ("two PID loops", "model inversion (decoupling)")
     conditions: str = "load.mass2=+-30 %"
     runs: int = 64
     generations: int = 10
@@ -137,7 +137,11 @@ def _metrics(scenario: Scenario) -> dict[str, float]:
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Compared:
     """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference."""
     scenario = parse(text, folder)
-    sections = [(name, with_section(text, CONTROLLERS[name], ("controller",))) for name in request.controllers]
+    own = chosen_kinds(scenario)["controller"]
+    kinds = [name for name in request.controllers if name != own]
+    if not kinds:
+        raise ParameterError("there is no controller to compare with", remedy=f"choose one other than {own}")
+    sections = [(name, with_section(text, CONTROLLERS[name], ("controller",))) for name in kinds]
     others: dict[str, Any] = {name: parse(each, folder).controller for name, each in sections}
     suite = Suite.of(
         scenario,
