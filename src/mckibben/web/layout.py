@@ -179,8 +179,13 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
 
 
 def upload(label: str, largest: int, taken: Callable[[events.UploadEventArguments], Awaitable[None]]) -> ui.upload:
-    """An upload of one file, whose size [bytes] is limited."""
-    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=taken)
+    """An upload of one file, whose size [bytes] is limited; it lists no earlier files."""
+
+    async def uploaded(event: events.UploadEventArguments) -> None:
+        await taken(event)
+        made.reset()
+
+    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=uploaded)
     return made.props("flat bordered").classes("w-full")
 
 

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 MOST_LANDINGS = 20_000
 _FRAMES = 240
 _ARROW = 0.3  # length [m] of the largest force
+_BONE = 0.09  # radius of a bone, in units of the scene
 _SHARED = """\
 valve: {class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, dead_volume: 3 cm^3}
 """
@@ -225,10 +226,10 @@ class LegScene(Film):
         with self.scene as scene:
             normal, thin = film.normal, 0.004
             ground = scene.cylinder(1, 1, 1, 48).material("#e4e9ee")
-            self.lay(ground, -thin * normal, 0 * normal, 0.45 * HEIGHT)
-            self._bones = [self.rod(BONE, first, last, 0.16) for first, last in itertools.pairwise(points)]
-            self._trunk = scene.sphere(0.55).material("#215c8f")
-            self._hinges = [scene.sphere(0.3).material(CABLE) for _ in points[1:-1]]
+            self.lay(ground, -thin * normal, 0 * normal, 0.35 * HEIGHT)
+            self._bones = [self.rod(BONE, first, last, _BONE) for first, last in itertools.pairwise(points)]
+            self._trunk = scene.sphere(0.45).material("#215c8f")
+            self._hinges = [scene.sphere(0.2).material(CABLE) for _ in points[1:-1]]
             self._foot = scene.sphere(film.foot_radius * scale).material("#1c2024")
             self._cables = {
                 name: [self.rod(CABLE, part[0, 0], part[0, 1], 0.05) for part in one.parts]
@@ -239,7 +240,7 @@ class LegScene(Film):
                 for name, one in film.muscles.items()
             }
             self._force = self.rod("#00684a", points[-1], points[-2], 0.1)
-        self.scene.move_camera(0.9 * HEIGHT, -1.3 * HEIGHT, 0.8 * HEIGHT, 0.0, 0.0, 0.5 * HEIGHT, duration=0)
+        self.scene.move_camera(0.45 * HEIGHT, -0.7 * HEIGHT, 0.6 * HEIGHT, 0.0, 0.0, 0.47 * HEIGHT, duration=0)
 
     def move(self, time: float) -> float:
         """Move bones, muscles and force to a time [s]."""
@@ -248,7 +249,7 @@ class LegScene(Film):
         at = int(np.searchsorted(film.times, time).clip(max=len(film.times) - 1))
         points, scale = film.points[at], self._scale
         for bone, first, last in zip(self._bones, points, points[1:], strict=False):
-            self.lay(bone, first, last, 0.16)
+            self.lay(bone, first, last, 0.09)
         balls = zip((self._trunk, *self._hinges, self._foot), points, strict=True)
         for ball, point in balls:
             ball.move(*(scale * point).tolist())
