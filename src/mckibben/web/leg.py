@@ -249,7 +249,7 @@ class LegScene(Film):
         at = int(np.searchsorted(film.times, time).clip(max=len(film.times) - 1))
         points, scale = film.points[at], self._scale
         for bone, first, last in zip(self._bones, points, points[1:], strict=False):
-            self.lay(bone, first, last, 0.09)
+            self.lay(bone, first, last, _BONE)
         balls = zip((self._trunk, *self._hinges, self._foot), points, strict=True)
         for ball, point in balls:
             ball.move(*(scale * point).tolist())
