@@ -404,10 +404,10 @@ def session_folders() -> set[str]:
     return {one.name for one in Path(tempfile.gettempdir()).glob("mckibben-web-*")}
 
 
-def upload(tab: Tab, path: Path) -> None:
-    """Choose a file in the first upload of the page."""
+def upload(tab: Tab, path: Path, selector: str = "input[type=file]") -> None:
+    """Choose a file in the first upload of the page that a selector finds."""
     root = tab.send("DOM.getDocument")["root"]["nodeId"]
-    field = tab.send("DOM.querySelector", nodeId=root, selector="input[type=file]")["nodeId"]
+    field = tab.send("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
     tab.send("DOM.setFileInputFiles", files=[str(path)], nodeId=field)
 
 
@@ -495,16 +495,29 @@ def pictures(tab: Tab, address: str, folder: Path, width: int) -> None:
     tab.wait("document.querySelector('textarea').value.includes('decoupling')")
     time.sleep(2.0)
     tab.picture(folder / f"web-run{end}.png")
-    tab.open(f"{address}/leg", width, 900)
-    settle(tab, FIRST_CURVE + " && document.body.innerText.includes('weights')")
-    tab.evaluate("document.querySelector('.q-toggle').click()")
-    time.sleep(4.0)
-    tab.picture(folder / f"web-leg{end}.png")
     tab.open(f"{address}/rig", width, 900)
     time.sleep(1.0)
     click(tab, "Start")
     settle(tab, "document.body.innerText.includes('points measured')")
     tab.picture(folder / f"web-rig{end}.png")
+    tab.open(f"{address}/tune", width, 900)
+    time.sleep(1.0)
+    for button, found in (("Tune", "points evaluated"), ("Compare", "on the same unseen runs, each")):
+        click(tab, button)
+        tab.wait(f"document.body.innerText.includes('{found}')", 600)
+    time.sleep(1.5)
+    tab.picture(folder / f"web-tune{end}.png")
+    tab.open(f"{address}/leg", width, 900)
+    time.sleep(1.0)
+    click(tab, "Compute")
+    tab.wait("document.body.innerText.includes('Motion')", 600)
+    time.sleep(1.5)
+    slider = "document.querySelector('.q-slider').getBoundingClientRect()"
+    x, y = tab.evaluate(f"(r => [r.x + 0.15 * r.width, r.y + r.height / 2])({slider})")
+    for kind in ("mousePressed", "mouseReleased"):
+        tab.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    time.sleep(1.5)
+    tab.picture(folder / f"web-leg{end}.png")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip("nicegui")
 
+from mckibben.web import project, workbench
+
 ROOT = Path(__file__).parents[2]
 _spec = importlib.util.spec_from_file_location("benchmarks_web", ROOT / "benchmarks" / "web.py")
 chrome = importlib.util.module_from_spec(_spec)
@@ -137,16 +139,6 @@ def test_a_run_is_computed_changed_kept_and_played(page):
     page("/run", act, shows("run 1"))
 
 
-def test_a_leg_lands_in_a_scene_that_plays(page):
-    def act(tab):
-        tab.wait(shows("weights") + " && " + chrome.FIRST_CURVE)
-        assert tab.evaluate("!!document.querySelector('canvas[data-engine^=\"three\"]')")
-        tab.evaluate("document.querySelector('.q-toggle').click()")
-        tab.wait("!document.body.innerText.includes('\\n0 ms')")
-
-    page("/leg", act, shows("weights"))
-
-
 def test_a_test_on_the_rig_is_drawn_and_vented(page):
     def act(tab):
         time.sleep(0.5)
@@ -155,3 +147,68 @@ def test_a_test_on_the_rig_is_drawn_and_vented(page):
         chrome.click(tab, "Vent")
 
     page("/rig", act, shows("vented by hand"))
+
+
+def test_a_refused_scenario_leaves_the_old_curves_greyed(page):
+    def act(tab):
+        tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
+        set_text = """(area => {
+          Object.getOwnPropertyDescriptor(HTMLTextAreaElement.prototype, 'value').set.call(area, 'name: x');
+          area.dispatchEvent(new Event('input', {bubbles: true}));
+        })(document.querySelector('textarea[aria-label=scenario]'))"""
+        tab.evaluate(set_text)
+        time.sleep(0.5)
+        chrome.click(tab, "Run")
+
+    page("/run", act, shows("problem") + " && document.querySelector('.stale canvas')")
+
+
+def test_a_study_is_computed_shown_and_cancelled(page):
+    def act(tab):
+        tab.wait(shows("No study yet"))
+        chrome.click(tab, "Compare")
+        tab.wait(shows("Cancel"))
+        chrome.click(tab, "Cancel")
+        tab.wait(
+            "![...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'Cancel' && b.offsetParent)"
+        )
+        tab.evaluate(SET_NUMBER % ("iterations", 2))
+        tab.evaluate(SET_NUMBER % ("starts", 1))
+        time.sleep(0.5)
+        chrome.click(tab, "Tune")
+        tab.wait(shows("points evaluated"), 240)
+
+    page("/tune", act, shows("points evaluated") + " && " + chrome.FIRST_CURVE)
+
+
+# Sets the number field of a label.
+SET_NUMBER = """((label, value) => {
+  const field = [...document.querySelectorAll('input[type=number]')].find(one => one.ariaLabel === label);
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, value);
+  field.dispatchEvent(new Event('input', {bubbles: true}));
+})('%s', %d)"""
+
+
+def test_a_leg_lands_in_space_and_is_played(page):
+    def act(tab):
+        time.sleep(0.5)
+        chrome.click(tab, "Compute")
+        tab.wait(shows("Motion"), 300)
+        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
+        tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
+        tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
+
+    page("/leg", act, shows("Motion") + " && " + chrome.FIRST_CURVE)
+
+
+def test_a_project_is_uploaded_runs_and_is_offered_for_download(page, tmp_path):
+    text = workbench.START.replace("name: knee", "name: of a project").replace("amplitude: 10 deg", "amplitude: 7 deg")
+    (tmp_path / "project.zip").write_bytes(project.pack(tmp_path, text, None))
+
+    def act(tab):
+        tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
+        chrome.upload(tab, tmp_path / "project.zip", "input[accept='.zip']")
+        tab.wait("document.querySelector('textarea[aria-label=scenario]').value.includes('of a project')")
+        chrome.click(tab, "Download project")
+
+    page("/run", act, shows("completed") + " && document.querySelector('textarea').value.includes('7 deg')")

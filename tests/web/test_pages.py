@@ -33,7 +33,7 @@ from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, leg, rig, session, workbench
+from mckibben.web import app, design, identify, rig, session, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -358,7 +358,7 @@ def test_data_of_two_tabs_are_two_files():
     assert not remains  # nobody asks for it any more
 
 
-@pytest.mark.parametrize("where", ["/identify", "/run", "/leg", "/rig"])
+@pytest.mark.parametrize("where", ["/identify", "/run", "/tune", "/rig", "/leg"])
 def test_a_page_is_freed_when_it_is_left(where):
     async def visit():
         async with visitor() as user:
@@ -589,46 +589,3 @@ def test_the_page_moves_no_hardware(tmp_path):
     text = rig._START.replace("{simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}", card)
     with pytest.raises(ParameterError, match="simulated"):
         rig.checked(text, tmp_path)
-
-
-@pytest.mark.slow
-def test_a_leg_lands_and_is_drawn_over_time():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/leg")
-            bench = state(leg.LegBench)
-            await until(lambda: bench.landing is not None, 120)
-            first = bench.landing
-            await until(lambda: len(the(user, ui.scene).objects) > 20)
-            before = [(one.x, one.y, one.z) for one in the(user, ui.scene).objects.values()]
-            the(user, ui.slider, "time").set_value(0.1)
-            after = [(one.x, one.y, one.z) for one in the(user, ui.scene).objects.values()]
-            the(user, ui.slider, "drop").set_value(100)
-            await until(lambda: bench.landing is not first, 60)
-            the(user, ui.textarea, "yaml").set_value("leg: lei-leg")
-            user.find(marker="land").click()
-            await until(lambda: bench.error is not None, 60)
-            return first, bench, before, after
-
-    first, bench, before, after = asyncio.run(visit())
-    assert before != after
-    assert bench.landing.metrics["peak_force"] > first.metrics["peak_force"]
-    assert isinstance(bench.error, ScenarioError)
-
-
-def test_a_leg_is_limited_to_what_a_page_can_show(tmp_path):
-    for text in (leg.START.replace("landing:", "landing:\n  duration: 6 s"), leg.START.partition("landing:")[0]):
-        with pytest.raises(ScenarioError):
-            leg.land(text, 0.05, 0.5, tmp_path)
-    with pytest.raises(ScenarioError):
-        leg.land(leg.START.replace("lei-leg", "../leg.yaml"), 0.05, 0.5, tmp_path)
-
-
-@pytest.mark.slow
-def test_a_landing_on_the_page_is_that_of_the_command_line(tmp_path):
-    found = leg.land(leg.START, 0.05, 0.5, tmp_path)
-    assert found.attainable[0] < found.stiffness < found.attainable[1]
-    lengths = np.linalg.norm(np.diff(found.points, axis=1), axis=-1)
-    assert np.ptp(lengths, axis=0) == pytest.approx(0.0, abs=1e-9), "bones are rigid"
-    assert found.points[0, -1, 2] < found.points[0, 0, 2]
-    assert found.force.max() <= found.metrics["peak_force"] * (1 + 1e-9)

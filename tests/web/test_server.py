@@ -92,7 +92,7 @@ def site():
 
 
 def test_it_answers_on_this_machine_and_loads_nothing_from_others(site):
-    for path in ("/", "/identify", "/run"):
+    for path in ("/", "/identify", "/run", "/tune", "/rig", "/leg"):
         answer, text = site.ask(path)
         assert answer.status == 200
         assert "default-src 'self'" in answer.headers["Content-Security-Policy"]

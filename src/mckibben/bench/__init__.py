@@ -1,4 +1,4 @@
-"""Benchmark of models of muscles: tasks with fixed splits, baselines, and submissions of one file (`mckibben bench`)."""
+"""Benchmark of muscle models: tasks with fixed splits, baselines, and submissions of one file (`mckibben bench`)."""
 
 from mckibben.bench.baselines import BASELINES
 from mckibben.bench.comparison import BenchEntry, BenchTable, compare_submissions

@@ -19,15 +19,14 @@ from mckibben.units import deg
 Points = NDArray[np.float64]
 """Points (x, y) [m], shape (n, 2); the hinge is at (0, 0), and the angle turns from x to y."""
 
+SLENDER = 0.07
+"""Diameter per length of a drawn muscle of unknown diameter."""
 _SWING = 60 * deg  # of the drawn part of a cam
 _BEYOND = np.linspace(0, 35 * deg, 26)[1:]  # of the arc of a circle that follows
 _CLEARANCE = 0.06  # of the length of a muscle, above it
 
 
 _NO_WRAP = np.empty((0, 2))
-
-SLENDER = 0.07
-"""Diameter per length with which a muscle of unknown diameter is drawn."""
 
 
 class Strand(NamedTuple):

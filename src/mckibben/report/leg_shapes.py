@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mckibben.leg import LegJoint, LegPlant
     from mckibben.muscle import Muscle
 
-SLACK, FULL = np.array([0.80, 0.85, 0.90]), np.array([0xD5, 0x5E, 0x00]) / 255  # vermillion, without matplotlib
+SLACK, FULL = np.array([0.80, 0.85, 0.90]), np.array([0xD5, 0x5E, 0x00]) / 255
 """Colours of a muscle at zero pressure and at the largest pressure of a run."""
 
 

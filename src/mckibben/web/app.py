@@ -19,7 +19,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from mckibben.errors import ParameterError
 from mckibben.storage.files import handle_signals
-from mckibben.web import identify, joint, leg, rig, run
+from mckibben.web import identify, joint, leg, rig, run, tune
 from mckibben.web.security import LOCAL, Access, Guard
 from mckibben.web.session import collect_warnings, end_sessions
 
@@ -39,8 +39,9 @@ def pages() -> None:
     ui.page("/")(joint.page)
     ui.page("/identify")(identify.page)
     ui.page("/run")(run.page)
-    ui.page("/leg")(leg.page)
+    ui.page("/tune")(tune.page)
     ui.page("/rig")(rig.page)
+    ui.page("/leg")(leg.page)
 
 
 def forget_routes() -> None:

@@ -19,7 +19,7 @@ from mckibben.config.document import to_text
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
 from mckibben.joint.antagonistic import SMALL_MOTION
-from mckibben.joint.mechanism import Mechanism, Points, muscle_sizes
+from mckibben.joint.mechanism import SLENDER, Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
 from mckibben.units import bar, deg, mm, percent, show
@@ -237,7 +237,7 @@ def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any
     ]
     lengths, diameters = muscle_sizes(joint, contractions)
     for strand, length, diameter, color in zip(strands, lengths, diameters, (BLUE, VERMILLION), strict=True):
-        thick = (0.07 * length if diameter is None else diameter) / mm
+        thick = (SLENDER * length if diameter is None else diameter) / mm
         body = path(color, float(thick), *strand.body(float(length))).replace("round", "butt")
         parts += [path("#6b7680", 0.5 * bone, strand.start, strand.end, *strand.wrap), body]
     side = max(0.62 * height, 1.3 * max(abs(one.start[0]) for one in strands) / mm)

@@ -27,7 +27,7 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/leg": "Leg", "/rig": "Rig"}
+PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 _STYLE = """
 body { background: #f6f7f9; color: #1b2126; }
 .q-header { background: #ffffff; color: #1b2126; border-bottom: 1px solid #dfe3e8; }
@@ -50,13 +50,17 @@ body { background: #f6f7f9; color: #1b2126; }
 .number input { text-align: right; padding: 0 !important; }
 .q-table th { font-weight: 600; }
 .q-table td, .q-table th { white-space: normal !important; padding: 4px 10px; }
+.stale { filter: grayscale(1); opacity: 0.5; }
 .mono textarea { font: 12.5px/1.5 ui-monospace, monospace; }
 @media (max-width: 820px) {
   .columns, .pair, .pair.narrow-first { grid-template-columns: minmax(0, 1fr); gap: 10px; }
   .columns > *, .columns .pair { display: contents; }
-  .stays { order: -1; position: sticky; top: 58px; z-index: 3; box-shadow: 0 2px 6px #0001; }
+  .columns > .results-first > * { order: -1; }
+  .q-header { gap: 4px 14px !important; flex-wrap: wrap; }
+  .stays { order: -2; position: sticky; top: 58px; z-index: 3; box-shadow: 0 2px 6px #0001; }
   .nicegui-content { padding: 10px; }
   .panel { padding: 12px; }
+  .q-table td, .q-table th { padding: 4px 4px; font-size: 12px; overflow-wrap: anywhere; }
 }
 """
 
@@ -76,12 +80,12 @@ def frame(here: str) -> Iterator[None]:
 
 
 @contextmanager
-def panel(title: str = "", *, stays: bool = False) -> Iterator[None]:
+def panel(title: str = "", *, stays: bool = False) -> Iterator[ui.column]:
     """A white box with a heading; on a narrow screen a box that `stays` remains visible."""
-    with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px"):
+    with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px") as made:
         if title:
             ui.label(title).classes("heading")
-        yield
+        yield made
 
 
 @contextmanager
@@ -89,6 +93,27 @@ def side() -> Iterator[None]:
     """A column of panels."""
     with ui.column().classes("w-full").style("gap: 16px"):
         yield
+
+
+def results_side() -> ui.column:
+    """A column of results: beside the inputs, and above them on a narrow screen."""
+    return ui.column().classes("w-full results-first").style("gap: 16px")
+
+
+def progress_row(jobs: Jobs) -> Callable[[], None]:
+    """Progress bar, step and button to cancel; returns the function that refreshes them."""
+    with ui.column().classes("w-full").style("gap: 4px") as shown:
+        with ui.row().classes("w-full items-center no-wrap"):
+            bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
+            ui.button("Cancel", on_click=jobs.cancel).props("flat dense no-caps").mark("cancel")
+        step = ui.label().classes("quiet")
+
+    def refresh() -> None:
+        shown.visible = jobs.busy
+        if jobs.busy:
+            bar.value, step.text = jobs.part, jobs.step
+
+    return refresh
 
 
 def show_error(error: McKibbenError) -> None:
@@ -154,8 +179,13 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
 
 
 def upload(label: str, largest: int, taken: Callable[[events.UploadEventArguments], Awaitable[None]]) -> ui.upload:
-    """An upload of one file, whose size [bytes] is limited."""
-    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=taken)
+    """An upload of one file, whose size [bytes] is limited; it lists no earlier files."""
+
+    async def uploaded(event: events.UploadEventArguments) -> None:
+        await taken(event)
+        made.reset()
+
+    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=uploaded)
     return made.props("flat bordered").classes("w-full")
 
 
@@ -305,6 +335,12 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
     }
     options = {
         "animation": False,
+        "title": {
+            "text": "no data yet",
+            "left": "center",
+            "top": "middle",
+            "textStyle": {**text, "fontWeight": "normal"},
+        },
         "textStyle": {"fontFamily": "inherit"},
         "grid": {"left": 58, "right": 16, "top": 36, "bottom": 44},
         "legend": {
@@ -340,5 +376,6 @@ def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[st
         changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
         on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})
     else:
+        on.options["title"]["show"] = not series
         on.options["series"] = series
         on.options["legend"]["data"] = names

@@ -1,11 +1,12 @@
-"""Page of legs: a landing of a leg from its file, its forces, and the leg in space with its muscles."""
+"""Leg page: landings and jumps of a leg, and their motion in 3-D."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import events, ui
@@ -13,20 +14,21 @@ from numpy.typing import NDArray
 
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
-from mckibben.errors import McKibbenError, Problem, ScenarioError
-from mckibben.leg import LegPlant, LegResult, LegScenario, LegStart, PressureSchedule, simulate_leg
-from mckibben.units import deg, mm, ms
+from mckibben.errors import McKibbenError, ParameterError
+from mckibben.units import deg
 from mckibben.web.layout import (
-    BLACK,
+    BLUE,
+    GREEN,
     PALETTE,
-    NumberSlider,
-    PageSlider,
+    VERMILLION,
     chart,
     draw,
     frame,
     line,
     notify_if_replaced,
     panel,
+    progress_row,
+    results_side,
     show_error,
     show_warnings,
     side,
@@ -34,192 +36,324 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
-from mckibben.web.scene import BONE, CABLE, filling_colour, lay_rod
+from mckibben.web.scene import BONE, CABLE, HEIGHT, Film, pressure_color
 from mckibben.web.session import Jobs, session
+
+if TYPE_CHECKING:
+    from mckibben.leg import LegPlant, LegResult
+    from mckibben.leg.scenario import LegScenario
+
+MOST_LANDINGS = 20_000
+_FRAMES = 240
+_ARROW = 0.3  # length [m] of the largest force
+_BONE = 0.09  # radius of a bone, in units of the scene
+_SHARED = """\
+valve: {class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, dead_volume: 3 cm^3}
+"""
+STARTS = {
+    "landing in space": f"""\
+name: leg of the paper in space
+leg: lei-leg
+{_SHARED}\
+ground: {{stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0.1, side_slope: 3 deg}}
+landing:
+  joint: knee
+  touchdown: {{side: 0 deg, hip: 0 deg, knee: 0 deg}}
+  drop: [20 mm, 50 mm]
+  levels: 7
+  time_constants: [20 ms]
+uncertainty: {{strength: 5 %, mass: 3 %, draws: 20}}
+""",
+    "landing in the plane": f"""\
+name: leg of the paper on a slider
+leg: lei-leg-planar
+{_SHARED}\
+ground: {{stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0}}
+landing:
+  joint: knee
+  touchdown: {{hip: 0 deg, knee: 0 deg}}
+  drop: [20 mm, 50 mm, 100 mm]
+  levels: 7
+  time_constants: [20 ms]
+uncertainty: {{strength: 5 %, mass: 3 %, draws: 20}}
+""",
+    "jump in the plane": f"""\
+name: leg of the paper on a slider
+leg: lei-leg-planar
+{_SHARED}\
+ground: {{stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0}}
+jump:
+  squat: {{hip: 0 deg, knee: -20 deg}}
+  high: 6 bar
+  plan: {{take_off: {{hip: 0 deg, knee: 0 deg}}, height: 30 mm, landing_depth: 45 mm}}
+uncertainty: {{strength: 5 %, mass: 3 %, draws: 20}}
+""",
+}
+"""Files of legs to begin with."""
 
 Floats = NDArray[np.float64]
 
-START = """\
-name: leg of the paper in space
-leg: lei-leg
-valve: {class: regulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, dead_volume: 3 cm^3}
-ground: {stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0.1, side_slope: 3 deg}
-landing:
-  joint: knee
-  touchdown: {side: 0 deg, hip: 0 deg, knee: 0 deg}
-  drop: [50 mm]
-"""
-_FRAMES = 300
-_RATE = 12  # frames per second
-_SIZE = 10.0  # of the leg in the units of the scene
-_LONGEST = 5.0  # s, of a landing on the page
+
+@dataclass(frozen=True)
+class MuscleFilm:
+    """Ends of the straight parts [m], shape (part, time, end, 3), and the part with the muscle; its sizes over time."""
+
+    parts: Floats
+    place: int
+    length: Floats
+    diameter: Floats
+    filling: Floats
 
 
-@dataclass
-class Landing:
-    """A landing: curves over time, and points and muscles of the frames that are shown."""
+@dataclass(frozen=True)
+class LegFilm:
+    """A run of a leg to be drawn: at `times` [s] the points of the skeleton, the muscles, and the force of the ground.
 
-    plant: LegPlant
-    commands: tuple[float, ...]
-    stiffness: float
-    attainable: tuple[float, float]
+    `points` [m] has shape (time, point, 3); `force` is in weights of the leg, shape (time, 3).
+    """
+
     times: Floats
-    angles: Floats
-    force: Floats
-    metrics: dict[str, Any]
     points: Floats
-    muscles: dict[str, list[Floats]]
-    shapes: dict[str, tuple[Floats, Floats, Floats]]
-    places: dict[str, int]
+    muscles: dict[str, MuscleFilm]
+    force: Floats
+    angles: dict[str, Floats]
+    foot_radius: float
+    normal: Floats
 
 
 @dataclass
-class LegBench:
-    """State of the page."""
+class LegState:
+    """State of the page; `films` are by title."""
 
-    text: str = START
-    drop: float = 0.05
-    share: float = 0.5
-    landing: Landing | None = None
+    text: str = STARTS["landing in space"]
+    films: dict[str, LegFilm] = field(default_factory=dict)
+    shown: str = ""
+    headers: tuple[str, ...] = ()
+    rows: list[tuple[str, ...]] = field(default_factory=list)
     error: McKibbenError | None = None
     notes: list[str] = field(default_factory=list)
     jobs: Jobs = field(default_factory=Jobs)
 
 
-def land(text: str, drop: float, share: float, folder: Path) -> Landing:
-    """Simulate a landing from a height [m], at a share of the attainable stiffness of the joint of the file."""
-    scenario = parse_model(LegScenario, text, source="leg", folder=folder, confined=True)[0]
-    landing = scenario.landing
-    if landing is None or landing.duration > _LONGEST:
-        remedy = "see docs/leg.md" if landing is None else f"give a `landing` of up to {_LONGEST:g} s"
-        raise ScenarioError("leg", [Problem("has no section `landing` that is short enough", remedy=remedy)])
-    plant = scenario.plant()
-    leg, angles = plant.leg, plant.leg.posture_angles(landing.touchdown)
-    index = leg.index(landing.joint)
-    low, high = (float(one) for one in leg.joints[index].muscles.attainable_stiffness(angles[index], 0.0))
-    stiffness = low + 1e-6 + share * (high - low - 2e-6)
-    wanted = [stiffness if at == index else None for at in range(len(leg.joints))]
-    commands = tuple(float(one) for one in leg.pressures_for(angles, [0.0] * len(angles), wanted))
-    start = LegStart(angles, commands, 0.0, -float(np.sqrt(2 * plant.gravity * drop)))
-    schedule = PressureSchedule(tuple((one,) for one in commands))
-    duration = scenario.whole_steps(landing.duration)
-    run = simulate_leg(plant, schedule, start, duration=duration, **scenario.steps)
-    return _shown(plant, run, commands, stiffness, (low, high))
+@dataclass(frozen=True)
+class Computed:
+    """Films by title, and a table of the studies."""
+
+    films: dict[str, LegFilm]
+    headers: tuple[str, ...]
+    rows: list[tuple[str, ...]]
 
 
-def _shown(
-    plant: LegPlant, run: LegResult, commands: tuple[float, ...], stiffness: float, attainable: tuple[float, float]
-) -> Landing:
+def parse(text: str, folder: Path) -> LegScenario:
+    """Parse a leg with a landing or a jump that names only files of the session, within the limits of a page."""
+    from mckibben.leg.scenario import LegScenario
+
+    found = parse_model(LegScenario, text, source="leg", folder=folder, confined=True)[0]
+    if found.landing is None and found.jump is None:
+        raise ParameterError("there is neither a landing nor a jump", remedy="add a section `landing` or `jump`")
+    if found.landing is not None:
+        levels = found.landing.levels if found.landing.stiffness is None else len(found.landing.stiffness)
+        valves = len(found.landing.time_constants) + 2
+        count = valves * len(found.landing.drop) * levels * (found.uncertainty.draws + 1)
+        if count > MOST_LANDINGS:
+            raise ParameterError(
+                f"the study has {count} landings, more than {MOST_LANDINGS}",
+                value=count,
+                upper=MOST_LANDINGS,
+                remedy="use fewer draws or drops, or use `mckibben leg land`",
+            )
+    return found
+
+
+def compute(scenario: LegScenario, progress: Callable[[str, float], None]) -> Computed:
+    """Landings or jumps of a leg, as the commands compute them, and the motion of some."""
+    from mckibben.leg.jumping import study_jump
+    from mckibben.leg.landing import study_landing
+
+    if scenario.landing is not None:
+        landings = study_landing(scenario, progress=progress)
+        headers, rows = landings.rows()
+        runs = landings.compared_runs()
+    else:
+        jumps = study_jump(scenario, progress=progress)
+        headers, rows = jumps.rows()
+        runs = {name: (scenario.plant(), jump.run) for name, jump in jumps.jumps.items()}
+    progress("drawing", 1.0)
+    largest = max(float(run["pressure"].max()) for _, run in runs.values()) or 1.0
+    films = {title: film_of(plant, run, largest) for title, (plant, run) in runs.items()}
+    return Computed(films, headers, rows)
+
+
+def film_of(plant: LegPlant, run: LegResult, largest: float) -> LegFilm:
+    """What is drawn of a run, with muscles coloured relative to a largest pressure [Pa]."""
     from mckibben.report.leg_shapes import muscle_shapes, place_of, skeleton, straight_paths
 
     every = run.to_xarray()
-    at = every.isel(time=np.unique(np.linspace(0, every.sizes["time"] - 1, _FRAMES).round().astype(int)))
-    paths = straight_paths(plant, at)
-    shapes = muscle_shapes(plant, at, float(every["pressure"].max()) or 1.0)
-    return Landing(
-        plant,
-        commands,
-        stiffness,
-        attainable,
-        at["time"].to_numpy(),
-        at["angle"].to_numpy() / deg,
-        at["ground_up"].to_numpy(),
-        run.metrics,
-        skeleton(plant, at),
-        paths,
-        {name: tuple(shapes[name]) for name in paths},  # type: ignore[misc]
-        {name: place_of(plant, name) for name in paths},
+    chosen = np.unique(np.linspace(0, every.sizes["time"] - 1, _FRAMES).round().astype(int))
+    at = every.isel(time=chosen)
+    shapes = muscle_shapes(plant, at, largest)
+    muscles = {
+        name: MuscleFilm(np.array(parts), place_of(plant, name), *shapes[name])
+        for name, parts in straight_paths(plant, at).items()
+    }
+    weight = float(plant.leg.total_mass * plant.gravity)
+    force = np.stack([at["ground_forward"], at["ground_left"], at["ground_up"]], -1) / weight
+    names = [joint.name for joint in plant.leg.joints]
+    angles = {name: at["angle"].to_numpy()[number] / deg for number, name in enumerate(names)}
+    normal = np.array([float(one) for one in plant.ground.normal])
+    return LegFilm(
+        at["time"].to_numpy(), skeleton(plant, at), muscles, force, angles, float(plant.leg.foot_radius), normal
     )
+
+
+class LegScene(Film):
+    """A leg in space; x points forwards, y to the left, and z up."""
+
+    def __init__(self) -> None:
+        super().__init__(height=460, slowed=10.0, digits=3)
+        self._film: LegFilm | None = None
+
+    def show(self, film: LegFilm) -> None:
+        """Show another run."""
+        self._film = film
+        self._build(film)
+        self.set_end(float(film.times[-1]))
+
+    def _build(self, film: LegFilm) -> None:
+        self._scale = scale = HEIGHT / float(film.points[..., 2].max())
+        points = film.points[0]
+        self.scene.clear()
+        with self.scene as scene:
+            normal, thin = film.normal, 0.004
+            ground = scene.cylinder(1, 1, 1, 48).material("#e4e9ee")
+            self.lay(ground, -thin * normal, 0 * normal, 0.35 * HEIGHT)
+            self._bones = [self.rod(BONE, first, last, _BONE) for first, last in itertools.pairwise(points)]
+            self._trunk = scene.sphere(0.45).material("#215c8f")
+            self._hinges = [scene.sphere(0.2).material(CABLE) for _ in points[1:-1]]
+            self._foot = scene.sphere(film.foot_radius * scale).material("#1c2024")
+            self._cables = {
+                name: [self.rod(CABLE, part[0, 0], part[0, 1], 0.05) for part in one.parts]
+                for name, one in film.muscles.items()
+            }
+            self._muscles = {
+                name: self.rod(CABLE, one.parts[one.place, 0, 0], one.parts[one.place, 0, 1], 0.2)
+                for name, one in film.muscles.items()
+            }
+            self._force = self.rod("#00684a", points[-1], points[-2], 0.1)
+        self.scene.move_camera(0.45 * HEIGHT, -0.7 * HEIGHT, 0.6 * HEIGHT, 0.0, 0.0, 0.47 * HEIGHT, duration=0)
+
+    def move(self, time: float) -> float:
+        """Move bones, muscles and force to a time [s]."""
+        film = self._film
+        assert film is not None
+        at = int(np.searchsorted(film.times, time).clip(max=len(film.times) - 1))
+        points, scale = film.points[at], self._scale
+        for bone, first, last in zip(self._bones, points, points[1:], strict=False):
+            self.lay(bone, first, last, _BONE)
+        balls = zip((self._trunk, *self._hinges, self._foot), points, strict=True)
+        for ball, point in balls:
+            ball.move(*(scale * point).tolist())
+        for name, one in film.muscles.items():
+            for cable, part in zip(self._cables[name], one.parts, strict=True):
+                self.lay(cable, part[at, 0], part[at, 1], 0.05)
+            first, last = one.parts[one.place][at]
+            middle, along = (first + last) / 2, (last - first) / np.linalg.norm(last - first)
+            half = one.length[at] / 2
+            muscle = self._muscles[name]
+            self.lay(muscle, middle - half * along, middle + half * along, scale * float(one.diameter[at]) / 2)
+            muscle.material(pressure_color(float(one.filling[at])))
+        largest = float(np.linalg.norm(film.force, axis=-1).max()) or 1.0
+        pushed = film.force[at] / largest * _ARROW
+        self._force.visible(bool(np.linalg.norm(pushed) > 0.01 * _ARROW))
+        self.lay(self._force, points[-1], points[-1] + pushed, 0.1)
+        return float(film.times[at])
 
 
 def page() -> None:
     """The page."""
     kept = session()
     with frame("/leg"):
-        _Page(kept.state(LegBench), kept.folder)
+        _Page(kept.state(LegState), kept.folder)
 
 
 class _Page:
-    """Forms and plots of one visit."""
+    """Text of a leg, and the motion of its runs."""
 
-    def __init__(self, state: LegBench, folder: Path) -> None:
-        self.state, self.folder = state, folder
-        self.shown = -1
-        self.job = 0
-        with side():
-            with panel("Landing"):
-                NumberSlider("drop", "mm", (5.0, 200.0), 5.0, state.drop / mm, self.set_drop)
-                NumberSlider("stiffness", "%", (0.0, 100.0), 5.0, 100 * state.share, self.set_share)
-                ui.label("stiffness: a share of what the joint can attain at touchdown").classes("quiet")
-            with panel("Leg"):
-                self.yaml = text_area("leg", LONGEST_TEXT, 260, value=state.text).mark("yaml")
-                ui.button("Land", on_click=self.apply).props("unelevated no-caps").mark("land")
-                upload("or a leg.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
-        with side():
-            with ui.row().classes("items-center no-wrap") as self.busy:
-                ui.spinner(size="20px")
-                ui.label("computing; a new kind of leg compiles for some seconds").classes("quiet")
-                ui.button("Cancel", on_click=state.jobs.cancel).props("flat dense no-caps").mark("cancel")
+    def __init__(self, state: LegState, folder: Path) -> None:
+        self.state, self.folder, self.shown, self.job = state, folder, -1, 0
+        self.film: LegFilm | None = None
+        with side(), panel("Leg"):
+            ui.select(list(STARTS), label="begin with", on_change=self.choose).props("dense").classes("w-full").mark(
+                "begin"
+            )
+            text_area("leg", LONGEST_TEXT, 330).mark("leg").bind_value(state, "text")
+            with ui.row().style("gap: 8px"):
+                ui.button("Compute", on_click=self.start).props("unelevated no-caps").mark("compute")
+                ui.button("Download", on_click=self.download).props("flat no-caps")
+            upload("or a leg.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
+            self.progress = progress_row(state.jobs)
+            ui.label(f"At most {MOST_LANDINGS:,} landings; `mckibben leg` reads the same file.").classes("quiet")
+        with results_side():
             self.remarks = ui.column().classes("w-full")
-            with panel("Leg in space", stays=True):
-                self.scene = LegScene()
-            with ui.element("div").classes("pair"):
-                with panel("Ground force"):
-                    self.force = chart("time [ms]", "force [N]", height=250)
-                with panel("Joints"):
-                    self.angles = chart("time [ms]", "angle [°]", height=250)
-            with panel("Numbers"):
-                self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
-        ui.timer(0.0, self.begin, once=True)
-        ui.timer(0.1, self.refresh)
+            with ui.column().classes("w-full").style("gap: 16px") as self.results:
+                with panel("Motion"):
+                    self.run = ui.select([], label="run", on_change=self.choose_run).props("dense").classes("w-full")
+                    self.run.mark("run")
+                    self.scene = LegScene()
+                    ui.label(
+                        "Drag to turn, scroll to zoom. Played at a tenth of the speed. Muscles are to scale and "
+                        "coloured by pressure; the green rod is the force of the ground."
+                    ).classes("quiet")
+                with ui.element("div").classes("pair"):
+                    with panel("Force of the ground"):
+                        self.force = chart("time [s]", "force [weights of the leg]", height=240)
+                    with panel("Joints"):
+                        self.angles = chart("time [s]", "angle [°]", height=240)
+                with panel("Numbers"):
+                    self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
+            with panel() as self.nothing:
+                ui.label("Choose a leg and press Compute: its landings or jumps appear here in 3-D.").classes("quiet")
+        self.results.visible = False
+        ui.timer(0.15, self.refresh)
 
-    def begin(self) -> None:
-        """Run the first landing."""
-        if self.state.landing is None and not self.state.jobs.busy:
-            self.run()
-
-    def set_drop(self, value: float) -> None:
-        """Land from another height."""
-        self.state.drop = value * mm
-        self.run()
-
-    def set_share(self, value: float) -> None:
-        """Land with another stiffness."""
-        self.state.share = value / 100
-        self.run()
-
-    def apply(self) -> None:
-        """Land with the leg of the text."""
-        self.state.text = self.yaml.value or ""
-        self.run()
+    def choose(self, event: events.ValueChangeEventArguments) -> None:
+        """Begin with a leg."""
+        if event.value:
+            self.state.text = STARTS[event.value]
 
     async def uploaded(self, event: events.UploadEventArguments) -> None:
-        """Land with an uploaded leg."""
+        """Compute an uploaded leg."""
         content = await event.file.read()
-        self.state.text = self.yaml.value = content[: 4 * LONGEST_TEXT].decode("utf-8", errors="replace")
-        self.run()
+        self.state.text = content[: 4 * LONGEST_TEXT].decode("utf-8", errors="replace")
+        self.start()
 
-    def run(self) -> None:
-        """Start the landing."""
-        state, folder = self.state, self.folder
-        text, drop, share = state.text, state.drop, state.share
+    def download(self) -> None:
+        """Offer the text for download."""
+        ui.download.content(self.state.text, "leg.yaml")
 
-        def compute(progress: Callable[[str, float], None]) -> Landing:
-            progress("landing", 0.1)
-            return land(text, drop, share, folder)
+    def start(self) -> None:
+        """Compute the studies of the text."""
+        state, folder, text = self.state, self.folder, self.state.text or ""
 
-        def done(found: Landing, heard: list[str]) -> None:
-            state.landing, state.error, state.notes = found, None, heard
+        def done(found: Computed, heard: list[str]) -> None:
+            state.films, state.headers, state.rows = found.films, found.headers, found.rows
+            state.shown, state.error, state.notes = next(iter(found.films)), None, heard
 
         def fail(error: McKibbenError) -> None:
             state.error = error
 
-        self.job = state.jobs.start(compute, done, fail)
+        self.job = state.jobs.start(lambda progress: compute(parse(text, folder), progress), done, fail)
+
+    def choose_run(self, event: events.ValueChangeEventArguments) -> None:
+        """Show another run."""
+        if event.value and event.value != self.state.shown:
+            self.state.shown = event.value
+            self.show(self.state.films[event.value])
 
     def refresh(self) -> None:
-        """Show new results."""
+        """Show progress, and new results."""
         state = self.state
-        self.busy.visible = state.jobs.busy
+        self.progress()
         self.job = notify_if_replaced(state.jobs, self.job)
         if self.shown == state.jobs.version:
             return
@@ -229,113 +363,25 @@ class _Page:
             if state.error is not None:
                 with panel():
                     show_error(state.error)
-                    if state.landing is not None:
-                        ui.label("The plots are of the last landing.").classes("quiet")
             elif state.notes:
                 with panel():
                     show_warnings(state.notes)
-        if state.landing is not None:
-            self.plot(state.landing)
+        self.results.visible, self.nothing.visible = bool(state.films), not state.films
+        self.results.classes(**{"add" if state.error is not None else "remove": "stale"})
+        if state.films:
+            self.run.set_options(list(state.films), value=state.shown)
+            self.show(state.films[state.shown])
+            self.numbers.clear()
+            with self.numbers:
+                table(state.headers, state.rows)
 
-    def plot(self, now: Landing) -> None:
-        """Curves, scene and numbers of a landing."""
-        names = [joint.name for joint in now.plant.leg.joints]
-        draw(self.force, [line("on the foot", now.times / ms, now.force, BLACK)])
-        curves = zip(names, now.angles, PALETTE, strict=False)
-        draw(self.angles, [line(name, now.times / ms, angle, color) for name, angle, color in curves])
-        self.scene.show(now)
-        weight = float(now.plant.leg.total_mass * now.plant.gravity)
-        low, high = now.attainable
-        rows = [
-            ("stiffness of the joint", f"{now.stiffness:.3g} N·m/rad, attainable {low:.3g} to {high:.3g}"),
-            ("highest force of the ground", f"{now.metrics['peak_force'] / weight:.3g} weights"),
-            ("largest deflection", f"{now.metrics['deflection'] / mm:.3g} mm"),
-        ]
-        self.numbers.clear()
-        with self.numbers:
-            table(("quantity", "value"), rows, left=2)
-
-
-class LegScene:
-    """The leg in a scene that can be turned, with a time slider."""
-
-    def __init__(self) -> None:
-        self._run: Landing | None = None
-        with ui.row().classes("w-full items-center no-wrap").style("gap: 12px"):
-            self._play = ui.switch("play", on_change=self._start).props("dense").classes("quiet").mark("play")
-            self._speed = ui.select({1.0: "1", 0.1: "1/10", 0.02: "1/50"}, value=0.1, label="speed").props("dense")
-            self.slider = PageSlider(min=0.0, max=1.0, step=0.001, value=0.0, on_change=self._place)
-            self.slider.props('aria-label="time of the landing"').mark("time")
-            self._time = ui.label().classes("quiet number").style("min-width: 60px; text-align: right")
-        self.scene = ui.scene(grid=False, background_color="#ffffff", fps=30).classes("w-full").style("height: 320px")
-        ui.label("Drag to turn. Muscles are coloured by their pressure.").classes("quiet")
-        self._timer = ui.timer(1 / _RATE, self._step, active=False)
-
-    def show(self, run: Landing) -> None:
-        """Show another landing."""
-        self._run = run
-        self._build(run)
-        end = float(run.times[-1])
-        self.slider.props(f"max={end:g} step={end / 500:g}")
-        self.slider.value = min(self.slider.value or 0.0, end)
-        self._place()
-
-    def _build(self, run: Landing) -> None:
-        height = float(np.ptp(run.points[0, :, 2])) or 1.0
-        self._scale = scale = _SIZE / height
-        ground = run.plant.ground
-        self.scene.clear()
-        with self.scene as scene:
-            floor = scene.box(16, 16, 0.1).material("#e6e9ed")
-            across, normal = np.array([0.0, 1.0, 0.0]), np.array([float(one) for one in ground.normal])
-            forwards = np.cross(across, normal)
-            forwards /= np.linalg.norm(forwards)
-            floor.rotate_R(np.column_stack([forwards, np.cross(normal, forwards), normal]).tolist())
-            floor.move(*(-0.05 * normal).tolist())
-            lengths = np.linalg.norm(np.diff(run.points[0], axis=0), axis=-1)
-            bones = np.flatnonzero(lengths > 1e-6)  # two joints may have one centre
-            self._bones = {int(bone): scene.cylinder(1, 1, 1, 24).material(BONE) for bone in bones}
-            self._joints = [scene.sphere(0.28).material(CABLE) for _ in run.points[0, 1:-1]]
-            foot = max(scale * float(run.plant.leg.foot_radius), 0.1)
-            self._foot = scene.sphere(foot).material("#22262b")
-            self._trunk = scene.box(1.8, 1.4, 0.7).material("#225c8f")
-            self._cables = {
-                name: [scene.cylinder(1, 1, 1, 12).material(CABLE) for _ in parts]
-                for name, parts in run.muscles.items()
-            }
-            self._muscles = {name: scene.cylinder(1, 1, 1, 24).material(CABLE) for name in run.muscles}
-        self.scene.move_camera(4.0, -9.0, 6.5, 0.0, 0.0, 0.48 * _SIZE, duration=0)
-
-    def _place(self, _: events.ValueChangeEventArguments | None = None) -> None:
-        """Move everything to the slider's time."""
-        run = self._run
-        if run is None:
+    def show(self, film: LegFilm) -> None:
+        """Draw a run."""
+        if film is self.film:
             return
-        at = int(np.searchsorted(run.times, self.slider.value or 0.0).clip(max=len(run.times) - 1))
-        self._time.text = f"{run.times[at] / ms:.0f} ms"
-        points = self._scale * run.points[at]
-        for bone, rod in self._bones.items():
-            lay_rod(rod, points[bone], points[bone + 1], 0.18)
-        for joint, place in zip(self._joints, points[1:-1], strict=True):
-            joint.move(*place.tolist())
-        self._foot.move(*points[-1].tolist())
-        self._trunk.move(*(points[0] + [0.0, 0.0, 0.35]).tolist())
-        for name, parts in run.muscles.items():
-            ends = [self._scale * part[at] for part in parts]
-            for cable, (first, last) in zip(self._cables[name], ends, strict=True):
-                lay_rod(cable, first, last, 0.05)
-            first, last = ends[run.places[name]]
-            length, diameter, filling = (float(one[at]) for one in run.shapes[name])
-            middle, along = (first + last) / 2, last - first
-            half = min(0.5, 0.5 * self._scale * length / (float(np.linalg.norm(along)) or 1.0)) * along
-            lay_rod(self._muscles[name], middle - half, middle + half, self._scale * diameter / 2)
-            self._muscles[name].material(filling_colour(filling))
-
-    def _start(self) -> None:
-        self._timer.active = self._play.value
-
-    def _step(self) -> None:
-        """Advance by one frame at the chosen speed; restart after the end."""
-        if self._run is not None:
-            now, end = self.slider.value or 0.0, float(self._run.times[-1])
-            self.slider.value = 0.0 if now >= end else min(now + float(self._speed.value) / _RATE, end)
+        self.film = film
+        parts: Any = zip(("forwards", "to the left", "up"), film.force.T, (VERMILLION, GREEN, BLUE), strict=True)
+        draw(self.force, [line(name, film.times, force, color) for name, force, color in parts])
+        pairs = zip(film.angles.items(), PALETTE, strict=False)
+        draw(self.angles, [line(name, film.times, angle, color) for (name, angle), color in pairs])
+        self.scene.show(film)

@@ -127,7 +127,7 @@ class _Page:
 
     def __init__(self, state: RigState, folder: Path) -> None:
         self.state, self.folder = state, folder
-        self.shown, self.drawn = -1, -1
+        self.shown, self.drawn = -1, 0
         with side(), panel("Test on the simulated rig"):
             text_area("protocol", LONGEST_TEXT, 330).mark("protocol").bind_value(state, "text")
             ui.select(_PACES, label="time of the rig").props("dense").classes("w-full").bind_value(state, "pace")

@@ -14,6 +14,7 @@ from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import McKibbenError, printable
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
+from mckibben.web.identify import IdentificationState
 from mckibben.web.layout import (
     BLACK,
     BLUE,
@@ -28,6 +29,7 @@ from mckibben.web.layout import (
     line,
     notify_if_replaced,
     panel,
+    results_side,
     show_error,
     show_warnings,
     side,
@@ -35,7 +37,9 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
+from mckibben.web.project import Project, adopt, pack, unpack
 from mckibben.web.scene import JointScene
+from mckibben.web.security import LARGEST
 from mckibben.web.session import session
 from mckibben.web.workbench import (
     ANGLES,
@@ -45,6 +49,7 @@ from mckibben.web.workbench import (
     START,
     Kept,
     Workbench,
+    chosen_kinds,
     compute,
     parse,
     with_joint,
@@ -74,6 +79,7 @@ class _Page:
         self.shown = self.formed = -1
         self.job = 0
         self.text = ""
+        self.selects: dict[str, ui.select] = {}
         with side():
             with panel("Controller and references"):
                 for label, options, choose in (
@@ -81,9 +87,8 @@ class _Page:
                     ("angle", list(SIGNALS), self.choose_angle),
                     ("stiffness", list(SIGNALS), self.choose_stiffness),
                 ):
-                    ui.select(options, label=f"{label}: change to", on_change=choose).props("dense").classes(
-                        "w-full"
-                    ).mark(label)
+                    made = ui.select(options, label=label, on_change=self.chosen(label, choose)).props("dense")
+                    self.selects[label] = made.classes("w-full").mark(label)
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel("Scenario"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
@@ -91,7 +96,13 @@ class _Page:
                     ui.button("Run", on_click=self.apply).props("unelevated no-caps").mark("run")
                     ui.button("Download", on_click=self.download).props("flat no-caps")
                 upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
-        with side():
+            with panel("Project"):
+                ui.label(
+                    "Points, muscle and scenario as one zip file, to continue elsewhere or on the command line."
+                ).classes("quiet")
+                ui.button("Download project", on_click=self.pack).props("flat no-caps").mark("pack")
+                upload("or a project.zip", LARGEST, self.unpack).props("accept=.zip").mark("unpack")
+        with results_side():
             with ui.row().classes("w-full items-center no-wrap").style("gap: 12px"):
                 ui.button("Keep this run", on_click=self.keep).props("unelevated no-caps").mark("keep")
                 ui.button("Remove kept runs", on_click=self.clear).props("flat no-caps")
@@ -102,22 +113,26 @@ class _Page:
             self.remarks = ui.column().classes("w-full")
             with panel("Angle", stays=True):
                 self.angle = chart("time [s]", "angle [°]", height=270)
-            with panel("Stiffness"):
-                self.stiffness = chart("time [s]", "stiffness [N·m/rad]", height=270)
-            with ui.element("div").classes("pair"):
-                with panel("Pressures"):
-                    self.pressure = chart("time [s]", "pressure [bar]", height=290)
-                with panel("Joint"):
-                    self.scene = JointScene()
-            with panel("Numbers"):
-                self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
+            with ui.column().classes("w-full").style("gap: 16px") as self.results:
+                with panel("Stiffness"):
+                    self.stiffness = chart("time [s]", "stiffness [N·m/rad]", height=270)
+                with ui.element("div").classes("pair"):
+                    with panel("Pressures"):
+                        self.pressure = chart("time [s]", "pressure [bar]", height=290)
+                    with panel("Joint"):
+                        self.scene = JointScene()
+                with panel("Numbers"):
+                    self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
 
     def begin(self) -> None:
         """Run the joint of another page, or the first scenario."""
         state, folder = self.state, self.folder
-        if state.joint:
+        if state.waiting:
+            text, state.waiting = state.waiting, ""
+            self.apply_text(text)
+        elif state.joint:
             text = START if state.current is None else state.current.text
             joint, state.joint = state.joint, ""
             self.change(lambda: with_joint(text, joint, folder))
@@ -144,9 +159,16 @@ class _Page:
                 if state.error is not None:
                     with panel():
                         show_error(state.error)
+                        if state.current is not None:
+                            ui.label("The fields and curves are those of the last scenario that ran.").classes("quiet")
                 elif state.notes:
                     with panel():
                         show_warnings(state.notes)
+            if state.scenario is not None and not state.jobs.busy:
+                for label, kind in chosen_kinds(state.scenario).items():
+                    self.selects[label].value = kind
+            for shown in (self.angle, self.results, self.form):
+                shown.classes(**{"remove" if state.error is None else "add": "stale"})
             if state.current is not None:
                 self.plot(state.current)
 
@@ -187,6 +209,40 @@ class _Page:
     def download(self) -> None:
         """Offer the shown scenario for download."""
         ui.download.content(self.state.text, "scenario.yaml")
+
+    def pack(self) -> None:
+        """Offer the project for download."""
+        text = self.state.text if self.state.current is None else self.state.current.text
+        content = pack(self.folder, text, session().state(IdentificationState).data)
+        ui.download.content(content, "project.zip")
+
+    async def unpack(self, event: events.UploadEventArguments) -> None:
+        """Read an uploaded project, and run its scenario."""
+        content, state, identification = await event.file.read(), self.state, session().state(IdentificationState)
+
+        def done(project: Project, _: list[str]) -> None:
+            adopt(project, self.folder, state, identification)
+            state.error = None
+            if project.scenario is None:
+                state.notes = ["the project has no scenario; its points and muscle are on the pages Muscle and Joint"]
+            self.begin()
+
+        def fail(error: McKibbenError) -> None:
+            state.error = error
+
+        self.job = state.jobs.start(lambda _: unpack(content, self.folder), done, fail)
+
+    def chosen(
+        self, label: str, choose: Callable[[events.ValueChangeEventArguments], None]
+    ) -> Callable[[events.ValueChangeEventArguments], None]:
+        """The handler of a select, which shows the kind that runs."""
+
+        def changed(event: events.ValueChangeEventArguments) -> None:
+            scenario = self.state.scenario
+            if event.value and (scenario is None or event.value != chosen_kinds(scenario)[label]):
+                choose(event)
+
+        return changed
 
     def section(self, section: str, *place: str) -> None:
         """Run the scenario with a new section."""
@@ -231,16 +287,14 @@ class _Page:
             if (scenario := self.state.scenario) is not None:
                 self.change(lambda: with_values(scenario, {parameter.name: si(float(value))}), form=False)
 
-        label = name.replace(".", " ").replace("_", " ") + (f" [{unit}]" if unit else "")
-        wide = "grid-column: 1 / -1" if len(label) > 21 else ""
         NumberField(
-            label,
+            name.replace(".", " ").replace("_", " "),
             float(f"{nominal / scale:.10g}"),
             lambda value: parameter.holds(si(float(value))),
             f"{'a whole number, ' if parameter.is_integer else ''}{parameter.range}",
             changed,
             step=_step(nominal / scale),
-        ).props("dense debounce=400").classes("w-full").style(wide).mark(parameter.name)
+        ).props(f'dense debounce=400 hint="{unit}"').classes("w-full").mark(parameter.name)
 
     def keep(self) -> None:
         """Keep the current run for comparison."""

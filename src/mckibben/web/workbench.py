@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,7 +91,7 @@ class Kept:
 
 @dataclass
 class Workbench:
-    """State of the page; `joint` is a scenario section to be adopted."""
+    """State of the page; `joint` is a scenario section to be adopted, `waiting` a scenario to be run."""
 
     scenario: Scenario | None = None
     text: str = START
@@ -100,6 +101,7 @@ class Workbench:
     notes: list[str] = field(default_factory=list)
     jobs: Jobs = field(default_factory=Jobs)
     joint: str = ""
+    waiting: str = ""
     form: int = 0
 
 
@@ -109,7 +111,7 @@ _ADAPTIVE = 3  # integration steps per control period of a smooth run: with one 
 def parse(text: str, folder: Path) -> Scenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
     found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
-    steps = found.duration / found.control_period * (found.substeps or _ADAPTIVE)
+    steps = steps_of(found)
     if steps > MOST_STEPS:
         raise ParameterError(
             f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}",
@@ -117,6 +119,32 @@ def parse(text: str, folder: Path) -> Scenario:
             remedy="shorten the duration, or use `mckibben simulate`",
         )
     return found
+
+
+def steps_of(scenario: Scenario) -> float:
+    """Integration steps of a run, of one without oscillations if they follow from the accuracy."""
+    return scenario.duration / scenario.control_period * (scenario.substeps or _ADAPTIVE)
+
+
+def controller_kind(controller: Any) -> tuple[type, type]:
+    """Classes of a controller and of its loop of the angle, by which the page tells kinds apart."""
+    return type(controller), type(getattr(controller, "position", None))
+
+
+@functools.cache
+def _kinds() -> dict[tuple[type, type], str]:
+    found = {}
+    for name, section in CONTROLLERS.items():
+        scenario = Scenario.parse(with_section(START, section, ("controller",)))
+        found[controller_kind(scenario.controller)] = name
+    return found
+
+
+def chosen_kinds(scenario: Scenario) -> dict[str, str | None]:
+    """Kinds of controller and references of a scenario by the label of their field; None if the page has no such."""
+    signals = (scenario.signals.angle, scenario.signals.stiffness)
+    angle, stiffness = (name if (name := type(one).__name__.lower()) in SIGNALS else None for one in signals)
+    return {"controller": _kinds().get(controller_kind(scenario.controller)), "angle": angle, "stiffness": stiffness}
 
 
 def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:

@@ -1,0 +1,188 @@
+"""Tuning and comparison of controllers for the page Tune, within its budget."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mckibben.errors import McKibbenError, ParameterError
+from mckibben.scenario import Scenario, run_scenario, with_values
+from mckibben.simulation.metrics import METRICS, in_shown_units
+from mckibben.study.benchmark import Suite, compare
+from mckibben.study.benchmark.statistics import FAILED, failed_runs, statistics
+from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
+from mckibben.study.tune import parse_cost, parse_ranges, tune
+from mckibben.study.tune.objective import UNSTABLE_COST
+from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
+from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
+
+MOST_STEPS = 5e9
+"""Most integration steps of a study of the page."""
+MOST_RUNS, MOST_GENERATIONS, MOST_STARTS, MOST_ITERATIONS = 512, 30, 8, 60
+_TRAINING, _POPULATION = 16, 8
+_TITLES = {
+    "angle_rmse_deg": "angle RMSE [°]",
+    "stiffness_rmse": "stiffness RMSE [N·m/rad]",
+    "coupling_deg": "coupling [°]",
+    "air_L": "air [L]",
+}
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass
+class TuningRequest:
+    """Input of a tuning; `over` has one parameter and its range per line, all gains if empty."""
+
+    cost: str = DEFAULT_COST
+    gain_margin: float = DEFAULT_MARGIN
+    over: str = ""
+    starts: int = 2
+    iterations: int = 20
+
+
+@dataclass
+class ComparisonRequest:
+    """Input of a comparison; `conditions` has one parameter and its range per line."""
+
+    controllers: tuple[str, ...] = ("two PID loops", "model inversion (decoupling)")
+    conditions: str = "load.mass2=+-30 %"
+    runs: int = 64
+    generations: int = 10
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Result of a tuning: parameters, metrics before and after, costs of the trials in order, and the scenario."""
+
+    cost_before: float
+    cost: float
+    costs: np.ndarray
+    parameters: list[tuple[str, str, str]]
+    metrics: list[tuple[str, str, str]]
+    scenario: Scenario
+    remarks: list[str]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Result of a comparison: table, median and 95th percentile of the angle error [deg], and tuned scenarios."""
+
+    headers: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    errors: dict[str, tuple[float, float]]
+    scenarios: dict[str, Scenario]
+    remarks: list[str]
+
+
+def _lines(text: str) -> list[str]:
+    return [one.strip() for one in text.splitlines() if one.strip()]
+
+
+def _check_budget(scenario: Scenario, runs: float) -> None:
+    steps = runs * steps_of(scenario)
+    if steps > MOST_STEPS:
+        raise ParameterError(
+            f"the study has {steps:.2g} integration steps, more than {MOST_STEPS:.2g}",
+            value=steps,
+            upper=MOST_STEPS,
+            remedy="use fewer runs or a shorter duration, or use the command line",
+        )
+
+
+def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Tuned:
+    """Tune a scenario as `mckibben tune` does, by the gradient method."""
+    scenario = parse(text, folder)
+    ranges = parse_ranges(_lines(request.over), scenario)
+    _check_budget(scenario, request.starts * request.iterations * 2 * (1 + len(ranges)))
+    found = tune(
+        scenario,
+        ranges,
+        parse_cost(request.cost, gain_margin=request.gain_margin),
+        starts=request.starts,
+        iterations=request.iterations,
+        progress=progress,
+    )
+    progress("runs before and after", 1.0)
+    (after,) = found.scenarios
+    old, new = _metrics(scenario), _metrics(after)
+    parameters = [
+        (
+            each.name,
+            "-" if (nominal := each.parameter.nominal) is None else each.parameter.show(nominal),
+            each.parameter.show(found.values[each.name]),
+        )
+        for each in ranges
+    ]
+    metrics = [(_TITLES[name], f"{old[name]:.3g}", f"{new[name]:.3g}") for name in _TITLES]
+    costs = np.array([trial.cost for trial in found.trials])
+    remarks = list(scenario.joint.remarks)
+    if found.at_bound:
+        remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
+    return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, remarks)
+
+
+def _metrics(scenario: Scenario) -> dict[str, float]:
+    """Metrics in shown units; NaN if the scenario cannot be run, as an untuned one may not."""
+    try:
+        return in_shown_units(run_scenario(scenario).result.metrics)
+    except McKibbenError:
+        return dict.fromkeys(METRICS, float("nan"))
+
+
+def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Compared:
+    """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference."""
+    scenario = parse(text, folder)
+    own = chosen_kinds(scenario)["controller"]
+    kinds = [name for name in request.controllers if name != own]
+    if not kinds:
+        raise ParameterError("there is no controller to compare with", remedy=f"choose one other than {own}")
+    sections = [(name, with_section(text, CONTROLLERS[name], ("controller",))) for name in kinds]
+    others: dict[str, Any] = {name: parse(each, folder).controller for name, each in sections}
+    suite = Suite.of(
+        scenario,
+        others,
+        conditions=tuple(_lines(request.conditions)),
+        tuning=TuningSettings(
+            runs=_TRAINING, starts=1, generations=request.generations, population=_POPULATION, seed=99
+        ),
+        evaluation=EvaluationSettings(runs=request.runs, seed=1),
+    )
+    trials = 2 * request.generations * _POPULATION  # two searches: for the lowest cost, and at equal air
+    _check_budget(scenario, len(suite.controllers) * (trials * _TRAINING + 2 * request.runs))
+    found = compare(suite, progress=progress)
+    progress("statistics", 1.0)
+    numbers = statistics(found)
+    headers = ("controller", "angle RMSE [°]", "95 %", "stiffness RMSE [N·m/rad]", "95 %", "air [L]", FAILED)
+    spreads = [(name, what) for name in ("angle_rmse_deg", "stiffness_rmse") for what in ("median", "percentile_95")]
+    rows, errors = [], {}
+    for name in numbers["order"]:
+        each = numbers["controllers"][name]
+        rows.append((name, *(_cell(each, *one) for one in (*spreads, ("air_L", "median"))), failed_runs(each)))
+        if (spread := each["metrics"]["angle_rmse_deg"]) is not None:
+            errors[name] = spread["median"], spread["percentile_95"]
+    reference = next(iter(suite.references))
+    scenarios = {name: with_values(suite.scenario(name, reference), found.tuned[name]) for name in suite.controllers}
+    remarks = [
+        f"{name}: at a bound of the range: {', '.join(each['at_bound'])}"
+        for name, each in numbers["controllers"].items()
+        if each["at_bound"]
+    ]
+    if numbers["no_start"]:
+        remarks.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
+    return Compared(headers, rows, errors, scenarios, [*remarks, *scenario.joint.remarks])
+
+
+def _cell(found: dict[str, Any], metric: str, what: str) -> str:
+    spread = found["metrics"][metric]
+    return "-" if spread is None else f"{spread[what]:.3g}"
+
+
+def best_so_far(costs: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Lowest cost up to each trial; NaN until a trial has one."""
+    lowest = np.minimum.accumulate(np.asarray(costs, float))
+    return np.where(lowest < UNSTABLE_COST, lowest, np.nan)

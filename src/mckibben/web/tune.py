@@ -1,0 +1,255 @@
+"""Tune page: gains of the scenario of the page Run, and its comparison with other controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from mckibben.errors import McKibbenError, printable
+from mckibben.scenario import Scenario
+from mckibben.web.layout import (
+    BLUE,
+    GREY,
+    NumberField,
+    chart,
+    draw,
+    frame,
+    line,
+    notify_if_replaced,
+    panel,
+    progress_row,
+    results_side,
+    show_error,
+    show_warnings,
+    side,
+    table,
+)
+from mckibben.web.session import Jobs, session
+from mckibben.web.studies import (
+    MOST_GENERATIONS,
+    MOST_ITERATIONS,
+    MOST_RUNS,
+    MOST_STARTS,
+    MOST_STEPS,
+    Compared,
+    ComparisonRequest,
+    Tuned,
+    TuningRequest,
+    best_so_far,
+    compared,
+    tuned,
+)
+from mckibben.web.workbench import CONTROLLERS, Workbench
+
+
+@dataclass
+class StudyState:
+    """State of the page."""
+
+    tuning: TuningRequest = field(default_factory=TuningRequest)
+    comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
+    tuned: Tuned | None = None
+    compared: Compared | None = None
+    error: McKibbenError | None = None
+    notes: list[str] = field(default_factory=list)
+    jobs: Jobs = field(default_factory=Jobs)
+
+
+def page() -> None:
+    """The page."""
+    kept = session()
+    with frame("/tune"):
+        _Page(kept.state(StudyState), kept.state(Workbench), kept.folder)
+
+
+class _Page:
+    """Requests and results of one visit."""
+
+    def __init__(self, state: StudyState, bench: Workbench, folder: Path) -> None:
+        self.state, self.bench, self.folder, self.shown, self.job = state, bench, folder, -1, 0
+        tuning, comparison = state.tuning, state.comparison
+        with side():
+            with panel("Scenario"):
+                self.name = ui.label().classes("number").mark("scenario-name")
+                ui.label("That of the page Run, as it last ran.").classes("quiet")
+                self.progress = progress_row(state.jobs)
+            with panel("Tune"):
+                _text("cost", tuning, "cost")
+                with ui.element("div").classes("fields"):
+                    _number("gain margin", tuning, "gain_margin", 1.0, 10.0)
+                    _number("starts", tuning, "starts", 1, MOST_STARTS)
+                    _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS)
+                _lines("NAME=RANGE per line, or all gains", tuning, "over")
+                ui.button("Tune", on_click=self.tune).props("unelevated no-caps").mark("tune")
+            with panel("Compare"):
+                ui.select(
+                    list(CONTROLLERS),
+                    value=list(comparison.controllers),
+                    label="with these controllers",
+                    multiple=True,
+                    on_change=lambda event: setattr(comparison, "controllers", tuple(event.value or ())),
+                ).props("dense").classes("w-full").mark("controllers")
+                with ui.element("div").classes("fields"):
+                    _number("unseen runs", comparison, "runs", 2, MOST_RUNS)
+                    _number("generations", comparison, "generations", 1, MOST_GENERATIONS)
+                _lines("conditions, NAME=RANGE per line", comparison, "conditions")
+                ui.button("Compare", on_click=self.compare).props("unelevated no-caps").mark("compare")
+            ui.label(
+                f"At most {MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` "
+                "have no limit."
+            ).classes("quiet")
+        with results_side():
+            self.results = ui.column().classes("w-full").style("gap: 16px")
+        ui.timer(0.15, self.refresh)
+
+    def refresh(self) -> None:
+        """Show progress, and new results."""
+        state = self.state
+        self.progress()
+        self.job = notify_if_replaced(state.jobs, self.job)
+        scenario = self.bench.scenario
+        self.name.text = "the first one" if scenario is None else printable(scenario.name, 80)
+        if self.shown != state.jobs.version:
+            self.shown = state.jobs.version
+            self.results.clear()
+            with self.results:
+                self.show()
+
+    def text(self) -> str:
+        """The scenario of the page Run, as it last ran."""
+        return self.bench.text if self.bench.current is None else self.bench.current.text
+
+    def tune(self) -> None:
+        """Tune the scenario."""
+
+        def done(found: Tuned, heard: list[str]) -> None:
+            self.state.tuned = found
+            self.end([*heard, *found.remarks])
+
+        self.start(tuned, self.state.tuning, done)
+
+    def compare(self) -> None:
+        """Compare controllers."""
+
+        def done(found: Compared, heard: list[str]) -> None:
+            self.state.compared = found
+            self.end([*heard, *found.remarks])
+
+        self.start(compared, self.state.comparison, done)
+
+    def start(self, compute: Callable[..., Any], request: Any, done: Callable[[Any, list[str]], None]) -> None:
+        """Compute a study; at most one at a time."""
+        state, text, folder = self.state, self.text(), self.folder
+        if state.jobs.busy:
+            ui.notify("a study is running: cancel it first")
+            return
+
+        def fail(error: McKibbenError) -> None:
+            state.error = error
+
+        self.job = state.jobs.start(lambda progress: compute(text, request, folder, progress), done, fail)
+
+    def end(self, notes: list[str]) -> None:
+        """Forget the error of an earlier study."""
+        self.state.error, self.state.notes = None, list(dict.fromkeys(notes))
+
+    def run(self, scenario: Scenario) -> None:
+        """Open a scenario on the page Run."""
+        self.bench.waiting = scenario.dumps(folder=self.folder)
+        ui.navigate.to("/run")
+
+    def show(self) -> None:
+        """Show everything known."""
+        state = self.state
+        if state.error is not None:
+            with panel():
+                show_error(state.error)
+        elif state.notes:
+            with panel():
+                show_warnings(state.notes)
+        old = "w-full" + (" stale" if state.error is not None else "")
+        with ui.column().classes(old).style("gap: 16px"):
+            if state.tuned is not None:
+                self.show_tuned(state.tuned)
+            if state.compared is not None:
+                self.show_compared(state.compared)
+        if state.tuned is None and state.compared is None and state.error is None:
+            with panel("No study yet"):
+                ui.label(
+                    "Tune searches the gains of the scenario for the lowest cost. Compare tunes its controller and "
+                    "others with one budget, and compares them on the same unseen runs."
+                ).classes("quiet")
+
+    def show_tuned(self, found: Tuned) -> None:
+        """Costs of the search, gains and metrics."""
+        with panel(f"Tuned: cost {found.cost_before:.4g} to {found.cost:.4g}, {len(found.costs)} points evaluated"):
+            costs = chart("evaluated point", "cost", height=220, yAxis={"type": "log"})
+            number = np.arange(1, len(found.costs) + 1)
+            draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])
+            table(("parameter", "before", "tuned"), found.parameters)
+            table(("metric", "before", "tuned"), found.metrics)
+            ui.button("Run the tuned scenario", on_click=lambda: self.run(found.scenario)).props(
+                "unelevated no-caps"
+            ).mark("use-tuned")
+
+    def show_compared(self, found: Compared) -> None:
+        """Errors as bars and table."""
+        with panel("Compared on the same unseen runs, each controller tuned with the same budget"):
+            bars(found.errors)
+            with ui.element("div").classes("w-full").style("overflow-x: auto"):
+                table(found.headers, found.rows)
+            with ui.row().classes("items-center").style("gap: 12px"):
+                chosen = ui.select(list(found.scenarios), value=next(iter(found.scenarios)), label="controller")
+                chosen.props("dense").style("min-width: 180px")
+                ui.button("Run it", on_click=lambda: self.run(found.scenarios[str(chosen.value)])).props(
+                    "unelevated no-caps"
+                ).mark("use-compared")
+
+
+def bars(errors: dict[str, tuple[float, float]]) -> ui.echart:
+    """Bars of the median and the 95th percentile of the angle error [deg], by name, the first on top."""
+    made = chart("angle RMSE [°]", "", height=70 + 50 * len(errors))
+    names = list(errors)[::-1]
+    options = made.options
+    options["grid"] |= {"left": 12, "containLabel": True}
+    options["xAxis"] |= {"min": 0, "scale": False}
+    options["yAxis"] = {
+        "type": "category",
+        "data": names,
+        "axisLabel": {"color": GREY, "width": 120, "overflow": "break", "lineHeight": 14},
+    }
+    series = [
+        {"type": "bar", "name": title, "data": [float(f"{errors[name][k]:.4g}") for name in names], "color": color}
+        for k, (title, color) in enumerate((("median", BLUE), ("95 %", "#9aa7b3")))
+    ]
+    draw(made, series)
+    return made
+
+
+def _text(label: str, on: Any, name: str) -> None:
+    ui.input(label).props("dense maxlength=300").classes("w-full").mark(name).bind_value(on, name)
+
+
+def _lines(label: str, on: Any, name: str) -> None:
+    ui.textarea(label).props("dense autogrow maxlength=4000").classes("w-full mono").mark(name).bind_value(on, name)
+
+
+def _number(label: str, on: Any, name: str, low: float, high: float) -> None:
+    """A number field of a request; whole if its limits are."""
+    whole = isinstance(low, int)
+
+    def changed(value: float) -> None:
+        setattr(on, name, int(value) if whole else value)
+
+    NumberField(
+        label,
+        getattr(on, name),
+        lambda value: low <= value <= high and (not whole or float(value).is_integer()),
+        f"{'a whole number, ' if whole else ''}{low:g} to {high:g}",
+        changed,
+    ).props("dense").classes("w-full").mark(name)
