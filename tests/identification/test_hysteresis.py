@@ -87,6 +87,16 @@ def test_a_static_fit_to_the_corrected_points_is_the_same_law(drifting):
         found.corrected(corrected)
 
 
+def test_friction_that_is_subtracted_is_not_advised_again(drifting):
+    data, found = drifting
+    corrected = found.corrected(data)
+    side = np.where(corrected.table["direction"].to_numpy() == "loading", 3.0, -3.0) * ~corrected.slack
+    left = IsobaricDataset(corrected.table.assign(force=("point", corrected.force + side)))
+    for points, advised in ((data, True), (left, False)):
+        (warning,) = (one for one in identify(ExponentialLaw, points).warnings if "differ by" in one)
+        assert ("--hysteresis" in warning) == advised
+
+
 def test_a_known_law_may_be_given(drifting):
     data, _ = drifting
     found = identify_hysteresis(LAW, data)

@@ -267,7 +267,7 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
         )
         remedy = (
             "; identify the friction with identify_hysteresis (command line: --hysteresis)"
-            if column == "direction"
+            if column == "direction" and "friction" not in points.table.attrs
             else ""
         )
         warnings.append(

@@ -127,7 +127,7 @@ class HysteresisFit:
             )
         force = np.where(means.slack, means.force, means.force - self.friction_force - self.offset)
         force = np.where(self.tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
-        return IsobaricDataset(means.table.assign(force=("point", force)))
+        return IsobaricDataset(means.table.assign(force=("point", force)).assign_attrs(friction="subtracted"))
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Name, estimate, standard error and unit of the parameters of the friction, as text."""
