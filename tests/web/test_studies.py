@@ -36,6 +36,8 @@ def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
         np.rad2deg(run_scenario(found.scenario).result.metrics["angle_rmse"]), rel=0.01
     )
     assert float(after) < float(before)
+    margins = {name: float(now) for name, _, now in found.metrics if name.startswith("least ")}
+    assert margins["least disk margin"] == pytest.approx(found.scenario.margins().disk.min(), rel=0.01)
     best = studies.best_so_far([1e6, 3.0, 5.0, 2.0])
     np.testing.assert_array_equal(best, [np.nan, 3, 3, 2])
 

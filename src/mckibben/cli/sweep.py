@@ -23,7 +23,7 @@ from mckibben.cli.options import (
     table,
     with_accuracy,
 )
-from mckibben.errors import McKibbenError, ParameterError, ScenarioError
+from mckibben.errors import ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, to_json, write_json
 
 if TYPE_CHECKING:
@@ -298,16 +298,13 @@ def _show_tuned(
     json: bool,
 ) -> None:
     from mckibben import report
+    from mckibben.study.tune.margin import metrics_and_margins
 
-    runs = [
-        {
-            "scenario": old.name,
-            "before": _metrics(old),
-            "tuned": _metrics(new),
-            "least_margins": {"before": _least_margins(old), "tuned": _least_margins(new)},
-        }
-        for old, new in zip(before, tuned.scenarios, strict=True)
-    ]
+    runs: list[dict[str, Any]] = []
+    for old, new in zip(before, tuned.scenarios, strict=True):
+        (was, had), (now, has) = metrics_and_margins(old), metrics_and_margins(new)
+        margins = {"before": had, "tuned": has}
+        runs.append({"scenario": old.name, "before": was, "tuned": now, "least_margins": margins})
     shown_values = {each.name: each.parameter.show(tuned.values[each.name]) for each in ranges}
     numbers = {
         "cost_before": tuned.cost_before,
@@ -392,25 +389,6 @@ def _condition_rows(runs: list[dict[str, Any]], count: int) -> tuple[tuple[str, 
             (run["scenario"], metric("", run["tuned"]["angle_rmse_deg"]), *errors, str(found["diverged"]), shown)
         )
     return headers, rows
-
-
-def _metrics(scenario: Scenario) -> dict[str, float]:
-    """Metrics in shown units; NaN if the scenario cannot be run (an untuned one may be infeasible)."""
-    from mckibben.scenario import run_scenario
-    from mckibben.simulation.metrics import METRICS, in_shown_units
-
-    try:
-        return in_shown_units(run_scenario(scenario).result.metrics)
-    except McKibbenError:
-        return dict.fromkeys(METRICS, float("nan"))
-
-
-def _least_margins(scenario: Scenario) -> dict[str, float]:
-    """Smallest margins along the run by name and unit, without the conditions; NaN if the scenario cannot be run."""
-    try:
-        return {name: float(margin.min()) for name, margin in scenario.margins().in_shown_units().items()}
-    except McKibbenError:
-        return dict.fromkeys(("gain", "phase_deg", "delay_ms", "disk"), float("nan"))
 
 
 def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.errors import McKibbenError, ParameterError
-from mckibben.scenario import Scenario, run_scenario, with_values
-from mckibben.simulation.metrics import METRICS, in_shown_units
+from mckibben.errors import ParameterError
+from mckibben.scenario import Scenario, with_values
 from mckibben.study.benchmark import Suite, compare
 from mckibben.study.benchmark.statistics import FAILED, failed_runs, statistics
 from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import parse_cost, parse_ranges, tune
+from mckibben.study.tune.margin import metrics_and_margins
 from mckibben.study.tune.objective import UNSTABLE_COST
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
 from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
@@ -29,6 +29,10 @@ _TITLES = {
     "stiffness_rmse": "stiffness RMSE [N·m/rad]",
     "coupling_deg": "coupling [°]",
     "air_L": "air [L]",
+    "gain": "least gain margin",
+    "phase_deg": "least phase margin [°]",
+    "delay_ms": "least delay margin [ms]",
+    "disk": "least disk margin",
 }
 
 Progress = Callable[[str, float], None]
@@ -109,7 +113,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     )
     progress("runs before and after", 1.0)
     (after,) = found.scenarios
-    old, new = _metrics(scenario), _metrics(after)
+    old, new = ({**metrics, **margins} for metrics, margins in map(metrics_and_margins, (scenario, after)))
     parameters = [
         (
             each.name,
@@ -124,14 +128,6 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     if found.at_bound:
         remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
     return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, remarks)
-
-
-def _metrics(scenario: Scenario) -> dict[str, float]:
-    """Metrics in shown units; NaN if the scenario cannot be run, as an untuned one may not."""
-    try:
-        return in_shown_units(run_scenario(scenario).result.metrics)
-    except McKibbenError:
-        return dict.fromkeys(METRICS, float("nan"))
 
 
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Compared:

@@ -1,4 +1,4 @@
-"""Stability margin of a scenario's loop, by simulation."""
+"""Stability margins of a scenario's loop: by simulation, and least ones of the linearised loop with its metrics."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.control import Reference, Step
-from mckibben.errors import ParameterError
+from mckibben.errors import McKibbenError, ParameterError
 from mckibben.plant import NoDisturbance
-from mckibben.scenario import Known, Scenario, find_parameters, run_many
+from mckibben.scenario import Known, Scenario, find_parameters, run_many, run_scenario
+from mckibben.simulation.metrics import METRICS, in_shown_units
 from mckibben.study.parameters import Table
 from mckibben.units import deg
 
@@ -122,3 +123,17 @@ def in_conditions(
     most = min(largest, *(float(each.upper) / float(each.nominal or 1.0) for each in tuned))
     del rows[tuned[0].name]
     return Robustness(moved, 0, min(stability_margin(small, gains, largest=most, conditions=rows, known=known), most))
+
+
+def metrics_and_margins(scenario: Scenario) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the metrics of a run and its least stability margins, by name and in shown units.
+
+    They are NaN if the scenario cannot be run, as an untuned one may not.
+    """
+    margins: dict[str, float] = dict.fromkeys(("gain", "phase_deg", "delay_ms", "disk"), np.nan)
+    try:
+        metrics = in_shown_units(run_scenario(scenario).result.metrics)
+        found = scenario.margins().in_shown_units()
+    except McKibbenError:
+        return dict.fromkeys(METRICS, np.nan), margins
+    return metrics, {name: float(found[name].min()) for name in margins}
