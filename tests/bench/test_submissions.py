@@ -7,6 +7,7 @@ import pytest
 
 from mckibben.bench import TaskFile, compare_submissions, read_submission, read_task, task_named
 from mckibben.bench.identibench import identibench_model, identibench_spec
+from mckibben.bench.submission import predictions
 from mckibben.errors import DatasetError, ParameterError, ScenarioError, SubmissionError
 
 MEAN = """
@@ -45,7 +46,7 @@ def write(tmp_path):
 def test_a_wrong_submission_names_file_function_and_remedy(write, text, function):
     file = write(text)
     with pytest.raises(SubmissionError) as error:
-        compare_submissions([task_named("map-four-lengths")], [file], baselines=())
+        predictions(read_submission(file), task_named("map-four-lengths"), file)
     assert (error.value.file, error.value.function) == (file, function)
     assert error.value.remedy
     assert file in error.value.message
@@ -56,8 +57,17 @@ def test_an_exception_names_its_line(write, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for path in (file, "mine.py"):
         with pytest.raises(SubmissionError) as error:
-            compare_submissions([task_named("map-four-lengths")], [path], baselines=())
+            predictions(read_submission(path), task_named("map-four-lengths"), path)
         assert "line 3" in error.value.message
+
+
+@pytest.mark.parametrize("body", ["return 1 / 0", "raise SystemExit(0)", "return lambda inputs: inputs"])
+def test_a_submission_that_fails_costs_no_other_result(write, body):
+    bad, task = write(f"def fit(training):\n    {body}\n", "bad.py"), task_named("map-four-lengths")
+    table = compare_submissions([task], [write(MEAN), bad], baselines=())
+    assert table.failed
+    assert [one.score is not None for one in table.entries] == [True, False]
+    assert bad in table.entries[1].reason
 
 
 def test_a_submission_may_define_dataclasses(write):
@@ -74,6 +84,8 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def test_two_methods_of_one_name_are_refused(write):
+    alone = compare_submissions([task_named("map-four-lengths")], [write(MEAN, "eq2.py")], baselines=())
+    assert len(alone.entries) == 1
     for files in ([write(MEAN, "eq2.py")], [write(MEAN), write(MEAN)]):
         with pytest.raises(ParameterError) as error:
             compare_submissions([task_named("map-four-lengths")], files)
@@ -157,3 +169,21 @@ def test_without_identibench_the_remedy_is_named(monkeypatch):
     with pytest.raises(ParameterError) as error:
         identibench_spec("map-wall")
     assert error.value.field == "identibench"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("task: map", "task: isometric"), ("licence: CC0", "licence: CC0\nperiod: 20 ms"), ("[asked.csv]", "[known.csv]")],
+)
+def test_a_task_needs_a_period_for_recordings_alone_and_other_data_for_its_test(folder, old, new):
+    file = folder / "task.yaml"
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(ScenarioError):
+        read_task(folder)
+
+
+def test_one_test_block_gives_no_interval(folder):
+    table = compare_submissions([read_task(folder)], baselines=["eq2"])
+    assert np.isnan(table.entries[0].score.nrmse.lower)
+    assert table.entries[0].score.nrmse.value > 0
+    assert table.rows()[0][3] == "-"

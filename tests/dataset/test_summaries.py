@@ -170,3 +170,11 @@ def test_copies_of_a_column_are_left_out(heard):
     assert len(heard(lines, f"X_Value,{HEADER},X_Value")[0]) == len(ROWS)
     with pytest.raises(DatasetError):
         heard([f"{at},{line},{2 * at}" for at, line in enumerate(written(ROWS))], f"X_Value,{HEADER},X_Value")
+
+
+@pytest.mark.parametrize(("name", "usual", "other"), [("material", "steel", "total"), ("not saturated", "0", "1")])
+def test_words_and_truth_values_that_may_mean_anything_drop_no_row(heard, name, usual, other):
+    lines = [f"{line},{other if at == 7 else usual}" for at, line in enumerate(written(ROWS))]
+    data, told = heard(lines, f"{HEADER},{name}")
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert len(told) == 1

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mckibben.bench.baselines import BASELINES, Fit
 from mckibben.bench.submission import predictions, read_submission
 from mckibben.bench.task import ScoreInterval, Task, TaskScore
-from mckibben.errors import IdentificationError, ParameterError, suggest
+from mckibben.errors import McKibbenError, ParameterError, SubmissionError, suggest
 from mckibben.storage.files import atomic_write
 
 REFERENCE = "eq2"
@@ -37,10 +39,11 @@ class BenchEntry:
 
 @dataclass(frozen=True, eq=False)
 class BenchTable:
-    """Entries of all tasks, and the tasks."""
+    """Entries of all tasks, the tasks, and whether a submission failed in one."""
 
     entries: tuple[BenchEntry, ...]
     tasks: tuple[Task, ...]
+    failed: bool = False
 
     headers = ("task", "method", "NRMSE", "95 %", "relative to Eq. 2", "95 %", "s", "")
 
@@ -90,7 +93,9 @@ class BenchTable:
 
 
 def _shown(one: ScoreInterval | None) -> tuple[str, str]:
-    return ("-", "-") if one is None else (f"{one.value:.4f}", f"{one.lower:.4f}..{one.upper:.4f}")
+    if one is None:
+        return "-", "-"
+    return f"{one.value:.4f}", "-" if np.isnan(one.lower) else f"{one.lower:.4f}..{one.upper:.4f}"
 
 
 def compare_submissions(
@@ -108,7 +113,7 @@ def compare_submissions(
     Raises
     ------
     SubmissionError
-        If a submission cannot be run; it names the file and the function.
+        If a submission cannot be read; it names the file. One that fails in a task has no score there, but a reason.
     ParameterError
         If a baseline does not exist, or two tasks or methods have one name.
     """
@@ -116,7 +121,7 @@ def compare_submissions(
         if one not in BASELINES:
             raise ParameterError(f"there is no baseline {one!r}", value=one, remedy=suggest(one, list(BASELINES)))
     files = {Path(one).stem: os.fspath(one) for one in submissions}
-    names = [*(Path(one).stem for one in submissions), *BASELINES]
+    names = [*(Path(one).stem for one in submissions), *baselines]
     if repeated := [one for one in names if names.count(one) > 1]:
         raise ParameterError(f"two methods are named {repeated[0]!r}", value=repeated[0], remedy="rename a file")
     if len({one.name for one in tasks}) < len(tasks):
@@ -125,6 +130,7 @@ def compare_submissions(
     fits = {**fits, **{name: BASELINES[name] for name in baselines}}
     runs = [(task, method) for method in fits for task in tasks]
     found: dict[tuple[str, str], tuple[TaskScore | None, float, str]] = {}
+    failed = False
     for number, (task, method) in enumerate(runs):
         if progress:
             progress(f"{method}: {task.name}", number / len(runs))
@@ -133,8 +139,9 @@ def compare_submissions(
             predicted = predictions(fits[method], task, files.get(method, ""))
             score = task.score(predicted) if predicted is not None else None
             reason = "" if score else "does not apply"
-        except IdentificationError as error:  # of a baseline: what a submission raises is a SubmissionError
+        except McKibbenError as error:  # the other results are kept
             reason = error.message
+            failed |= isinstance(error, SubmissionError)
         found[task.name, method] = score, time.monotonic() - begun, reason
     entries = []
     for task in tasks:
@@ -143,4 +150,4 @@ def compare_submissions(
             score, seconds, reason = found[task.name, method]
             relative = score.relative_to(reference) if score and reference else None
             entries.append(BenchEntry(task.name, task.training.kind, method, score, relative, seconds, reason))
-    return BenchTable(tuple(entries), tuple(tasks))
+    return BenchTable(tuple(entries), tuple(tasks), failed)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from mckibben.bench.task import KINDS, DataBlock, Task, Training
 from mckibben.config.fields import OneOf
-from mckibben.config.model import ConfigModel, DocumentModel, explicit_fields
+from mckibben.config.model import ConfigModel, DocumentModel, explicit_fields, fail_validation
 from mckibben.errors import DatasetError, Problem, UnitError
 from mckibben.units import (
     BraidAngle,
@@ -27,6 +28,7 @@ from mckibben.units import (
 )
 
 FILE = "task.yaml"
+_RECORDINGS = ("hysteresis", "isometric", "joint")
 
 
 class SetupFacts(ConfigModel):
@@ -64,6 +66,17 @@ class TaskFile(DocumentModel):
     period: PositiveTime | None = None
     facts: SetupFacts = SetupFacts()
 
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if (self.period is None) == (self.task in _RECORDINGS):
+            fail_validation(
+                f"a task {self.task!r} {'needs' if self.period is None else 'has no'} `period`",
+                "give the time between two samples" if self.period is None else "leave it out",
+            )
+        if both := sorted({*self.train} & {*self.test}):
+            fail_validation(f"{both[0]} is in `train` and in `test`", "test with other data")
+        return self
+
 
 def read_task(folder: str | os.PathLike[str]) -> Task:
     """Read the task of a folder; raises a `ScenarioError` or a `DatasetError` with every problem of a file."""
@@ -82,7 +95,11 @@ def _read_block(folder: Path, name: str, kind: str) -> DataBlock:
             header = [one.strip() for one in next(csv.reader(opened), [])]
             table = np.genfromtxt(opened, delimiter=",", ndmin=2)
     except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise DatasetError(str(file), [Problem(f"cannot be read: {error}", remedy="name a CSV file")]) from None
+        raise DatasetError(
+            str(file), [Problem(f"cannot be read: {error}", remedy="name a CSV file with commas between its cells")]
+        ) from None
+    if not table.size:
+        raise DatasetError(str(file), [Problem("has no rows", remedy="name a file with a header and rows")])
     inputs, output = KINDS[kind]
     columns, problems = [], []
     for quantity, unit in (*inputs, output):

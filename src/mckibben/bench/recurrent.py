@@ -11,6 +11,7 @@ import numpy as np
 from jax import lax
 
 from mckibben.bench.task import Floats, Predict, Training
+from mckibben.errors import IdentificationError
 
 _HIDDEN, _CHUNK, _WARM = 16, 160, 40  # units; samples of a chunk; samples before the error counts
 _STEPS, _BATCH, _RATE = 1500, 24, 5e-3
@@ -47,11 +48,13 @@ def fit_recurrent(training: Training) -> Predict | None:
     stride = max(1, round(_LONGEST_STEP / training.period))
     inputs, output = training.stacked
     middle, width = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-12)
-    mean, spread = output.mean(), output.std()
+    mean, spread = output.mean(), max(float(output.std()), 1e-12)
     blocks = [((one.inputs - middle) / width, (one.output - mean) / spread) for one in training.blocks]
     blocks = [(given[i::stride], wanted[i::stride]) for given, wanted in blocks for i in range(stride)]
     padded = [(_rested(given), np.pad(wanted, (_WARM, 0), mode="edge")) for given, wanted in blocks]
-    starts = [(i, at) for i, (_, wanted) in enumerate(padded) for at in range(0, wanted.size - _CHUNK, _CHUNK // 4)]
+    starts = [(i, at) for i, (_, wanted) in enumerate(padded) for at in range(0, wanted.size - _CHUNK + 1, _CHUNK // 4)]
+    if not starts:
+        raise IdentificationError("the recordings are too short for a recurrent network", remedy="give longer ones")
     given = jnp.array([padded[i][0][at : at + _CHUNK] for i, at in starts], jnp.float32)
     wanted = jnp.array([padded[i][1][at : at + _CHUNK] for i, at in starts], jnp.float32)
     network = jax.tree.map(

@@ -25,11 +25,12 @@ def read_submission(path: str | os.PathLike[str]) -> Fit:
     file = Path(path)
     spec = importlib.util.spec_from_file_location(f"mckibben_submission_{file.stem}", file)
     if file.suffix != ".py" or not file.is_file() or spec is None or spec.loader is None:
-        raise SubmissionError(f"{file} is not a Python file", file=str(file), remedy="name a file that ends in .py")
+        what = "is not a Python file" if file.exists() else "does not exist"
+        raise SubmissionError(f"{file} {what}", file=str(file), remedy="name a file that ends in .py")
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _failed(file, "", error, "correct it; it must run without arguments") from error
     fit = getattr(module, "fit", None)
     if not callable(fit):
@@ -49,7 +50,7 @@ def predictions(fit: Fit, task: Task, file: str = "") -> dict[str, Floats] | Non
     where = Path(file) if file else None
     try:
         predict = fit(task.training)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if where is None:
             raise
         raise _failed(where, "fit", error, f"correct it; it was called for the task {task.name!r}") from error
@@ -63,7 +64,7 @@ def predictions(fit: Fit, task: Task, file: str = "") -> dict[str, Floats] | Non
         place = f"for the block {block.name!r} of the task {task.name!r}"
         try:
             output = predict(block.inputs.copy())
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if where is None:
                 raise
             raise _failed(where, "predict", error, f"correct it; it was called {place}") from error
@@ -87,7 +88,7 @@ def _checked(output: object, size: int, file: str, place: str) -> Floats:
     return values.reshape(size)
 
 
-def _failed(file: Path, function: str, error: Exception, remedy: str) -> SubmissionError:
+def _failed(file: Path, function: str, error: BaseException, remedy: str) -> SubmissionError:
     line = _last_line(error.__traceback__, file)
     place = f"{file}, line {line}" if line else str(file)
     of = f"{function} " if function else ""

@@ -27,6 +27,7 @@ KINDS: dict[str, tuple[tuple[tuple[str, str], ...], tuple[str, str]]] = {
 }
 """Inputs and output of each kind of task, with units; specimens are numbers, and the last block has the new one."""
 
+_FEWEST_BLOCKS = 3  # of an interval
 _RESAMPLED = 2000  # sets of blocks
 _COVERAGE = 95.0  # percent
 _DIGITS = 9  # of the numbers in a digest
@@ -102,7 +103,7 @@ class Training:
 
 
 class ScoreInterval(NamedTuple):
-    """A value, and the ends of its 95 % bootstrap interval."""
+    """A value, and the ends of its 95 % bootstrap interval; NaN for fewer than three test blocks."""
 
     value: float
     lower: float
@@ -154,6 +155,8 @@ class TaskScore:
 
     def _interval(self, statistic: Callable[[NDArray[np.int64]], Floats]) -> ScoreInterval:
         count = len(self.sizes)
+        if count < _FEWEST_BLOCKS:
+            return ScoreInterval(float(statistic(np.arange(count))), np.nan, np.nan)
         chosen = np.random.default_rng(0).integers(count, size=(_RESAMPLED, count))
         rest = (100 - _COVERAGE) / 2
         lower, upper = np.percentile(statistic(chosen), (rest, 100 - rest))

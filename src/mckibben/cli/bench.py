@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
 from mckibben.cli.options import (
     Force,
@@ -73,3 +73,5 @@ def bench(
         table("Errors at the test data, relative to their standard deviation", found.headers, found.rows())
     if out:
         notify(f"wrote {', '.join(FILES)} to {out}", json)
+    if found.failed:
+        raise Exit(1)

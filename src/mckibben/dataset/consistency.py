@@ -196,7 +196,8 @@ def _absolute_pressure(dataset: IsobaricDataset) -> Iterator[str]:
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
     terms = [p, np.ones(len(p)), eps, p * eps, p * eps**2][: 5 if stroke else 2]
     if (
-        pressure.min() < _LOWEST_ABSOLUTE
+        contraction.min() > _NEAR
+        or pressure.min() < _LOWEST_ABSOLUTE
         or len(p) <= len(terms)
         or len(np.unique(np.round(p / (_LEVEL * p.max())))) < 3
     ):

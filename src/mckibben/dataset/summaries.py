@@ -29,6 +29,8 @@ _LEVEL = 0.05  # of the largest value: rows of one level
 _DECIMALS = 9  # of a number in a file
 
 _GOOD = frozenset("valid ok good gültig valide válido valido".split())
+_NUMBER = re.compile(r"[-+]?[\d.,]+")
+_NEGATIONS = frozenset("not no non free without kein keine nicht ohne sans".split())
 _BAD = frozenset(
     "invalid error fault alarm overload overrange overflow saturated outlier excluded exclude bad reject rejected "
     "discard ungültig fehler erreur errore".split()
@@ -142,7 +144,10 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
         counts = Counter(cells)
         words = {text: _words(text) for text in counts}
         begin = {text: _words(re.split("[,;]", text, maxsplit=1)[0]) for text in counts}  # outlier, to be repeated
-        invalid = {text for text, found in begin.items() if found and found <= _INVALID | _SUMMARY}
+        invalid = {text for text, found in begin.items() if found and found <= _INVALID}
+        summary = {text for text, found in begin.items() if found and found <= _SUMMARY}
+        if all(not text.strip() or _NUMBER.fullmatch(text.strip()) for text in counts.keys() - invalid - summary):
+            invalid |= summary  # in a column of numbers, such as of runs
         invalid |= _false(channel.label, [*counts])
         if invalid and 2 * sum(map(counts.__getitem__, invalid)) < len(cells):
             for line, text in zip(channel.lines, cells, strict=True):
@@ -150,6 +155,7 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
                     lines[line] = f"is marked as {text.strip()[:_LONGEST]!r} by {channel.name!r}"
             continue
         marked = invalid or {text for text, found in words.items() if not found.isdisjoint(_INVALID)}
+        marked = marked or summary
         if not marked and status and 1 < len(counts) < max(len(cells) / 2, _FEWEST):
             marked = {*counts} - {counts.most_common(1)[0][0]}
         if marked:
@@ -180,6 +186,8 @@ def _false(name: str, texts: Sequence[str]) -> set[str]:
     if len(texts) != 2 or truth.keys() != {True, False}:
         return set()
     words = _words(name)
+    if not words.isdisjoint(_NEGATIONS):
+        return set()  # which of both is valid is not certain: a warning
     if not words.isdisjoint(_GOOD):
         return {truth[False]}
     return set() if words.isdisjoint(_BAD) else {truth[True]}

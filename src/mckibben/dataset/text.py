@@ -18,6 +18,7 @@ from mckibben.errors import DatasetError, Problem
 _DELIMITERS = (",", ";", "\t")
 _PREAMBLE = 60  # lines searched for a header
 _MOST_COLUMNS = 4096
+_OF_PRESSURE = re.compile(r"press|druck|presi|(?<![a-z])(?:bar|psi|[km]?pa)(?![a-z])", re.IGNORECASE)
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
 _SHOWN = 80  # characters of a line in a message
 _JOINED = 20  # lines that a quoted cell may span
@@ -64,7 +65,7 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     else:
         sheet.channels = numbers
     for at, line in enumerate(islice(_Lines(text), max(0, number - 1)), 1):
-        if ABSOLUTE.search(line):
+        if ABSOLUTE.search(line) and _OF_PRESSURE.search(line):
             words = repr(line.strip()[:_SHOWN])
             sheet.suspect.append(f"line {at} says {words}: pressures are read as gauge pressures; {SUBTRACT}")
     sheet.suspect += split_numbers(sheet, known)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
 from typing import Any
 from xml.etree import ElementTree
@@ -90,7 +91,7 @@ def leg_urdf(plant: LegPlant, name: str = "leg", title: str = "a leg") -> Export
     ElementTree.indent(robot)
     comment = "\n".join(("", f"{title}: its bodies, without", *(f"- {one}" for one in left_out), ""))
     text = ElementTree.tostring(robot, encoding="unicode")
-    header = f'<?xml version="1.0"?>\n<!--{comment.replace("--", "- -")}-->\n'
+    header = f'<?xml version="1.0"?>\n<!--{re.sub("-(?=-)", "- ", comment)}-->\n'
     return Exported({f"{name}.urdf": f"{header}{text}\n"}, left_out)
 
 

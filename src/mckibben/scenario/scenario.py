@@ -235,7 +235,7 @@ class Scenario(RunSettings):
 
         See `mckibben.simulate`.
         """
-        result, feasibility = run_scenario(self.replace(controller=controller) if controller else self)
+        result, feasibility = run_scenario(self if controller is None else self.replace(controller=controller))
         if not feasibility.feasible:
             warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=2)
         return result

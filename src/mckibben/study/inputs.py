@@ -67,8 +67,9 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
     from mckibben.muscle import ChouLaw, Muscle
 
     if Path(name).is_file() or Path(name).suffix in (".yaml", ".yml"):
-        keys = read_document(read_text(name, "a fit", "docs/files.md")).data or ()
-        return read_component(Muscle, Path(name)).law if "specimen" in keys else read_law(name)
+        data = read_document(read_text(name, "a fit", "docs/files.md")).data
+        is_muscle = isinstance(data, dict) and "specimen" in data
+        return read_component(Muscle, Path(name)).law if is_muscle else read_law(name)
     if name == "chou":
         if not specimen:
             raise NotInCatalogError(
