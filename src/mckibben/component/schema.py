@@ -39,7 +39,7 @@ from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text
-from mckibben.errors import FileError, McKibbenError, described, quoted, suggest
+from mckibben.errors import FileError, McKibbenError, described, quoted, suggest, with_article
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
@@ -246,7 +246,8 @@ class Part:
             classes = classes_of(self.base) if is_abstract(self.base) else ()
             known = [*(catalog.names() if catalog else ()), *classes]
             if catalog is None or name not in catalog.names():
-                fail_validation(f"{quoted(name)} is not the name of {self._noun}", suggest(name, known), value=name)
+                remedy = suggest(name, known) if known else self._expected(name)[1]
+                fail_validation(f"{quoted(name)} is not the name of {self._noun}", remedy, value=name)
             found = catalog.entry(name)
         else:
             path = read_path(name, info, ".yaml")
@@ -305,7 +306,7 @@ class Part:
     @property
     def _noun(self) -> str:
         catalog = catalog_of(self.base)
-        return f"a {catalog.noun}" if catalog else f"a {self.base.__name__}"
+        return with_article(catalog.noun if catalog else self.base.__name__)
 
     def _expected(self, value: Any) -> tuple[str, str]:
         kind = default_class(self.base)

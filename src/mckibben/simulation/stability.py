@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import batched_program, map_chunks, pad_chunk
@@ -79,6 +80,10 @@ class Margins(NamedTuple):
     sensitivity: NDArray[np.float64]
     loci: NDArray[np.complex128]
 
+    def __repr__(self) -> str:
+        least = ", ".join(f"{name} {margin.min():.3g}" for name, margin in self.in_shown_units().items())
+        return f"<Margins at {len(self.time)} points; least: {least}>"
+
     def in_shown_units(self) -> dict[str, NDArray[np.float64]]:
         """Return the margins by name and unit, each of shape (points,)."""
         return {"gain": self.gain, "phase_deg": self.phase / deg, "delay_ms": self.delay / ms, "disk": self.disk}
@@ -104,9 +109,12 @@ def margins(
     ------
     SimulationError
         If the times do not fit together.
+    RangeError
+        If there are no points.
     """
+    check_positive("margins", points=points)
     times = sampling_times(duration, control_period)
-    chosen = _chosen(times.size, points)
+    chosen = _chosen(times.size, int(points))
     loops = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)[0]
     found = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
     radius, gain, phase, delays, disk, sensitivity, loci = (np.array(column) for column in zip(*found, strict=True))
