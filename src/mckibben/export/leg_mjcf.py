@@ -49,7 +49,7 @@ class LegModel(NamedTuple):
     left_out: tuple[str, ...]
 
 
-class Frame:
+class LegFrame:
     """A body under construction: its shapes in MJCF, points of muscles, and its attachment to the parent body."""
 
     def __init__(self, name: str, joint: LegJoint | None = None, origin: float = 0.0) -> None:
@@ -196,15 +196,15 @@ def _numbers(values: Iterable[Any]) -> str:
     return " ".join(repr(float(one)) for one in values)
 
 
-def leg_bodies(plant: LegPlant) -> list[Frame]:
+def leg_bodies(plant: LegPlant) -> list[LegFrame]:
     """Trunk and links, with their masses and shapes."""
     leg = plant.leg
-    trunk = Frame("trunk")
+    trunk = LegFrame("trunk")
     trunk.shapes.append(_inertial(leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias))
     found = [trunk]
     origin = 0.0
     for joint, link in zip(leg.joints, leg.links, strict=True):
-        frame, length = Frame(joint.name + " link", joint, origin), float(link.length)
+        frame, length = LegFrame(joint.name + " link", joint, origin), float(link.length)
         axle = joint.direction.scaled(0.016)
         frame.shapes += [
             _inertial(link.mass, -link.centre, link.inertias),
@@ -224,7 +224,7 @@ def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
     return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{_numbers(inertias)}"/>'
 
 
-def add_muscles(plant: LegPlant, bodies: list[Frame]) -> tuple[list[_Driven], list[str]]:
+def add_muscles(plant: LegPlant, bodies: list[LegFrame]) -> tuple[list[_Driven], list[str]]:
     """All muscles that MuJoCo can move, with their sites added to the bodies, and the omitted parts."""
     leg = plant.leg
     found, left_out = [], []
@@ -366,7 +366,7 @@ def _mjcf(
     plant: LegPlant,
     name: str,
     timestep: float,
-    bodies: list[Frame],
+    bodies: list[LegFrame],
     driven: list[_Driven],
     functions: list[MuscleFunctions],
     found: dict[str, Compliance],

@@ -122,7 +122,7 @@ class LegFilm:
 
 
 @dataclass
-class LegState:
+class LegPageState:
     """State of the page; `films` are by title."""
 
     text: str = STARTS["landing in space"]
@@ -136,7 +136,7 @@ class LegState:
 
 
 @dataclass(frozen=True)
-class Computed:
+class LegStudies:
     """Films by title, and a table of the studies."""
 
     films: dict[str, LegFilm]
@@ -165,7 +165,7 @@ def parse(text: str, folder: Path) -> LegScenario:
     return found
 
 
-def compute(scenario: LegScenario, progress: Callable[[str, float], None]) -> Computed:
+def compute(scenario: LegScenario, progress: Callable[[str, float], None]) -> LegStudies:
     """Landings or jumps of a leg, as the commands compute them, and the motion of some."""
     from mckibben.leg.jumping import study_jump
     from mckibben.leg.landing import study_landing
@@ -181,7 +181,7 @@ def compute(scenario: LegScenario, progress: Callable[[str, float], None]) -> Co
     progress("drawing", 1.0)
     largest = max(float(run["pressure"].max()) for _, run in runs.values()) or 1.0
     films = {title: film_of(plant, run, largest) for title, (plant, run) in runs.items()}
-    return Computed(films, headers, rows)
+    return LegStudies(films, headers, rows)
 
 
 def film_of(plant: LegPlant, run: LegResult, largest: float) -> LegFilm:
@@ -206,7 +206,7 @@ def film_of(plant: LegPlant, run: LegResult, largest: float) -> LegFilm:
     )
 
 
-class LegScene(Film):
+class LegMotion(Film):
     """A leg in space; x points forwards, y to the left, and z up."""
 
     def __init__(self) -> None:
@@ -273,13 +273,13 @@ def page() -> None:
     """The page."""
     kept = session()
     with frame("/leg"):
-        _Page(kept.state(LegState), kept.folder)
+        _Page(kept.state(LegPageState), kept.folder)
 
 
 class _Page:
     """Text of a leg, and the motion of its runs."""
 
-    def __init__(self, state: LegState, folder: Path) -> None:
+    def __init__(self, state: LegPageState, folder: Path) -> None:
         self.state, self.folder, self.shown, self.job = state, folder, -1, 0
         self.film: LegFilm | None = None
         with side(), panel("Leg"):
@@ -299,7 +299,7 @@ class _Page:
                 with panel("Motion"):
                     self.run = ui.select([], label="run", on_change=self.choose_run).props("dense").classes("w-full")
                     self.run.mark("run")
-                    self.scene = LegScene()
+                    self.scene = LegMotion()
                     ui.label(
                         "Drag to turn, scroll to zoom. Played at a tenth of the speed. Muscles are to scale and "
                         "coloured by pressure; the green rod is the force of the ground."
@@ -335,7 +335,7 @@ class _Page:
         """Compute the studies of the text."""
         state, folder, text = self.state, self.folder, self.state.text or ""
 
-        def done(found: Computed, heard: list[str]) -> None:
+        def done(found: LegStudies, heard: list[str]) -> None:
             state.films, state.headers, state.rows = found.films, found.headers, found.rows
             state.shown, state.error, state.notes = next(iter(found.films)), None, heard
 
