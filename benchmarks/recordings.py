@@ -37,7 +37,7 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 from mckibben.bench import BASELINES, DataBlock, Task, Training
-from mckibben.bench.gaussian_process import GaussianProcess
+from mckibben.bench.baselines import GaussianProcess
 from mckibben.bench.submission import predictions
 from mckibben.calibration import calibrate_from_commands
 from mckibben.dataset import Recording
@@ -209,7 +209,7 @@ def fit_pair_process(blocks):
     """A Gaussian process of displacement and both pressures."""
     inputs = np.concatenate([one.inputs for one in blocks])[::35]
     found = GaussianProcess.fitted(inputs, np.concatenate([one.output for one in blocks])[::35])
-    return lambda new: found.predict(new)[0]
+    return found.predict
 
 
 def show(name, method, score, reference):

@@ -39,7 +39,7 @@ def with_article(noun: str) -> str:
 
 
 def described(value: object) -> str:
-    """What a value is, in a message: a number or text is quoted, of anything else the class is named."""
+    """Describe a value in a message: numbers and texts are quoted, other objects are named by their class."""
     if isinstance(value, str | Number | None):
         return quoted(value)
     names: dict[type, str] = {tuple: "list", list: "list", dict: "mapping"}

@@ -29,7 +29,6 @@ class BenchEntry:
     """One submission or baseline in one task; without score if it does not apply, or the data do not determine it."""
 
     task: str
-    kind: str
     method: str
     score: TaskScore | None
     relative: ScoreInterval | None
@@ -149,5 +148,5 @@ def compare_submissions(
         for method in fits:
             score, seconds, reason = found[task.name, method]
             relative = score.relative_to(reference) if score and reference else None
-            entries.append(BenchEntry(task.name, task.training.kind, method, score, relative, seconds, reason))
+            entries.append(BenchEntry(task.name, method, score, relative, seconds, reason))
     return BenchTable(tuple(entries), tuple(tasks), failed)

@@ -58,7 +58,7 @@ class DataBlock(NamedTuple):
 
 @dataclass(frozen=True)
 class Training:
-    """What a submission gets: training blocks and facts about the setup, in SI units.
+    """Data for a submission: training blocks and facts about the setup, in SI units.
 
     Attributes
     ----------

@@ -248,7 +248,7 @@ _KINDS = (
 
 
 def _other_kind(data: Any, model: type[DocumentModel]) -> str:
-    """What a file of another kind is; an empty text for one of this kind."""
+    """Description of a file of another kind; an empty text for a file of this kind."""
     known, given = set(_keys_of(model)), {*data} if isinstance(data, dict) else set()
     return next((what for keys, what in _KINDS if keys <= given and not keys <= known), "")
 

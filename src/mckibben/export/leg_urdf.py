@@ -55,11 +55,10 @@ def leg_urdf(plant: LegPlant, name: str = "leg", title: str = "a leg") -> Export
     trunk = SubElement(robot, "link", name="trunk")
     _inertial(trunk, leg.trunk.mass, leg.trunk.centre, leg.trunk.inertias)
     _shape(trunk, "visual", float(leg.trunk.centre), "box", size="0.14 0.12 0.06")
-    above, origin = "trunk", 0.0
-    for joint, link, effort in zip(leg.joints, leg.links, _efforts(leg), strict=True):
+    above, bodies = "trunk", leg_bodies(plant)
+    for frame, joint, link, effort in zip(bodies[1:], leg.joints, leg.links, _efforts(leg), strict=True):
         below, length, locked = f"{joint.name}_link", float(link.length), joint.locked is not None
-        turned = float(joint.link_angle) + joint.sign * float(joint.locked or 0.0)
-        given = {"place": Vector(0.0, 0.0, -origin), "turn": np.array(joint.direction, float) * turned}
+        given = {"place": Vector(0.0, 0.0, -frame.origin), "turn": np.array(joint.direction, float) * frame.rest}
         axis = joint.direction.scaled(joint.sign)
         made = _joint(robot, joint.name, "fixed" if locked else "revolute", above, below, **given, axis=axis)
         if not locked:
@@ -70,11 +69,10 @@ def leg_urdf(plant: LegPlant, name: str = "leg", title: str = "a leg") -> Export
         _inertial(body, link.mass, -link.centre, link.inertias)
         if length:
             _shape(body, "visual", -length / 2, "cylinder", radius="0.011", length=repr(length))
-        above, origin = below, length
+        above = below
     if float(leg.foot_radius):
         for what in ("visual", "collision"):
-            _shape(robot[-1], what, -origin, "sphere", radius=repr(float(leg.foot_radius)))
-    bodies = leg_bodies(plant)
+            _shape(robot[-1], what, -float(leg.links[-1].length), "sphere", radius=repr(float(leg.foot_radius)))
     try:
         add_muscles(plant, bodies)
     except ExportError as error:

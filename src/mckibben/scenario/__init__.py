@@ -2,7 +2,7 @@
 
 from mckibben.scenario.muscle import muscle_text, read_specimen
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
-from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario
+from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario, with_run
 from mckibben.scenario.values import Known, batched, edit_scenario, known_names, run_many, valid_rows, with_values
 
 __all__ = [
@@ -23,5 +23,6 @@ __all__ = [
     "run_many",
     "run_scenario",
     "valid_rows",
+    "with_run",
     "with_values",
 ]

@@ -6,12 +6,12 @@ import importlib
 import math
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import is_dataclass, replace
 from html import escape
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
@@ -56,6 +56,7 @@ DisturbancePart = Annotated[Disturbance, Part(Disturbance)]
 FrictionPart = Annotated[JointFriction, Part(JointFriction)]
 ControllerPart = Annotated[Controller, Part(Controller)]
 ReferencePart = Annotated[Reference, Part(Reference)]
+T = TypeVar("T")
 
 
 class RunSettings(DocumentModel):
@@ -258,17 +259,7 @@ class Scenario(RunSettings):
 
     def margins(self, points: int = 20) -> Margins:
         """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
-        plant = self.plant()
-        return margins(
-            plant,
-            self.control(),
-            self.reference(),
-            self.initial(plant),
-            duration=self.duration,
-            control_period=self.control_period,
-            substeps=self.needed_substeps(),
-            points=points,
-        )
+        return with_run(self, margins, substeps=self.needed_substeps(), points=points)
 
     def linearize(self, time: float = 0.0, **options: Any) -> Any:
         """Return the linearised loop at a time [s] of the run, see `mckibben.linearize`."""
@@ -295,16 +286,14 @@ class Scenario(RunSettings):
         """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
         if self.substeps is not None:
             return self.substeps
-        plant = self.plant()
-        return needed_substeps(
-            plant,
-            self.control(),
-            self.reference(),
-            self.initial(plant),
-            duration=self.duration,
-            control_period=self.control_period,
-            accuracy=self.accuracy,
-        )
+        return with_run(self, needed_substeps, accuracy=self.accuracy)
+
+
+def with_run(scenario: Scenario, function: Callable[..., T], **settings: Any) -> T:
+    """Call a function of plant, controller, reference and start, with those of a scenario and the times of its run."""
+    plant = scenario.plant()
+    parts = plant, scenario.control(), scenario.reference(), scenario.initial(plant)
+    return function(*parts, duration=scenario.duration, control_period=scenario.control_period, **settings)
 
 
 def _above(name: str) -> Any:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
 from mckibben.notebook import html_table
-from mckibben.scenario import Scenario
+from mckibben.scenario import Scenario, with_run
 from mckibben.simulation import linear_loop
 
 Floats = NDArray[np.float64]
@@ -91,17 +91,8 @@ def linearize(scenario: Scenario, time: float = 0.0, *, closed: bool = False) ->
     ParameterError
         If the time is not within the run.
     """
-    plant = scenario.plant()
-    loop, sampled, names = linear_loop(
-        plant,
-        scenario.control(),
-        scenario.reference(),
-        scenario.initial(plant),
-        duration=scenario.duration,
-        control_period=scenario.control_period,
-        substeps=scenario.needed_substeps(),
-        time=time,
-    )
+    substeps = scenario.needed_substeps()
+    loop, sampled, names = with_run(scenario, linear_loop, substeps=substeps, time=time)
     a, b, c = (np.asarray(each, float) for each in loop)
     rows = [np.eye(len(names))[names.index(name)] for name in _STATES.values()]
     return LinearSystem(

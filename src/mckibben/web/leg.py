@@ -185,7 +185,7 @@ def compute(scenario: LegScenario, progress: Callable[[str, float], None]) -> Le
 
 
 def film_of(plant: LegPlant, run: LegResult, largest: float) -> LegFilm:
-    """What is drawn of a run, with muscles coloured relative to a largest pressure [Pa]."""
+    """Return the film of a run, with muscles coloured relative to a largest pressure [Pa]."""
     from mckibben.report.leg_shapes import muscle_shapes, place_of, skeleton, straight_paths
 
     every = run.to_xarray()
