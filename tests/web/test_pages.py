@@ -485,6 +485,25 @@ def test_a_number_that_cannot_be_is_refused_at_its_field(wrong):
     asyncio.run(visit())
 
 
+@pytest.mark.slow
+def test_a_part_of_the_plant_is_chosen_and_its_numbers_are_fields():
+    async def visit():
+        async with visitor() as user:
+            await user.open("/run")
+            bench = state(workbench.Workbench)
+            await until(lambda: there(user, "controller.position.ki"), 60)
+            the(user, ui.select, "sensors").set_value("encoder and noise")
+            await until(lambda: there(user, "sensors.encoder") and not bench.jobs.busy, 60)
+            first = bench.current
+            the(user, ui.number, "sensors.encoder").set_value(0.5)
+            await until(lambda: bench.current is not first, 60)
+            return bench.scenario, Scenario.parse(bench.text), the(user, ui.select, "sensors").value
+
+    ran, written, shown = asyncio.run(visit())
+    assert float(ran.sensors.encoder) == pytest.approx(0.5 * deg) == float(written.sensors.encoder)
+    assert shown == "encoder and noise"
+
+
 def test_other_controllers_and_references_are_scenarios():
     for section in workbench.CONTROLLERS.values():
         Scenario.parse(workbench.with_section(workbench.START, section, ("controller",))).control()

@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import ArrayLike
 
 from mckibben import catalog
-from mckibben.component.base import field_quantities
+from mckibben.component.schema import Part, write
 from mckibben.config.document import to_text
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
@@ -22,7 +21,7 @@ from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.mechanism import SLENDER, Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
-from mckibben.units import bar, deg, mm, percent, show
+from mckibben.units import bar, deg, mm, percent
 from mckibben.web.layout import BLUE, VERMILLION
 
 _MUSCLES = {"MAS-10-180N-AA-MC-O": "lei-mas-10-180n", "DMSP-10-250": "sarosi-dmsp-10"}
@@ -200,16 +199,7 @@ def muscles(fitted: Muscle | None) -> dict[str, Muscle]:
 def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
     """The section `joint` of a scenario."""
     made_of = "muscle.yaml" if design.muscle == YOURS else {"specimen": design.muscle, "law": _MUSCLES[design.muscle]}
-    return to_text({"joint": {"geometry": _section(joint_of(design, muscle).geometry), "muscle": made_of}})
-
-
-def _section(part: eqx.Module) -> dict[str, Any]:
-    """The section of a file that describes a component, with the units of its fields."""
-    found: dict[str, Any] = {"class": type(part).__name__}
-    for name, value in vars(part).items():
-        mark = field_quantities(type(part)).get(name)
-        found[name] = show(value, mark.shown, 10) if mark else _section(value)
-    return found
+    return to_text({"joint": {"geometry": write(joint_of(design, muscle).geometry, Part(Geometry)), "muscle": made_of}})
 
 
 def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any]) -> str:

@@ -44,6 +44,8 @@ body { background: #f6f7f9; color: #1b2126; }
 .fact { font-size: 17px; font-variant-numeric: tabular-nums; }
 .tab { text-decoration: none; color: #5f6b76; padding: 4px 2px; border-bottom: 2px solid transparent; }
 .tab.here { color: #0072B2; border-bottom-color: #0072B2; }
+.panel > .q-expansion-item .q-item { padding: 0; min-height: 0; }
+.panel > .q-expansion-item .nicegui-expansion-content { padding: 8px 0 0; }
 .heading { font-weight: 600; font-size: 15px; }
 .quiet { color: #5f6b76; font-size: 13px; line-height: 1.45; }
 .number { font-variant-numeric: tabular-nums; }

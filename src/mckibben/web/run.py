@@ -37,6 +37,7 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
+from mckibben.web.parts import CHOICES
 from mckibben.web.project import Project, adopt, pack, unpack
 from mckibben.web.scene import JointScene
 from mckibben.web.security import LARGEST
@@ -57,7 +58,15 @@ from mckibben.web.workbench import (
 )
 
 _MOST_KEPT = len(PALETTE) - 1
-_GROUPS = {"controller.": "Gains", "reference.": "References", "load.": "Load"}
+_GROUPS = {"controller.": "Gains", "reference.": "References"}
+_PLANT = {
+    "joint.": "Joint and muscles",
+    "load.": "Load",
+    "friction.": "Friction of the joint",
+    "valve.": "Valves",
+    "sensors.": "Sensors",
+    "disturbance.": "Disturbance",
+}
 
 
 def page() -> None:
@@ -88,6 +97,10 @@ class _Page:
                     ("stiffness", list(SIGNALS), self.choose_stiffness),
                 ):
                     made = ui.select(options, label=label, on_change=self.chosen(label, choose)).props("dense")
+                    self.selects[label] = made.classes("w-full").mark(label)
+            with panel(), _section("Plant").mark("plant"):
+                for label, choice in CHOICES.items():
+                    made = ui.select(list(choice.options), label=label, on_change=self.part(label)).props("dense")
                     self.selects[label] = made.classes("w-full").mark(label)
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel("Scenario"):
@@ -165,7 +178,7 @@ class _Page:
                     with panel():
                         show_warnings(state.notes)
             if state.scenario is not None and not state.jobs.busy:
-                for label, kind in chosen_kinds(state.scenario).items():
+                for label, kind in self.running(state.scenario).items():
                     self.selects[label].value = kind
             for shown in (self.angle, self.results, self.form):
                 shown.classes(**{"remove" if state.error is None else "add": "stale"})
@@ -239,10 +252,24 @@ class _Page:
 
         def changed(event: events.ValueChangeEventArguments) -> None:
             scenario = self.state.scenario
-            if event.value and (scenario is None or event.value != chosen_kinds(scenario)[label]):
+            if event.value and (scenario is None or event.value != self.running(scenario)[label]):
                 choose(event)
 
         return changed
+
+    def part(self, label: str) -> Callable[[events.ValueChangeEventArguments], None]:
+        """The handler of a select of the plant."""
+
+        def choose(event: events.ValueChangeEventArguments) -> None:
+            if (scenario := self.state.scenario) is not None:
+                self.change(lambda: CHOICES[label].choose(scenario, event.value))
+
+        return self.chosen(label, choose)
+
+    @staticmethod
+    def running(scenario: Scenario) -> dict[str, str | None]:
+        """Options of a scenario by the label of their select; None if the page does not offer its part."""
+        return chosen_kinds(scenario) | {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
 
     def section(self, section: str, *place: str) -> None:
         """Run the scenario with a new section."""
@@ -268,12 +295,13 @@ class _Page:
     def fields(self, scenario: Scenario) -> None:
         """Fields for the numbers set in a scenario."""
         every = [(one, one.nominal) for one in list_parameters(scenario) if one.nominal is not None]
-        for prefix, title in _GROUPS.items():
+        for prefix, title in {**_GROUPS, **_PLANT}.items():
             found = [one for one in every if one[0].name.startswith(prefix) and not _HIDDEN.search(one[0].name)]
-            if found:
-                with panel(title), ui.element("div").classes("fields"):
-                    for one, nominal in found:
-                        self.number(one, nominal, one.name.removeprefix(prefix))
+            if not found:
+                continue
+            with panel(), _section(title, opened=prefix in _GROUPS), ui.element("div").classes("fields"):
+                for one, nominal in found:
+                    self.number(one, nominal, one.name.removeprefix(prefix))
 
     def number(self, parameter: ScenarioParameter, nominal: float, name: str) -> None:
         """A number field, in the unit of files."""
@@ -330,6 +358,11 @@ class _Page:
         with self.numbers:
             rows = [_row(one) for one in (dataclasses.replace(now, name="now"), *overlays)]
             table(("run", "angle RMSE [°]", "stiffness RMSE [N·m/rad]", "coupling [°]", "air [L]", "outcome"), rows)
+
+
+def _section(title: str, *, opened: bool = False) -> ui.expansion:
+    """A part of the page that opens and closes."""
+    return ui.expansion(title, value=opened).classes("w-full").props("dense header-class=heading")
 
 
 def _row(one: Kept) -> tuple[str, ...]:

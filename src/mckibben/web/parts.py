@@ -1,0 +1,135 @@
+"""Parts of a plant that the page of runs offers: what each choice changes in a scenario, and which one it has."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+
+from mckibben import catalog
+from mckibben.component.schema import replaced
+from mckibben.joint import MusclePath, PairedPaths
+from mckibben.muscle import MaxwellSlip, Muscle, NoFriction
+from mckibben.scenario import Scenario
+from mckibben.units import mm
+from mckibben.web.design import JointDesign, joint_of
+from mckibben.web.workbench import START, with_section
+
+
+class Choice(NamedTuple):
+    """Options of a select, the scenario with one of them, and the option of a scenario; None if it has another part."""
+
+    options: tuple[str, ...]
+    choose: Callable[[Scenario, str], Scenario]
+    chosen: Callable[[Scenario], str | None]
+
+
+def _section(key: str, sections: Mapping[str, str]) -> Choice:
+    """A section of a scenario, from its text."""
+
+    @functools.cache
+    def component(name: str) -> Any:
+        return getattr(Scenario.parse(with_section(START, sections[name], (key,))), key)
+
+    def chosen(scenario: Scenario) -> str | None:
+        now = getattr(scenario, key)
+        alike = [name for name in sections if type(component(name)) is type(now)]
+        equal = [name for name in alike if eqx.tree_equal(component(name), now)]
+        return equal[0] if equal else alike[0] if len(alike) == 1 else None
+
+    return Choice(tuple(sections), lambda scenario, name: scenario.replace(**{key: component(name)}), chosen)
+
+
+def _with_muscles(scenario: Scenario, change: Callable[[Muscle, int], Muscle]) -> Scenario:
+    """The scenario with both muscles changed, given their numbers."""
+    joint = scenario.joint
+    muscles = {f"muscle{number}": change(getattr(joint, f"muscle{number}"), number) for number in (1, 2)}
+    return scenario.replace(joint=replaced(joint, muscles))
+
+
+def _strengths() -> Choice:
+    """Equal muscles, or muscles whose strengths differ, each with fields of its own."""
+    options = "equal", "unequal"
+
+    def choose(scenario: Scenario, name: str) -> Scenario:
+        if name == "equal":
+            return _with_muscles(scenario, lambda _, __: scenario.joint.muscle1)
+        return _with_muscles(scenario, lambda one, number: replaced(one, {"strength": {1: 0.95, 2: 1.05}[number]}))
+
+    def chosen(scenario: Scenario) -> str:
+        return options[not eqx.tree_equal(scenario.joint.muscle1, scenario.joint.muscle2)]
+
+    return Choice(options, choose, chosen)
+
+
+def _friction() -> Choice:
+    """Friction of both muscles."""
+    options = {"none": NoFriction(), "Maxwell slip": MaxwellSlip(half_width=6.0, presliding_length=0.5 * mm)}
+
+    def chosen(scenario: Scenario) -> str | None:
+        kinds = {type(one.friction) for one in (scenario.joint.muscle1, scenario.joint.muscle2)}
+        return next((name for name, friction in options.items() if kinds == {type(friction)}), None)
+
+    return Choice(
+        tuple(options),
+        lambda scenario, name: _with_muscles(scenario, lambda one, _: replaced(one, {"friction": options[name]})),
+        chosen,
+    )
+
+
+def _path(number: int) -> Choice:
+    """Path of one muscle; that of the other one becomes a pulley if the joint has no separate paths."""
+    key = f"path{number}"
+    names = {"pulley": "pulleys", "cam": "cams", "between two bones": "between two bones"}
+
+    def made(scenario: Scenario, kind: str, number: int) -> MusclePath:
+        joint = joint_of(JointDesign(kind=kind), getattr(scenario.joint, f"muscle{number}"))
+        return getattr(joint.geometry, f"path{number}")
+
+    def choose(scenario: Scenario, name: str) -> Scenario:
+        geometry = scenario.joint.geometry
+        if not isinstance(geometry, PairedPaths):
+            geometry = PairedPaths(*(made(scenario, "pulleys", one) for one in (1, 2)))
+        geometry = replaced(geometry, {key: made(scenario, names[name], number)})
+        return scenario.replace(joint=replaced(scenario.joint, {"geometry": geometry}))
+
+    def chosen(scenario: Scenario) -> str | None:
+        path = type(getattr(scenario.joint.geometry, key, None)).__name__
+        return {"Pulley": "pulley", "Cam": "cam", "TwoBonePath": "between two bones"}.get(path)
+
+    return Choice(tuple(names), choose, chosen)
+
+
+def _valves() -> dict[str, str]:
+    """Sections of valves; those of the catalog with a supply, and the settings that a maker leaves open."""
+    left_open = {"SwitchingValves": ", period: 10 ms", "PressureRegulator": ", time_constant: 30 ms"}
+    found = {"ideal": "ideal", "first order": "{time_constant: 20 ms}"}
+    for name in catalog.names("valves"):
+        settings = left_open.get(catalog.valve_section(name)["class"], "")
+        found[name] = f"{{from: {name}, supply: 7 bar{settings}}}"
+    return found
+
+
+CHOICES: Mapping[str, Choice] = {
+    "muscles": _strengths(),
+    "friction of the muscles": _friction(),
+    "path of muscle 1": _path(1),
+    "path of muscle 2": _path(2),
+    "load": _section(
+        "load", {"shank and foot": "knee-table-2", "pendulum": "{class: pendulum, mass: 0.5 kg, length: 200 mm}"}
+    ),
+    "friction of the joint": _section(
+        "friction", {"none": "none", "presliding": "{torque: 0.3 N*m, presliding: 0.5 deg}"}
+    ),
+    "valves": _section("valve", _valves()),
+    "sensors": _section(
+        "sensors", {"perfect": "perfect", "encoder and noise": "{encoder: 0.088 deg, pressure_noise: 2 kPa}"}
+    ),
+    "disturbance": _section(
+        "disturbance",
+        {"none": "none", "pulses": "{height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 500 ms}"},
+    ),
+}
+"""Choices by label."""

@@ -1,0 +1,68 @@
+"""Choices of the plant on the page of runs: each is a scenario that reads and runs, and is recognised again."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("nicegui")
+
+from mckibben import Scenario
+from mckibben.joint import PairedPaths, Pulley, TwoBonePath
+from mckibben.scenario import run_scenario, with_values
+from mckibben.web.parts import CHOICES
+from mckibben.web.workbench import START
+
+OPTIONS = [(label, name) for label, choice in CHOICES.items() for name in choice.options]
+
+
+@pytest.fixture(scope="module")
+def start():
+    return Scenario.parse(START)
+
+
+@pytest.mark.parametrize(("label", "name"), OPTIONS)
+def test_an_option_is_recognised_in_the_text_of_its_scenario(start, label, name):
+    chosen = CHOICES[label].choose(start, name)
+    again = Scenario.parse(chosen.dumps())
+    assert CHOICES[label].chosen(chosen) == CHOICES[label].chosen(again) == name
+    assert again.plant() == chosen.plant()
+
+
+def test_choices_are_independent_of_each_other(start):
+    scenario, wanted = start, {label: choice.options[-1] for label, choice in CHOICES.items()}
+    for label, name in wanted.items():
+        scenario = CHOICES[label].choose(scenario, name)
+    assert {label: choice.chosen(scenario) for label, choice in CHOICES.items()} == wanted
+
+
+def test_the_start_has_parts_that_the_page_offers(start):
+    found = {label: choice.chosen(start) for label, choice in CHOICES.items()}
+    assert found.pop("path of muscle 1") is found.pop("path of muscle 2") is None  # a knee without separate paths
+    assert None not in found.values()
+
+
+def test_a_path_of_one_muscle_leaves_the_other(start):
+    first = CHOICES["path of muscle 1"].choose(start, "between two bones")
+    geometry = first.joint.geometry
+    assert isinstance(geometry, PairedPaths)
+    assert (type(geometry.path1), type(geometry.path2)) == (TwoBonePath, Pulley)
+    kept = CHOICES["path of muscle 2"].choose(first, "cam").joint.geometry
+    assert kept.path1 == geometry.path1
+
+
+def test_changed_numbers_keep_the_choice_where_its_class_is_the_only_one(start):
+    rubbed = CHOICES["friction of the joint"].choose(start, "presliding")
+    changed = with_values(rubbed, {"friction.torque": 0.7, "valve.time_constant": 0.05})
+    assert CHOICES["friction of the joint"].chosen(changed) == "presliding"
+    assert CHOICES["valves"].chosen(changed) == "first order"
+    regulator = CHOICES["valves"].choose(start, "smc-itv0050")
+    other = with_values(regulator, {"valve.supply": 6e5})  # which of the regulators it was is not known
+    assert CHOICES["valves"].chosen(other) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("label", "name"), OPTIONS)
+def test_an_option_runs(start, label, name):
+    chosen = CHOICES[label].choose(start.replace(duration=0.5), name)
+    result, _ = run_scenario(chosen)
+    assert result.outcome.name == "COMPLETED"
