@@ -13,14 +13,14 @@ from mckibben.bench.tasks import JOINT, SOFT
 from mckibben.errors import ParameterError
 
 DIGESTS = {
-    "map-dmsp-10": "bf1a7cf496ff2205",
-    "map-dmsp-20": "ee5529a122eaeabc",
-    "map-wall": "3d4e037a034127a1",
-    "map-four-lengths": "b82e1dc3c51fc855",
-    "hysteresis": "19c3e9bcc4ac60b7",
-    "isometric": "49a93d6ad5e47e20",
-    "transfer": "7344b881cc36d53e",
-    "joint": "ce57c647e05e1039",
+    "map-dmsp-10": "f6000dd76f910edb",
+    "map-dmsp-20": "de8ac6711aa3e513",
+    "map-wall": "2829fb13fc079f2f",
+    "map-four-lengths": "cbe9aabb8318bf4e",
+    "hysteresis": "913f2767e99af662",
+    "isometric": "4f1424d5142608c3",
+    "transfer": "5b6b30ee365810f9",
+    "joint": "d7fa2d06e23741a0",
 }
 QUICK = ("map-dmsp-10", "map-dmsp-20", "map-wall", "map-four-lengths", "transfer")
 
@@ -89,6 +89,17 @@ def test_a_submission_sees_no_output_of_the_test(map_task):
     assert not hidden & set(np.concatenate([one.ravel() for one in given]).tolist())
     assert not hidden & set(training.stacked[1].tolist())
     assert "tests" not in {one.name for one in dataclasses.fields(training)}
+
+
+def test_a_digest_covers_inputs_and_outputs(map_task):
+    first, *others = map_task.tests
+    changed = first.output.copy()
+    changed[0] *= 1.01
+    swapped = first.output.copy()
+    swapped[[0, -1]] = swapped[[-1, 0]]
+    blocks = (DataBlock.of(first.name, first.inputs, one) for one in (changed, swapped))
+    altered = [dataclasses.replace(map_task, tests=(block, *others)) for block in blocks]
+    assert len({one.digest() for one in (map_task, *altered)}) == 3
 
 
 def test_a_submission_cannot_change_the_data(map_task):

@@ -30,7 +30,7 @@ KINDS: dict[str, tuple[tuple[tuple[str, str], ...], tuple[str, str]]] = {
 _FEWEST_BLOCKS = 3  # of an interval
 _RESAMPLED = 2000  # sets of blocks
 _COVERAGE = 95.0  # percent
-_DIGITS = 9  # of the numbers in a digest
+_DIGITS = 9  # of the inputs in a digest
 
 
 class DataBlock(NamedTuple):
@@ -204,10 +204,13 @@ class Task:
         return TaskScore(np.array(squares), sizes, scale, tuple(one.name for one in self.tests))
 
     def digest(self) -> str:
-        """Return a checksum of the split: names and inputs of all blocks, to 9 digits."""
+        """Return a checksum of the task: names and inputs of all blocks to 9 digits, and two norms of their outputs."""
         content = hashlib.sha256()
         for part, blocks in (("train", self.training.blocks), ("test", self.tests)):
             for one in blocks:
                 content.update(f"{part} {one.name} {one.inputs.shape}\n".encode())
                 content.update(" ".join(f"{value:.{_DIGITS}g}" for value in one.inputs.ravel().tolist()).encode())
+                # single outputs may round to other digits on another machine; the second norm depends on their order
+                norms = np.linalg.norm(one.output), np.linalg.norm(np.cumsum(one.output))
+                content.update(" ".join(f"{value:.6g}" for value in norms).encode())
         return content.hexdigest()[:16]

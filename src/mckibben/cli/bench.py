@@ -58,8 +58,12 @@ def bench(
             (one.name, one.training.kind, str(len(one.training.blocks)), str(len(one.tests)), one.digest(), one.source)
             for one in chosen
         ]
-        table("Tasks", ("task", "kind", "training blocks", "test blocks", "digest", "source"), rows)
-        echo(f"baselines: {', '.join(BASELINES)}")
+        headers = "task", "kind", "training blocks", "test blocks", "digest", "source"
+        if json:
+            echo(to_json({"tasks": [dict(zip(headers, row, strict=True)) for row in rows], "baselines": [*BASELINES]}))
+        else:
+            table("Tasks", headers, rows)
+            echo(f"baselines: {', '.join(BASELINES)}")
         return
     with job_progress(quiet=json) as report:
         found = compare_submissions(chosen, submissions or (), methods, progress=report)

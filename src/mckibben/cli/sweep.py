@@ -182,6 +182,7 @@ def _list(path: Path, json: bool) -> None:
 
 
 _LARGEST = 10.0  # factor on gains
+_DISK_MARGIN = 0.4  # below which a loss is reported: gains off by 1.5, phases by 23 deg
 _METHODS = ("gradient", "evolution", "cma")
 
 
@@ -338,6 +339,10 @@ def _show_tuned(
                 rows.append((f"least {what} margin", old, new, unit or "1"))
             title = f"{run['scenario']}{', without the conditions' if drawn else ''}"
             table(title, ("metric", "before", "tuned", "unit"), rows)
+            was, now = (run["least_margins"][when]["disk"] for when in ("before", "tuned"))
+            if now < min(was, _DISK_MARGIN):
+                lost = f"tuning reduced the least disk margin from {was:.2g} to {now:.2g}"
+                echo(f"{lost}; `--disk-margin {_DISK_MARGIN}` bounds it")
         if drawn:
             count = len(next(iter(drawn.values())))
             title = f"angle RMSE [deg] in the {count} conditions, and gain margin in all of them"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Self, TypeVar, get_args, get_origin
 
@@ -14,6 +14,7 @@ from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read
 from mckibben.errors import (
     FileError,
     McKibbenError,
+    ParameterError,
     Problem,
     ScenarioError,
     closest,
@@ -70,6 +71,13 @@ class DocumentModel(ConfigModel):
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
         """Read YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
         return parse_model(cls, text, source=source or cls.kind, folder=folder)[0]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        try:
+            super().__setattr__(name, value)
+        except ValidationError:
+            remedy = f"make a copy with `.replace({name}=...)`"
+            raise ParameterError(f"a {self.kind} cannot be changed", field=name, value=value, remedy=remedy) from None
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with other values of fields, given and checked as those of the constructor."""
@@ -227,7 +235,7 @@ def parse_text(
         found = validate(document.data, context=context)
     except ValidationError as error:
         problems = problems_of(error, document, model)
-        if issubclass(model, DocumentModel) and (other := _other_kind(document.data, model)):
+        if issubclass(model, DocumentModel) and (other := kind_of(document.data, _keys_of(model))):
             problems = [Problem(f"is {other}", remedy=f"give a {model.kind}, see {model.examples}")]
         raise ScenarioError(source, problems) from None
     if document.problems:
@@ -236,6 +244,7 @@ def parse_text(
 
 
 _KINDS = (
+    ({"task", "train", "test"}, "a task, which `mckibben bench` reads"),
     ({"leg"}, "a leg, which `mckibben leg` reads"),
     ({"controllers", "references"}, "a suite, which `mckibben compare` reads"),
     ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
@@ -247,10 +256,10 @@ _KINDS = (
 """Keys that only one kind of file has, what it is, and what reads it."""
 
 
-def _other_kind(data: Any, model: type[DocumentModel]) -> str:
-    """Description of a file of another kind; an empty text for a file of this kind."""
-    known, given = set(_keys_of(model)), {*data} if isinstance(data, dict) else set()
-    return next((what for keys, what in _KINDS if keys <= given and not keys <= known), "")
+def kind_of(data: Any, known: Collection[str] = ()) -> str:
+    """Return what a file with this data is, and what reads it; empty if it may be of the kind with the `known` keys."""
+    given = {*data} if isinstance(data, dict) else set()
+    return next((what for keys, what in _KINDS if keys <= given and not keys <= {*known}), "")
 
 
 def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:

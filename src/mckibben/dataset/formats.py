@@ -108,5 +108,11 @@ def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
         )
     text, zeros = decode(data, str(path))
     del data  # a large text is in memory once
+    if path.suffix.lower() in (".yaml", ".yml"):
+        from mckibben.config.document import read_document
+        from mckibben.config.model import kind_of
+
+        if kind := kind_of(read_document(text).data):
+            raise DatasetError(str(path), [Problem(f"is {kind}", remedy="give a file of measurements")])
     read = read_lvm if text.startswith(SIGNATURE) else read_text
     return read(text, str(path), known, zeros=zeros, decimal=decimal)
