@@ -38,6 +38,7 @@ _ATMOSPHERE = (0.75 * bar, 1.6 * bar)  # pressure at which the force of a muscle
 _LOWEST_ABSOLUTE = 0.7 * bar  # of the atmosphere, at 3,000 m
 _TAUT, _UPPER = 0.15, 0.6  # of the largest force, and of the range of contractions: points whose force is compared
 _CERTAIN = 2.5  # standard errors
+_ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
 _PAIRS = 3  # of points per direction
 _REVERSED = 0.9  # of these pairs
@@ -193,6 +194,7 @@ def _absolute_pressure(dataset: IsobaricDataset) -> Iterator[str]:
     stroke = np.ptp(contraction)
     used = force > max(_TAUT * force.max(), dataset.table.attrs["slack_force"])
     used &= contraction <= contraction.min() + _UPPER * stroke
+    used = np.flatnonzero(used)[:: 1 + len(used) // _ENOUGH]
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
     terms = [p, np.ones(len(p)), eps, p * eps, p * eps**2][: 5 if stroke else 2]
     if (
