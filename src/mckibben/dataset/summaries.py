@@ -52,6 +52,8 @@ _INVALID = frozenset(
 _SUMMARY = frozenset(
     "mean average avg median std stdev sum total mittelwert mittel summe moyenne promedio media".split()
 )
+_SPECIMEN = frozenset("specimen muscle actuator dut prüfling muskel probe muestra éprouvette provino".split())
+_NAME = frozenset("specimen muscle name id no nr number num type serial sn".split())
 _WORD = re.compile(r"[^\W\d_]+")
 _VALUES = 100  # different numbers in a column of states
 _LONGEST = 40  # characters of a value
@@ -167,6 +169,18 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
                 "the rows that it marks as invalid"
             )
     return lines, warnings
+
+
+def several_specimens(channels: Sequence[RawColumn]) -> Iterator[str]:
+    """Warnings of columns that are not read and name more than one muscle."""
+    for channel in channels:
+        words = _words(channel.label)
+        if words.isdisjoint(_SPECIMEN) or not words <= _SPECIMEN | _NAME:
+            continue
+        names = [name for name in Counter(str(cell).strip() for cell in channel.cells) if name]
+        if 1 < len(names) <= len(channel.cells) / _FEWEST:
+            shown = f"{', '.join(map(repr, names[:_SHOWN]))}{' ...' if len(names) > _SHOWN else ''}"
+            yield f"{channel.name!r} is not read, and names {shown}: rows of several muscles are one; read them apart"
 
 
 def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
