@@ -177,7 +177,8 @@ def _few_slack_points(dataset: IsobaricDataset) -> Iterator[str]:
     """
     contraction, force = dataset.contraction, dataset.force
     largest = float(force.max())
-    levels = _levels(dataset.table.get("set_pressure", dataset.table["pressure"]).fillna(0).to_numpy())
+    nominal = dataset.table.get("set_pressure", dataset.table["pressure"]).fillna(0).to_numpy()
+    levels = _levels(nominal if nominal.max() > 0 else dataset.pressure)
     ordered = [rows[np.argsort(contraction[rows], kind="stable")] for rows in levels if len(rows) > 2]
     found = [rows[-count:] for rows in ordered if (count := _flat(contraction[rows], force[rows], _EQUAL * largest))]
     if not found and 1 < len(ordered) < _ESTIMATED:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,11 +16,12 @@ Floats = NDArray[np.float64]
 
 MOST_POINTS = 20_000
 """Rows of a file, beyond which they are samples, not points."""
-_STATISTICS: Mapping[str, Callable[[Floats], Floats]] = {
-    "mean": lambda rows: rows.mean(axis=1),
-    "median": lambda rows: np.median(rows, axis=1),
-    "standard deviation": lambda rows: rows.std(axis=1, ddof=1),
-    "sum": lambda rows: rows.sum(axis=1),
+_STATISTICS: Mapping[str, Callable[..., Floats]] = {
+    "mean": np.mean,
+    "median": np.median,
+    "standard deviation": functools.partial(np.std, ddof=1),
+    "sum": np.sum,
+    "maximum": np.max,
 }
 _FEWEST = 4  # rows that a summary summarises
 _JUMP = 1.5  # usual steps from row to row, beyond which a summary is from its neighbors
@@ -92,7 +94,9 @@ def _ends(rows: Floats) -> Iterator[_Candidate]:
             (rows[:, : count - ends], range(count - ends, count), "before"),
         ):
             for name, statistic in _STATISTICS.items():
-                values = statistic(body)
+                if statistic is np.max and not np.ptp(body, axis=1).all():
+                    continue  # at a fixed length, a muscle has its largest force at its largest pressure
+                values = statistic(body, axis=1)
                 for at in places:
                     yield at, values, f"the {name} of the rows {side} it"
 
