@@ -199,10 +199,10 @@ def matlab_timetable(p, rng):
     return csv(p, text(rows, ("Time", *NAMES), ","))
 
 
-def lvm(p, rows, units, separator="\t"):
-    head = "LabVIEW Measurement~\nWriter_Version~2\nReader_Version~2\nSeparator~{}\nDecimal_Separator~.\n"
+def lvm(p, rows, units, separator="\t", decimal="."):
+    head = "LabVIEW Measurement~\nWriter_Version~2\nReader_Version~2\nSeparator~{}\nDecimal_Separator~{}\n"
     head += "Multi_Headings~No\nX_Columns~One\n***End_of_Header***~\n~\nChannels~3\nY_Unit_Label~{}\n"
-    head = head.format("Comma" if separator == "," else "Tab", "~".join(units)).replace("~", separator)
+    head = head.format("Comma" if separator == "," else "Tab", decimal, "~".join(units)).replace("~", separator)
     lines = [["X_Value", "Pressure", "Contraction", "Force", "Comment"], *rows]
     content = f"{head}***End_of_Header***{separator}\n" + "".join(separator.join(row) + "\n" for row in lines)
     return csv(p, content, "rig.lvm")
@@ -221,14 +221,14 @@ def lvm_with_remarks(p, rng):
 
 
 @kind
-def lvm_in_kilopascals(p, rng):
-    rows = [[t, f"{100 * a:.6f}", f"{b:.6f}", f"{c:.6f}"] for t, (a, b, c) in zip(times(p), numbers(p), strict=True)]
-    return lvm(p, rows, ("kPa", "%", "N"))
+def lvm_with_decimal_commas(p, rng):
+    return lvm(p, with_times(p, ","), ("bar", "%", "N"), decimal=",")
 
 
 @kind
-def lvm_with_volts(p, rng):
-    return lvm(p, with_times(p), ("bar", "%", "V"))
+def lvm_in_kilopascals(p, rng):
+    rows = [[t, f"{100 * a:.6f}", f"{b:.6f}", f"{c:.6f}"] for t, (a, b, c) in zip(times(p), numbers(p), strict=True)]
+    return lvm(p, rows, ("kPa", "%", "N"))
 
 
 # Arduino, amplifiers, loggers
@@ -388,3 +388,16 @@ def keysight_scans_with_alarms(p, rng):
     ]
     header = ("Scan", "Time", "101 <Pressure> (bar)", "Alarm 101", "102 <Contraction> (%)", "Alarm 102")
     return csv(p, text(rows, (*header, "103 <Force> (N)", "Alarm 103"), ","))
+
+
+@kind
+def keysight_exponents_mapped(p, rng):
+    rows = [[f"{v:+.8E}" for v in row] for row in numbers(p)]
+    header = ("101 (BAR)", "102 (%)", "103 (N)")
+    return csv(p, text(rows, header, ","), columns=dict(zip(header, NAMES, strict=True)))
+
+
+@kind
+def picolog_with_last_values(p, rng):
+    header = ("", "Pressure Last (bar)", "Contraction Last (%)", "Force Last (N)")
+    return csv(p, text([[str(i), *row] for i, row in enumerate(cells(p))], header, ","))

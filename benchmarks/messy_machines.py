@@ -273,3 +273,14 @@ def workbook_shown_in_thousands(p, rng):
             cell.number_format = "0.000,"
 
     return File("rig.xlsx", workbook([(*HEADER[:2], "Force [kN]"), *numbers(p)], shown), p)
+
+
+@kind
+def workbook_with_other_units_in_the_format(p, rng):
+    """Cells that show 250 kPa, under bar."""
+
+    def shown(book):
+        for (cell,) in book.active.iter_rows(min_row=2, max_col=1):
+            cell.number_format = '0" kPa"'
+
+    return File("rig.xlsx", workbook([HEADER, *([100 * a, b, c] for a, b, c in numbers(p))], shown), p)

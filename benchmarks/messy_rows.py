@@ -156,11 +156,6 @@ def maxima_under_the_table(p, rng):
     return csv(p, text(rows))
 
 
-@kind
-def number_of_rows_under_the_table(p, rng):
-    return csv(p, text([*cells(p), [str(len(p.force))] * 3]))
-
-
 # Absolute pressures
 
 

@@ -41,7 +41,22 @@ _NAMES: Mapping[str, str] = {
         ("length", ("muscle length",)),
         ("time", ("t", "elapsed time")),
         ("set_pressure", ("set pressure", "pressure setpoint", "pressure set", "nominal pressure", "p_set")),
-        ("pressure", ("druck", "druck ist", "istdruck", "pression", "pressione", "presión", "presion", "pressão", "压力", "压强", "圧力")),
+        (
+            "pressure",
+            (
+                "druck",
+                "druck ist",
+                "istdruck",
+                "pression",
+                "pressione",
+                "presión",
+                "presion",
+                "pressão",
+                "压力",
+                "压强",
+                "圧力",
+            ),
+        ),
         ("force", ("kraft", "zugkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
         (
             "contraction",
