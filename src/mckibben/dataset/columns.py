@@ -36,7 +36,7 @@ _NAMES: Mapping[str, str] = {
     name: quantity
     for quantity, others in (
         ("pressure", ("p", "P", "gauge pressure", "muscle pressure", "measured pressure", "pressure actual")),
-        ("force", ("F", "tension", "axial force", "muscle force", "measured force", "pull")),
+        ("force", ("F", "tension", "axial force", "muscle force", "measured force", "standard force", "pull", "load")),
         ("contraction", ("relative contraction", "contraction ratio", "epsilon", "eps", "ε")),
         ("length", ("muscle length",)),
         ("time", ("t", "elapsed time")),
@@ -57,7 +57,7 @@ _NAMES: Mapping[str, str] = {
                 "圧力",
             ),
         ),
-        ("force", ("kraft", "zugkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
+        ("force", ("kraft", "zugkraft", "standardkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
         (
             "contraction",
             (

@@ -183,7 +183,7 @@ def _few_slack_points(dataset: IsobaricDataset) -> Iterator[str]:
     found = [rows[-count:] for rows in ordered if (count := _flat(contraction[rows], force[rows], _EQUAL * largest))]
     if not found and 1 < len(ordered) < _ESTIMATED:
         last, before = (np.array([rows[at] for rows in ordered]) for at in (-1, -2))
-        if np.ptp(force[last]) <= _EQUAL * largest and np.ptp(force[before]) > _NOISE * largest:
+        if np.ptp(force[last]) <= _EQUAL * largest and np.ptp(force[before]) > _OFFSET * largest:
             found = [last]
     at = np.concatenate(found) if found else np.array([], np.intp)
     if len(at) and (mean := float(force[at].mean())) > max(_OFFSET * largest, dataset.table.attrs["slack_force"]):

@@ -121,7 +121,7 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
         cells = _split(candidate, delimiter)
         if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
             return lines[index:], number + index
-        if max(2, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
+        if max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
             break  # a row: the following lines cannot be a header
     return lines, number
 
