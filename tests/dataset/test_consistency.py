@@ -257,8 +257,13 @@ def test_usual_values_do_not_mark_missing_ones(heard):
 
 @pytest.mark.parametrize(
     ("tails", "offset", "reported"),
-    [((2, 0, 0), 30.0, True), ((0, 4, 0), 30.0, True), ((1, 1, 1), 30.0, True), ((3, 0, 0), 0.0, False)]
-    + [((0, 0, 0), 30.0, False)],
+    [
+        ((2, 0, 0), 30.0, True),
+        ((0, 4, 0), 30.0, True),
+        ((1, 1, 1), 30.0, True),
+        ((3, 0, 0), 0.0, False),
+        ((0, 0, 0), 30.0, False),
+    ],
     ids=["two", "four", "one at each pressure", "no offset", "no slack point"],
 )
 def test_an_offset_that_few_slack_points_show_is_reported(tails, offset, reported, heard):
