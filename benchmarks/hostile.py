@@ -24,6 +24,7 @@ import ctypes
 import gc
 import json
 import os
+import queue
 import selectors
 import shutil
 import signal
@@ -34,6 +35,8 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,10 +116,10 @@ class Worker:
             used = max(used, processor_time(process.pid) - before)
             wall = time.perf_counter() - start
             if wall > KILLED:
-                self.end()
+                self.close()
                 return Read("too long", f"killed after {KILLED:g} s", used, wall, peak)
             if process.poll() is not None:
-                self.end()
+                self.close()
                 return Read("traceback", f"the process ended with {process.returncode}", used, wall, peak)
         peak = max(peak, *(status(pid, "VmHWM") for pid in tree(process.pid)))
         used = max(used, processor_time(process.pid) - before)
@@ -126,10 +129,10 @@ class Worker:
         elif used > SECONDS and outcome not in FAILURES:
             outcome = "too long"
         if sum(status(pid, "VmRSS") for pid in tree(process.pid)) > KEPT:
-            self.end()
+            self.close()
         return Read(outcome, text, used, wall, peak)
 
-    def end(self) -> None:
+    def close(self) -> None:
         """End the process and its children."""
         process, self.process = self.process, None
         if process is not None:
@@ -249,37 +252,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="first seed")
     parser.add_argument("--only", nargs="+", choices=sorted(KINDS), metavar="KIND", help="some kinds")
     parser.add_argument("--repeat", nargs=2, metavar=("KIND", "SEED"), help="one file, written to the current folder")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="number of worker processes")
     parser.add_argument("--verbose", action="store_true", help="print what came of each file, not only of the failures")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.work:
         work()
         return 0
-    worker = Worker()
-    try:
-        if options.repeat:
-            kind, seed = options.repeat[0], int(options.repeat[1])
+    if options.repeat:
+        kind, seed = options.repeat[0], int(options.repeat[1])
+        with closing(Worker()) as worker:
             found = examine(worker, kind, seed, Path())
-            print(described(kind, seed, found))
-            return int(failed(kind, found))
-        kinds = options.only or list(KINDS)
-        files = SEEDS * len(kinds) if options.files is None else options.files
-        each: dict[str, list[Read]] = {kind: [] for kind in kinds}
-        failures = []
-        for index, kind in enumerate(kinds):
-            for seed in range(options.seed, options.seed + files // len(kinds) + (index < files % len(kinds))):
-                folder = Path(tempfile.mkdtemp())
-                try:
-                    found = examine(worker, kind, seed, folder)
-                finally:
-                    shutil.rmtree(folder, ignore_errors=True)
-                each[kind].append(found)
-                line = described(kind, seed, found)
-                failures += [line] if failed(kind, found) else []
-                if options.verbose or failed(kind, found):
-                    print(line, file=sys.stderr, flush=True)
-    finally:
-        worker.end()
+        print(described(kind, seed, found))
+        return int(failed(kind, found))
+    kinds = options.only or list(KINDS)
+    files = SEEDS * len(kinds) if options.files is None else options.files
+    most = -(-files // len(kinds))
+    tasks = [(kind, options.seed + at) for at in range(most) for kind in kinds][:files]
+    free: queue.SimpleQueue[Worker] = queue.SimpleQueue()
+    for _ in range(options.jobs):
+        free.put(Worker())
+
+    def tried(task: tuple[str, int]) -> Read:
+        worker, folder = free.get(), Path(tempfile.mkdtemp())
+        try:
+            return examine(worker, *task, folder)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+            free.put(worker)
+
+    each: dict[str, list[Read]] = {kind: [] for kind in kinds}
+    failures = []
+    with ThreadPoolExecutor(options.jobs) as pool:
+        for (kind, seed), found in zip(tasks, pool.map(tried, tasks), strict=True):
+            each[kind].append(found)
+            line = described(kind, seed, found)
+            failures += [line] if failed(kind, found) else []
+            if options.verbose or failed(kind, found):
+                print(line, file=sys.stderr, flush=True)
+    for _ in range(options.jobs):
+        free.get().close()
     print(*table(each), sep="\n")
     print(f"{len(kinds)} kinds, {files} files: {len(failures)} failures")
     for one in failures:

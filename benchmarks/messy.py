@@ -1,8 +1,8 @@
 """Messy measurement files whose true numbers are known: read right, asked about, or read wrong.
 
-``python benchmarks/messy.py`` writes 1,000 files of all kinds (functions of `messy_kinds`, `messy_labs` and
-`messy_loggers`), reads each with `mckibben.dataset.read_dataset`, and compares pressures, contractions and forces with
-the truth. A file is right if all agree; asked if the reader refused it; wrong with a warning; or wrong in silence:
+``python benchmarks/messy.py`` writes 1,000 files of all kinds (functions of the modules `messy_...`), reads each with
+`mckibben.dataset.read_dataset`, and compares pressures, contractions and forces with the truth. A file is right if all
+agree; asked if the reader refused it; wrong with a warning; or wrong in silence: these are
 listed with the seeds that `--repeat KIND SEED` writes and reads again. Where a file does not determine its numbers (two
 columns of forces, say), its kind's function states which are true, and only a question or a warning is not silent.
 """
@@ -19,6 +19,8 @@ from typing import NamedTuple
 
 import messy_labs  # noqa: F401 - adds kinds
 import messy_loggers  # noqa: F401 - adds kinds
+import messy_machines  # noqa: F401 - adds kinds
+import messy_rows  # noqa: F401 - adds kinds
 import numpy as np
 from messy_kinds import KINDS, Points
 

@@ -1,4 +1,4 @@
-"""Kinds of messy files: formats of loggers and test machines, status columns, summary rows, absolute pressures.
+"""Kinds of messy files: formats of LabVIEW, dSPACE, Simulink, ROS, microcontrollers, amplifiers and loggers.
 
 Importing this adds them to `KINDS`.
 """
@@ -9,13 +9,10 @@ import io
 import json
 from dataclasses import replace
 
-import h5py
 import numpy as np
-from messy_kinds import HEADER, File, cells, csv, kind, numbers, text, third, workbook
+from messy_kinds import HEADER, File, cells, csv, kind, numbers, text, third
 from messy_labs import NAMES
 from scipy.io import savemat
-
-ATMOSPHERE = 1.013  # bar
 
 
 def times(p, step=0.5):
@@ -28,22 +25,6 @@ def with_times(p, decimal="."):
 
 def lengths(p, initial=180.0):
     return [repr(initial * (1 - float(c) / 100)) for c in p.contraction]
-
-
-def inserted(rows, at, row):
-    return [*rows[:at], row, *rows[at:]]
-
-
-def means(p, rows=slice(None)):
-    """Mean of points, with the decimals that people print."""
-    a, b, c = (v[rows].mean() for v in (p.pressure, p.contraction, p.force))
-    return [f"{a:.2f}", f"{b:.1f}", f"{c:.1f}"]
-
-
-def levels(p):
-    """Slices of the pressures."""
-    count = len(np.unique(p.contraction))
-    return [slice(at, at + count) for at in range(0, len(p.force), count)]
 
 
 # LabVIEW, dSPACE, Simulink, ROS
@@ -218,103 +199,39 @@ def matlab_timetable(p, rng):
     return csv(p, text(rows, ("Time", *NAMES), ","))
 
 
-# Test machines
+def lvm(p, rows, units, separator="\t", decimal="."):
+    head = "LabVIEW Measurement~\nWriter_Version~2\nReader_Version~2\nSeparator~{}\nDecimal_Separator~{}\n"
+    head += "Multi_Headings~No\nX_Columns~One\n***End_of_Header***~\n~\nChannels~3\nY_Unit_Label~{}\n"
+    head = head.format("Comma" if separator == "," else "Tab", decimal, "~".join(units)).replace("~", separator)
+    lines = [["X_Value", "Pressure", "Contraction", "Force", "Comment"], *rows]
+    content = f"{head}***End_of_Header***{separator}\n" + "".join(separator.join(row) + "\n" for row in lines)
+    return csv(p, content, "rig.lvm")
 
 
 @kind
-def zwick_with_units_in_the_header(p, rng):
-    header = ("Prüfzeit [s]", "Druck [bar]", "Kontraktion [%]", "Zugkraft [N]")
-    return csv(p, "Zwick testXpert\n\n" + text(with_times(p, ","), header, end="\r\n"), "rig.csv", "cp1252")
+def lvm_with_commas(p, rng):
+    return lvm(p, with_times(p), ("bar", "%", "N"), ",")
 
 
 @kind
-def instron_with_units_in_the_header(p, rng):
-    rows = [[f'"{one}"' for one in row] for row in with_times(p)]
-    return csv(p, text(rows, ('"Time (s)"', '"Pressure (bar)"', '"Contraction (%)"', '"Force (N)"'), ","))
+def lvm_with_remarks(p, rng):
+    rows = with_times(p)
+    rows[2].append("valve open")
+    return lvm(p, rows, ("bar", "%", "N"))
 
 
 @kind
-def machine_in_megapascals_and_kilonewtons(p, rng):
-    rows = [[repr(a / 10), repr(b / 100), repr(c / 1000)] for a, b, c in numbers(p)]
-    return csv(p, text(rows, ("Pressure [MPa]", "Contraction [-]", "Force [kN]"), "\t"), "rig.txt")
+def lvm_with_decimal_commas(p, rng):
+    return lvm(p, with_times(p, ","), ("bar", "%", "N"), decimal=",")
 
 
 @kind
-def fluidtester_in_hectopascals(p, rng):
-    rows = [[f"{1000 * a:.1f}", f"{b:g}", f"{c:g}"] for a, b, c in numbers(p)]
-    return csv(p, text(rows, ("Pressure [mbar]", *HEADER[1:])))
+def lvm_in_kilopascals(p, rng):
+    rows = [[t, f"{100 * a:.6f}", f"{b:.6f}", f"{c:.6f}"] for t, (a, b, c) in zip(times(p), numbers(p), strict=True)]
+    return lvm(p, rows, ("kPa", "%", "N"))
 
 
-@kind
-def zwick_tra(p, rng):
-    head = "Prüfmaschine Zwick Z010\r\nPrüfer;Müller\r\n\r\n"
-    header = ("Prüfzeit", "Druck", "Kontraktion", "Standardkraft")
-    rows = [["s", "bar", "%", "N"], *with_times(p, ",")]
-    mapped = {"Standardkraft": "force_N", "Druck": "pressure_bar", "Kontraktion": "contraction_percent"}
-    return csv(p, head + text(rows, header, end="\r\n"), "rig.TRA", "cp1252", columns=mapped)
-
-
-@kind
-def zwick_without_mapping(p, rng):
-    rows = [["s", "bar", "mm", "N"], *with_times(p, ",")]
-    return csv(p, text(rows, ("Prüfzeit", "Druck", "Standardweg", "Standardkraft")), "rig.TRA", "cp1252")
-
-
-@kind
-def zwick_in_kilonewtons_by_its_row_of_units(p, rng):
-    forces = [repr(float(f) / 1000).replace(".", ",") for f in p.force]
-    rows = [["bar", "%", "kN"], *third(cells(p, ","), forces)]
-    return csv(p, text(rows, ("Druck", "Kontraktion", "Kraft")), "rig.TRA")
-
-
-@kind
-def instron_bluehill(p, rng):
-    """Quoted, with units in brackets in a second row, and results above the table."""
-    head = '"Results Table 1"\n"","Maximum Load (N)"\n"1","' + f'{p.force.max():g}"\n\n'
-    rows = [[f'"{one}"' for one in row] for row in cells(p)]
-    return csv(p, head + text([['"(bar)"', '"(%)"', '"(N)"'], *rows], ('"Pressure"', '"Contraction"', '"Load"'), ","))
-
-
-@kind
-def instron_with_load_mapped(p, rng):
-    rows = [[f'"{one}"' for one in row] for row in cells(p)]
-    content = text([['"(bar)"', '"(%)"', '"(N)"'], *rows], ('"Pressure"', '"Contraction"', '"Load"'), ",")
-    return csv(p, content, columns={"Load": "force_N"})
-
-
-@kind
-def instron_load_in_kilonewtons_mapped_as_newtons(p, rng):
-    rows = third(cells(p), [repr(float(f) / 1000) for f in p.force])
-    content = text([["(bar)", "(%)", "(kN)"], *rows], ("Pressure", "Contraction", "Load"), ",")
-    return csv(p, content, columns={"Load": "force_N"})
-
-
-@kind
-def mts_with_cycles(p, rng):
-    head = "MTS793|MPT|ENU|1|2|/|.|/|:|1|0|0|A\n\nData Acquisition:Timed\t\tTime:\t0.5\tSec\n"
-    rows = [["bar", "%", "N"], *cells(p)]
-    return csv(p, head + text(rows, ("Pressure", "Contraction", "Axial Force"), "\t"), "specimen.dat")
-
-
-@kind
-def shimadzu_with_names_and_units_in_two_rows(p, rng):
-    rows = [["sec", "bar", "%", "N"], *with_times(p)]
-    return csv(p, '"Test name","muscle"\n' + text(rows, ("Time", "Pressure", "Contraction", "Force"), ","))
-
-
-@kind
-def machine_with_a_push_counted_positive(p, rng):
-    return csv(p, text(third(cells(p), [f"-{f:g}" for f in p.force]), (*HEADER[:2], "Load cell force [N]")))
-
-
-@kind
-def machine_at_its_limit_of_force(p, rng):
-    """The machine reports its range, 80 % of the largest force, in place of all above."""
-    top = round(0.6 * float(p.force.max()), 1)
-    return csv(p, text(third(cells(p), [f"{min(f, top):g}" for f in p.force])))
-
-
-# Arduino, amplifiers, multimeters
+# Arduino, amplifiers, loggers
 
 
 @kind
@@ -417,235 +334,70 @@ def graphtec_with_signs_apart(p, rng):
     return csv(p, text(rows, HEADER, ","))
 
 
-# German and other Excel
+@kind
+def monitor_with_arrows(p, rng):
+    """The Arduino IDE's time stamps."""
+    lines = [f"14:33:{i:02d}.250 -> {line}" for i, line in enumerate([",".join(HEADER), *map(",".join, cells(p))])]
+    return csv(p, "\n".join(lines) + "\n", "monitor.txt")
 
 
 @kind
-def german_excel_with_thousands_and_units_in_cells(p, rng):
-    rows = [[f"{a} bar", f"{b} %", f"{c} N"] for a, b, c in cells(p, ",")]
-    return csv(p, text(rows, ("Druck", "Kontraktion", "Kraft")), encoding="cp1252")
+def boot_messages_of_an_esp32(p, rng):
+    head = "ets Jun  8 2016 00:22:57\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13\r\nconfigsip: 0, SPIWP:0xee\r\n"
+    return csv(p, head + text(cells(p), NAMES, ",", end="\r\n"), "putty.log")
 
 
 @kind
-def german_excel_with_dates_for_decimals(p, rng):
-    """Excel has made a date of a pressure such as 2.5."""
-    rows = cells(p, ",")
-    at = int(rng.integers(len(rows)))
-    rows[at][0] = "02. Mai"
-    return replace(csv(p, text(rows, ("Druck [bar]", "Kontraktion [%]", "Kraft [N]"))), truth=p.without([at]))
+def counts_next_to_pressures(p, rng):
+    rows = [[f"{round(102 + 81.8 * float(row[0]))}", *row] for row in cells(p)]
+    return csv(p, text(rows, ("pressure_adc", *NAMES), "\t"), "rig.txt")
 
 
 @kind
-def german_excel_with_rows_for_each_pressure(p, rng):
-    """The pressure stands only in the first row of its block."""
-    rows = cells(p, ",")
-    for block in levels(p):
-        for row in rows[block][1:]:
-            row[0] = ""
-    return csv(p, text(rows, ("Druck [bar]", "Kontraktion [%]", "Kraft [N]")))
+def milliseconds_that_overflow(p, rng):
+    rows = [[str((4294966000 + 500 * i) % 2**32), *row] for i, row in enumerate(cells(p))]
+    return csv(p, text(rows, ("time_ms", *NAMES), ","))
 
 
 @kind
-def german_excel_with_mittelwert(p, rng):
-    rows = [*cells(p, ","), ["Mittelwert", f"{p.contraction.mean():.1f}".replace(".", ","), f"{p.force.mean():.1f}"]]
-    return csv(p, text(rows, ("Druck [bar]", "Kontraktion [%]", "Kraft [N]")))
+def catman_with_units_under_the_names(p, rng):
+    rows = [["s", "bar", "%", "N"], *with_times(p, ",")]
+    head = "CATMAN ASCII\nSample rate 50 Hz\nChannels 4\n\n"
+    return csv(p, head + text(rows, ("Zeit", "Druck", "Kontraktion", "Kraft"), "\t", "\r\n"), "rig.asc", "cp1252")
 
 
 @kind
-def workbook_with_numbers_and_units_in_one_cell(p, rng):
-    rows = [[f"{a} bar", f"{b} %", f"{c} N"] for a, b, c in cells(p, ",")]
-    return File("rig.xlsx", workbook([("Druck", "Kontraktion", "Kraft"), *rows]), p)
+def marks_of_an_overflow(p, rng):
+    """As an Arduino, a PicoLog or catman writes them."""
+    rows = with_times(p)
+    at = int(np.argmax(p.force))
+    rows[at][3] = rng.choice(["ovf", "inf", "nan", "******", "-1000000"])
+    return replace(csv(p, text(rows, ("Time [s]", *HEADER), "\t")), truth=p.without([at]))
 
 
 @kind
-def workbook_with_a_struck_out_row(p, rng):
-    """A row that its author struck out."""
-    from openpyxl.styles import Font
-
-    rows = numbers(p)
-    at = int(rng.integers(1, len(rows) - 1))
-    rows[at][2] = rows[at][2] * 0.4
-
-    def strike(book):
-        for cell in book.active[at + 2]:
-            cell.font = Font(strike=True)
-
-    return File("rig.xlsx", workbook([(*HEADER, "note"), *([*row, None] for row in rows)], strike), p.without([at]))
+def columns_of_means_and_peaks(p, rng):
+    rows = [[a, b, f"{1.07 * float(c):.1f}", c] for a, b, c in cells(p)]
+    return csv(p, text(rows, (*HEADER[:2], "Force peak [N]", "Force mean [N]"), "\t"))
 
 
 @kind
-def workbook_with_a_mean_of_each_block(p, rng):
-    rows = []
-    for block in levels(p):
-        rows += numbers(p)[block] + [list(map(float, means(p, block)))]
-    return File("rig.xlsx", workbook([HEADER, *rows]), p)
+def keysight_scans_with_alarms(p, rng):
+    rows = [
+        [str(i), f"03/12/2024 14:33:{i:02d}:125", a, "0", b, "0", c, "0"] for i, (a, b, c) in enumerate(cells(p), 1)
+    ]
+    header = ("Scan", "Time", "101 <Pressure> (bar)", "Alarm 101", "102 <Contraction> (%)", "Alarm 102")
+    return csv(p, text(rows, (*header, "103 <Force> (N)", "Alarm 103"), ","))
 
 
 @kind
-def workbook_filtered(p, rng):
-    """A filter hides rows of which one is wrong."""
-    rows = numbers(p)
-    rows.insert(2, [rows[2][0], rows[2][1], 3 * rows[2][2]])
-
-    def hide(book):
-        book.active.row_dimensions[4].hidden = True
-
-    return File("rig.xlsx", workbook([HEADER, *rows], hide), p)
-
-
-# Status columns
-
-
-def faulty(p, rng):
-    """Rows of which one is not a measurement, and its place."""
-    rows = cells(p)
-    at = int(rng.integers(1, len(rows) - 1))
-    rows[at][2] = f"{0.6 * p.force[at]:.1f}"
-    return rows, at
-
-
-def marked(name, usual, mark, delimiter=";"):
-    """Kind with a column that marks one row."""
-
-    def make(p, rng):
-        rows, at = faulty(p, rng)
-        flags = [mark if i == at else usual for i in range(len(rows))]
-        content = text([[*row, flag] for row, flag in zip(rows, flags, strict=True)], (*HEADER, name), delimiter)
-        return replace(csv(p, content), truth=p.without([at]))
-
-    return make
-
-
-for label, arguments in {
-    "status_ok_or_fault": ("Status", "OK", "FAULT"),
-    "valid_one_or_zero": ("valid", "1", "0"),
-    "quality_good_or_bad": ("Quality", "192", "0"),
-    "error_codes": ("error code", "0", "17"),
-    "state_of_the_rig": ("rig_state", "3", "4"),
-    "gueltig_ja_nein": ("gültig", "ja", "nein"),
-    "flags_in_hexadecimal": ("Flags", "0x0000", "0x0004"),
-    "remark_that_a_row_is_invalid": ("remark", "", "invalid"),
-    "note_of_an_outlier": ("note", "", "outlier, repeat"),
-    "overload_true_or_false": ("Overload", "FALSE", "TRUE"),
-    "rows_named_by_an_unread_column": ("run", "1", "mean"),
-}.items():
-    made = marked(*arguments)
-    made.__name__ = f"status_{label}"
-    kind(made)
+def keysight_exponents_mapped(p, rng):
+    rows = [[f"{v:+.8E}" for v in row] for row in numbers(p)]
+    header = ("101 (BAR)", "102 (%)", "103 (N)")
+    return csv(p, text(rows, header, ","), columns=dict(zip(header, NAMES, strict=True)))
 
 
 @kind
-def status_in_a_column_before_the_others(p, rng):
-    rows, at = faulty(p, rng)
-    content = [["E" if i == at else "M", *row] for i, row in enumerate(rows)]
-    return replace(csv(p, text(content, ("state", *HEADER))), truth=p.without([at]))
-
-
-@kind
-def status_in_hdf5(p, rng):
-    stream = io.BytesIO()
-    rows, at = faulty(p, rng)
-    with h5py.File(stream, "w") as file:
-        for name, column in zip(NAMES, np.array(rows, float).T, strict=True):
-            file[name] = column
-        file["valid"] = np.arange(len(rows)) != at
-    return File("rig.h5", stream.getvalue(), p.without([at]))
-
-
-@kind
-def status_mapped_as_a_pressure(p, rng):
-    """The user maps a column of valve states to the pressure."""
-    rows = [[*row, str(1 + i % 2)] for i, row in enumerate(cells(p))]
-    header = ("p supply", *HEADER[1:], "valve state")
-    return csv(p, text(rows, header), columns={"valve state": "pressure_bar"})
-
-
-# Summary rows without a label
-
-
-@kind
-def mean_under_the_table(p, rng):
-    return csv(p, text([*cells(p), means(p)]))
-
-
-@kind
-def mean_above_the_table(p, rng):
-    return csv(p, text([means(p), *cells(p)]))
-
-
-@kind
-def mean_after_a_blank_line(p, rng):
-    return csv(p, text(cells(p)) + "\n" + ";".join(means(p)) + "\n")
-
-
-@kind
-def mean_and_deviation_under_the_table(p, rng):
-    deviations = [f"{v.std(ddof=1):.2f}" for v in (p.pressure, p.contraction, p.force)]
-    return csv(p, text([*cells(p), means(p), deviations]))
-
-
-@kind
-def mean_after_each_pressure(p, rng):
-    rows = []
-    for block in levels(p):
-        rows += [*cells(p)[block], means(p, block)]
-    return csv(p, text(rows))
-
-
-@kind
-def mean_of_the_rows_so_far(p, rng):
-    half = levels(p)[1].stop
-    return csv(p, text(inserted(cells(p), half, means(p, slice(half)))))
-
-
-@kind
-def median_under_the_table(p, rng):
-    return csv(p, text([*cells(p), [f"{np.median(v):.2f}" for v in (p.pressure, p.contraction, p.force)]]))
-
-
-@kind
-def mean_of_lengths_under_the_table(p, rng):
-    rows = [[a, length, c] for (a, _, c), length in zip(cells(p), lengths(p), strict=True)]
-    last = [f"{p.pressure.mean():.2f}", f"{np.mean(np.array(lengths(p), float)):.2f}", f"{p.force.mean():.1f}"]
-    return csv(p, text([*rows, last], ("Pressure [bar]", "Length [mm]", "Force [N]")), initial_length=0.18)
-
-
-# Absolute pressures
-
-
-def absolute(p):
-    return [[f"{float(a) + ATMOSPHERE:.3f}", b, c] for a, b, c in cells(p)]
-
-
-def smooth(p):
-    """Forces without the scatter of `Points.drawn`: their line over the pressure then tells its zero."""
-    half = p.force[0] / p.pressure[0]
-    return replace(p, force=(half * p.pressure * (1 - p.contraction / 28) ** 2).round(1))
-
-
-@kind
-def absolute_pressure_in_silence(p, rng):
-    p = smooth(p)
-    return csv(p, text(absolute(p)))
-
-
-@kind
-def absolute_pressure_by_a_comment(p, rng):
-    return csv(p, "# pressures are absolute (MPXH6400A)\n" + text(absolute(p)))
-
-
-@kind
-def absolute_pressure_by_the_preamble(p, rng):
-    return csv(p, "Rig 2\nSensor: Absolutdruck, Honeywell\n\n" + text(absolute(p)))
-
-
-@kind
-def absolute_pressure_in_kilopascals(p, rng):
-    p = smooth(p)
-    rows = [[f"{100 * float(a):.1f}", b, c] for a, b, c in absolute(p)]
-    return csv(p, text(rows, ("Pressure [kPa]", *HEADER[1:])))
-
-
-@kind
-def absolute_pressure_named_p_abs(p, rng):
-    return csv(p, text(absolute(p), ("p_abs [bar]", *HEADER[1:])), columns={"p_abs [bar]": "pressure_bar"})
+def picolog_with_last_values(p, rng):
+    header = ("", "Pressure Last (bar)", "Contraction Last (%)", "Force Last (N)")
+    return csv(p, text([[str(i), *row] for i, row in enumerate(cells(p))], header, ","))

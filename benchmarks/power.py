@@ -47,6 +47,7 @@ protocol:
 LEG = (ROOT / "examples/leg/lei-leg.yaml").read_text().replace("draws: 64", "draws: 20")
 LEG = LEG.replace("drop: [20 mm, 50 mm, 100 mm]", "drop: [50 mm]\n  levels: 4\n  duration: 100 ms")
 KNEE = (ROOT / "examples/calibration/knee.yaml").read_text().replace("../comparison", f"{ROOT}/examples/comparison")
+VALVES = (ROOT / "examples/calibration/valves.yaml").read_text()
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,11 @@ CASES = {
         ("results.json", "model.yaml", "scenario.yaml"),
         (("simulate", "knee.yaml", "--out", "measured"),),
     ),
+    "valves": Case(
+        ("calibrate", "valves.yaml", "--valves", "--duration", "20 s"),
+        "",
+        ("results.json", "valve.yaml", "scenario.yaml"),
+    ),
     "rig": Case(("rig", "run", "protocol.yaml"), "protocol.yaml", ()),
 }
 
@@ -101,6 +107,7 @@ def write_inputs(folder: Path) -> None:
         "protocol": PROTOCOL,
         "leg": LEG,
         "knee": KNEE.replace("duration: 3 s", "duration: 6 s"),
+        "valves": VALVES,
     }
     for name, text in files.items():
         (folder / f"{name}.yaml").write_text(text)

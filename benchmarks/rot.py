@@ -85,6 +85,13 @@ def model_of(path: Path) -> object:
     return repr(read_component(AntagonisticJoint, path))
 
 
+def valve_of(path: Path) -> object:
+    from mckibben.actuator import Actuator
+    from mckibben.component.schema import read_component
+
+    return repr(read_component(Actuator, path))
+
+
 def simulated(path: Path) -> object:
     """What a new process prints that loads compiled programs, one of which is the file."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(path.parents[2])}
@@ -123,6 +130,7 @@ KINDS = {
     "fit.yaml, as a law": Kind("identify", "fit.yaml", law_of),
     "landing.journal": Kind("land", "landing.journal", resumed("land"), ("results.json", "landing.nc")),
     "model.yaml": Kind("calibrate", "model.yaml", model_of),
+    "valve.yaml": Kind("valves", "valve.yaml", valve_of),
 }
 
 

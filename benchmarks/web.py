@@ -41,6 +41,7 @@ from websockets.sync.client import connect
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "examples" / "rig.csv"
+COLLECTED = 4.0  # s after which the server has returned the memory of pages that were left
 MEDIAN, PERCENTILE_95 = 40.0, 80.0  # ms
 
 
@@ -290,7 +291,7 @@ def main() -> None:
 
 
 def loads(count: int, pages: list[str]) -> None:
-    """Memory of the server while pages are loaded, shown by a websocket, and left, each in a new session."""
+    """Memory of the server after each tenth of the loads of pages: shown by a websocket, and left, in a new session."""
     with started() as (process, printed):
         address, _, query = printed.partition("/?")
         host = address.partition("//")[2]
@@ -302,7 +303,7 @@ def loads(count: int, pages: list[str]) -> None:
             return int(found[1]) / 1024
 
         for path in pages:
-            figures = [f"{memory():.0f}"]
+            print(f"{path}: {count} loads, memory [MiB] {memory():.0f}", end="", flush=True)
             for number in range(count):
                 text, cookies = get(host, path, cookie)
                 client = re.search(r'"client_id": ?"([0-9a-f-]{36})"', text) or re.search(
@@ -322,9 +323,9 @@ def loads(count: int, pages: list[str]) -> None:
                     if path == "/run":
                         time.sleep(0.05)  # the simulation has begun
                 if (number + 1) % max(1, count // 10) == 0:
-                    figures.append(f"{memory():.0f}")
-            time.sleep(10.0)
-            print(f"{path}: {count} loads, memory [MiB] {' '.join(figures)}, 10 s later {memory():.0f}", flush=True)
+                    time.sleep(COLLECTED)
+                    print(f" {memory():.0f}", end="", flush=True)
+            print()
 
 
 def get(host: str, path: str, cookie: str) -> tuple[str, list[str]]:

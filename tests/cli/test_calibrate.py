@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.actuator import Actuator
 from mckibben.component.schema import read_component
 from mckibben.errors import ScenarioError
 from mckibben.numerics.batching import batched_program
@@ -241,7 +242,8 @@ def test_valves_are_calibrated_and_their_recordings_give_the_same(cli, tmp_path)
     assert after.valve.time_constant == 0.02
     assert after.command_delay == pytest.approx(0.0, abs=1e-3)
     assert (tmp_path / "valves" / "calibration.png").stat().st_size > 10_000
-    assert "time_constant" in (tmp_path / "valves" / "valve.yaml").read_text(encoding="utf-8")
+    valve = read_component(Actuator, tmp_path / "valves" / "valve.yaml")  # as `valve: valve.yaml` does
+    assert valve == after.controller.valve
     recordings = [f"valves/{part}/result.nc" for part in ("steps", "multisine")]
     files = [one for path in recordings for one in ("--recording", path)]
     again = cli("calibrate", "s.yaml", "--valves", *files, "--out", "again", "--json")

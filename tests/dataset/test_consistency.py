@@ -253,3 +253,24 @@ def test_usual_values_do_not_mark_missing_ones(heard):
     for values in (pressure, time):
         assert not missing_marks(np.round(values, 1).astype(float))[0].any()
     assert missing_marks(changed(np.linspace(0, 700, 100), [60], 999.0))[0].sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("tails", "offset", "reported"),
+    [
+        ((2, 0, 0), 30.0, True),
+        ((0, 4, 0), 30.0, True),
+        ((1, 1, 1), 30.0, True),
+        ((3, 0, 0), 0.0, False),
+        ((0, 0, 0), 30.0, False),
+    ],
+    ids=["two", "four", "one at each pressure", "no offset", "no slack point"],
+)
+def test_an_offset_that_few_slack_points_show_is_reported(tails, offset, reported, heard):
+    rows = []
+    for pressure, tail in zip((2.0, 3.0, 4.0), tails, strict=True):
+        rows += [(pressure, e, 60 * pressure * (1 - e / 28) ** 2 + offset) for e in np.linspace(0.0, 18.0, 7)]
+        rows += [(pressure, e, offset) for e in np.linspace(30.0, 36.0, 4)[:tail]]
+    data, told = heard(*np.array(rows).T)
+    assert ["offset" in one for one in told] == [True] * reported
+    assert data.force[0] == pytest.approx(120 + offset)  # not subtracted

@@ -245,6 +245,8 @@ def test_a_tdms_file_that_was_cut_off_says_so(put):
 def test_waveforms_of_tdms_and_lvm_know_their_time(put):
     assert read_recording(put(FILES["rig.tdms"], "a.tdms")).time.tolist() == [0, 0.5, 1, 1.5, 2, 2.5]
     assert read_recording(put(FILES["rig.lvm"], "a.lvm")).time.tolist() == [0, 0.5, 1, 1.5, 2, 2.5]
+    commas = FILES["rig.lvm"].replace(b"\t", b",").replace(b"Separator,Tab", b"Separator,Comma")
+    assert read_recording(put(commas, "b.lvm")).time.tolist() == [0, 0.5, 1, 1.5, 2, 2.5]
 
 
 def test_several_segments_of_an_lvm_file_are_refused(put):

@@ -215,3 +215,12 @@ def test_a_test_at_0_bar_alone_is_no_mistake_of_the_unit():
     assert len(IsobaricDataset.of(**given, set_pressure=[0.0] * 3)) == 3
     with pytest.raises(DatasetError):
         IsobaricDataset.of(**given | {"pressure": [1.0, 2.0, 3.0]}, set_pressure=[1.0, 2.0, 3.0])
+
+
+def test_only_columns_that_may_change_are_copied():
+    force = np.array([81.7, 40.0])
+    data = IsobaricDataset.of(pressure=[1e5, 1e5], contraction=[0, 0.1], force=force, direction=["unloading"] * 2)
+    again = IsobaricDataset(data.table.assign_attrs(specimen="A"))
+    assert not np.shares_memory(data.force, force)
+    assert np.shares_memory(again.force, data.force)
+    assert np.shares_memory(again.table["direction"].to_numpy(), data.table["direction"].to_numpy())

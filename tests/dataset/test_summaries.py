@@ -47,8 +47,9 @@ def heard(tmp_path):
         lambda lines: [*lines[:5], means(ROWS[:5]), *lines[5:]],
         lambda lines: [*lines, "{:.2f},{:.2f},{:.2f}".format(*np.median(ROWS, axis=0))],
         lambda lines: [*lines, means(ROWS), "{:.3f},{:.3f},{:.2f}".format(*ROWS.std(axis=0, ddof=1))],
+        lambda lines: [*lines, "{:g},{:g},{:g}".format(*ROWS.max(axis=0))],
     ],
-    ids=["below", "above", "in the middle", "of a pressure", "median", "deviation"],
+    ids=["below", "above", "in the middle", "of a pressure", "median", "deviation", "maximum"],
 )
 def test_summaries_without_a_label_are_left_out(heard, spoil):
     data, told = heard(spoil(written(ROWS)))
@@ -163,6 +164,42 @@ def test_headers_and_signs_of_loggers_are_read(heard):
     assert told == []
     with pytest.raises(DatasetError):
         heard(written(ROWS), "pressure_bar,contraction_percent,Force [N] Max")
+
+
+@pytest.mark.parametrize("header", ["101 <Force> (N)", "Force Last (N)", "Force mean [N]", "Load [N]"])
+def test_names_of_scanners_and_averages_are_read(heard, header):
+    data, told = heard(written(ROWS), f"pressure_bar,contraction_percent,{header}")
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert told == []
+
+
+@pytest.mark.parametrize(("name", "reported"), [("Specimen", True), ("Muscle no", True), ("Muscle temperature", False)])
+def test_rows_of_several_muscles_are_reported(heard, name, reported):
+    lines = [f"{line},{'AB'[at % 2]}" for at, line in enumerate(written(ROWS))]
+    told = heard(lines, f"{HEADER},{name}")[1]
+    assert [name in one for one in told] == [True] * reported
+
+
+def test_time_stamps_of_a_serial_monitor_are_skipped(heard):
+    lines = [f"14:33:07.250 -> {line}" for line in written(ROWS)]
+    data, told = heard(lines, f"14:33:07.001 -> {HEADER}")
+    np.testing.assert_allclose(data.force, ROWS[:, 2])
+    assert told == []
+
+
+def test_units_that_number_formats_show_are_read(tmp_path):
+    book = openpyxl.Workbook()
+    for row in [["Pressure", "Contraction [%]", "Force [N]"], *ROWS.tolist()]:
+        book.active.append(row)
+    for (cell,) in book.active.iter_rows(min_row=2, max_col=1):
+        cell.number_format = '0.0" bar"'
+    book.save(path := tmp_path / "rig.xlsx")
+    np.testing.assert_allclose(read_dataset(path).pressure, 1e5 * ROWS[:, 0])
+    book.active["A1"] = "Pressure [kPa]"
+    book.save(path)
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    assert [problem.field for problem in caught.value.problems] == ["Pressure [kPa]"]
 
 
 def test_copies_of_a_column_are_left_out(heard):

@@ -201,6 +201,7 @@ def _valves(
     from mckibben.realtime.compiled_step import compute_in_this_thread
 
     compute_in_this_thread()
+    from mckibben.actuator import Actuator
     from mckibben.calibration import (
         calibrate_scenario_valves,
         read_joint_recording,
@@ -238,8 +239,9 @@ def _valves(
         "quantities": _quantities_json(found.quantities),
     }
     with keeping(out):
+        text = _VALVE_HEAD + write_text(valve_for(scenario, found), folder=out, base=Actuator)
         with atomic_write(out / "valve.yaml", overwrite=True) as part:
-            part.write_bytes(sealed((_VALVE_HEAD + write_text(valve_for(scenario, found), folder=out)).encode()))
+            part.write_bytes(sealed(text.encode()))
         _keep(out, scenario_with_valves(scenario, found), numbers, draw(found, recordings))
     if json:
         echo(to_json(numbers))

@@ -35,14 +35,29 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
 _NAMES: Mapping[str, str] = {
     name: quantity
     for quantity, others in (
-        ("pressure", ("p", "P", "gauge pressure", "muscle pressure", "measured pressure")),
-        ("force", ("F", "tension", "axial force", "muscle force", "measured force", "pull")),
+        ("pressure", ("p", "P", "gauge pressure", "muscle pressure", "measured pressure", "pressure actual")),
+        ("force", ("F", "tension", "axial force", "muscle force", "measured force", "standard force", "pull", "load")),
         ("contraction", ("relative contraction", "contraction ratio", "epsilon", "eps", "ε")),
         ("length", ("muscle length",)),
         ("time", ("t", "elapsed time")),
-        ("set_pressure", ("set pressure", "pressure setpoint", "nominal pressure", "p_set")),
-        ("pressure", ("druck", "pression", "pressione", "presión", "presion", "pressão", "压力", "压强", "圧力")),
-        ("force", ("kraft", "zugkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
+        ("set_pressure", ("set pressure", "pressure setpoint", "pressure set", "nominal pressure", "p_set")),
+        (
+            "pressure",
+            (
+                "druck",
+                "druck ist",
+                "istdruck",
+                "pression",
+                "pressione",
+                "presión",
+                "presion",
+                "pressão",
+                "压力",
+                "压强",
+                "圧力",
+            ),
+        ),
+        ("force", ("kraft", "zugkraft", "standardkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
         (
             "contraction",
             (
@@ -88,6 +103,8 @@ _NUMBER_AND_UNIT = re.compile(r"([+\-\u2212]?[0-9.,'’\s]+?(?:[eE][+-]?[0-9]+)?
 _GAUGE = re.compile(r"(.*?)(?:\s*\((?:g|gauge|rel)\)| ?gauge| rel| g|(?<=bar|psi)g)", re.IGNORECASE)
 _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a|(?<=bar|psi)a)", re.IGNORECASE)
 _SUFFIX = re.compile(r":[0-9]+$|(?<=[\])])\s*(?:ave|avg|mean)\.?$", re.IGNORECASE)  # Simulink's port, PicoLog's average
+_AVERAGE = re.compile(r"(?:mean|average|avg) (?=.)|(?<=.) (?:mean|average|avg|ave|last)", re.IGNORECASE)
+_SCANNED = re.compile(r"[0-9]+ <([^<>]+)>")  # channel and name of a Keysight scanner: 101 <Force> (N)
 _OTHER_PLACE = re.compile(r"set|soll|target|ref|demand|command|desired|goal|supply|tank|reservoir", re.IGNORECASE)
 ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut", re.IGNORECASE)
 """Words of names and comments that may mean an absolute pressure."""
@@ -167,7 +184,7 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
         return []
     text = unicodedata.normalize("NFC", " ".join(header.split()).rstrip("_"))  # MATLAB writes Pressure_bar_
     found: list[tuple[str, str]] = []
-    text = _SUFFIX.sub("", text)
+    text = _SCANNED.sub(r"\1", _SUFFIX.sub("", text))
     path, _, last = text.rpartition("/")
     if (path.count("/") or _CLASSIC.fullmatch(last)) and not _OTHER_PLACE.search(path):  # rig/pressure_bar
         text = last.strip()
@@ -186,6 +203,7 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
 
 def _named(name: str) -> str:
     """Quantity of a name without a unit; empty if there is none."""
+    name = _AVERAGE.sub("", name)
     key = name.lower().replace(" ", "_")
     return key if key in ACCEPTED else _NAMES.get(name) or _NAMES.get(name.lower() if len(name) > 1 else "", "")
 

@@ -30,6 +30,9 @@ _NAMED = 5  # points named in a warning
 _HELD = 0.2  # of the rows: forces that repeat although the muscle moved
 _VARIED = 1 / 6  # of the rows: different forces of a test that is not isotonic
 _COARSE = 10  # steps of the resolution of the force, below which equal forces are rounded ones
+_ESTIMATED = 5  # slack points, from which the offset of the load cell is estimated
+_EQUAL, _OFFSET = 0.01, 0.02  # of the largest force: spread and least mean of forces that show an offset
+_FLAT = 0.25  # of the mean slope before: slope of the force of a slack muscle
 _UNSTRETCHED = 2 * percent  # contraction of a muscle that does not pull without pressure
 _NEAR = 0.5 * percent  # contraction at which a muscle pulls as soon as there is pressure
 _VENTED = 0.2 * bar  # lowest pressure of a muscle that should pull
@@ -38,6 +41,7 @@ _ATMOSPHERE = (0.75 * bar, 1.6 * bar)  # pressure at which the force of a muscle
 _LOWEST_ABSOLUTE = 0.7 * bar  # of the atmosphere, at 3,000 m
 _TAUT, _UPPER = 0.15, 0.6  # of the largest force, and of the range of contractions: points whose force is compared
 _CERTAIN = 2.5  # standard errors
+_ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
 _PAIRS = 3  # of points per direction
 _REVERSED = 0.9  # of these pairs
@@ -54,6 +58,7 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)
     yield from _held_forces(dataset)
+    yield from _few_slack_points(dataset)
     yield from list(_pressure_offset(dataset, levels)) or _absolute_pressure(dataset)
     yield from _directions(dataset, levels)
 
@@ -164,6 +169,45 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
         )
 
 
+def _few_slack_points(dataset: IsobaricDataset) -> Iterator[str]:
+    """Warning of slack points that are too few for the estimate of an offset.
+
+    Their force is equal at different contractions of a level, or at the largest contractions of different levels, while
+    the points next to them differ.
+    """
+    contraction, force = dataset.contraction, dataset.force
+    largest = float(force.max())
+    nominal = dataset.table.get("set_pressure", dataset.table["pressure"]).fillna(0).to_numpy()
+    levels = _levels(nominal if nominal.max() > 0 else dataset.pressure)
+    ordered = [rows[np.argsort(contraction[rows], kind="stable")] for rows in levels if len(rows) > 2]
+    found = [rows[-count:] for rows in ordered if (count := _flat(contraction[rows], force[rows], _EQUAL * largest))]
+    if not found and 1 < len(ordered) < _ESTIMATED:
+        last, before = (np.array([rows[at] for rows in ordered]) for at in (-1, -2))
+        if np.ptp(force[last]) <= _EQUAL * largest and np.ptp(force[before]) > _OFFSET * largest:
+            found = [last]
+    at = np.concatenate(found) if found else np.array([], np.intp)
+    if len(at) and (mean := float(force[at].mean())) > max(_OFFSET * largest, dataset.table.attrs["slack_force"]):
+        yield (
+            f"force: the force at the {len(at)} largest contractions is about {mean:.3g} N at each: if the muscle is "
+            "slack there, this is the offset of the load cell, which is not subtracted, as an estimate needs at least "
+            f"{_ESTIMATED} slack points; measure more of them, or subtract the offset in the file"
+        )
+
+
+def _flat(contraction: Floats, force: Floats, tolerance: float) -> int:
+    """Number of last points, in order of contraction, with equal forces after a fall; 0 if there are none or many."""
+    starts = np.flatnonzero(np.diff(contraction, prepend=-np.inf) > _SAME)
+    if len(starts) < 3:
+        return 0
+    counts = np.diff(np.append(starts, len(force)))
+    eps, pull = (np.add.reduceat(values, starts) / counts for values in (contraction, force))
+    for count in range(min(_ESTIMATED, len(eps)) - 1, 1, -1):
+        slope = (pull[0] - pull[-count]) / (eps[-count] - eps[0])
+        if np.ptp(pull[-count:]) <= min(_FLAT * slope * (eps[-1] - eps[-count]), tolerance):
+            return int(counts[-count:].sum())
+    return 0
+
+
 def _pressure_offset(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
     """Warning if the force at the smallest contraction begins at the lowest pressure, which is not 0."""
     contraction, force = dataset.contraction, dataset.force
@@ -193,6 +237,7 @@ def _absolute_pressure(dataset: IsobaricDataset) -> Iterator[str]:
     stroke = np.ptp(contraction)
     used = force > max(_TAUT * force.max(), dataset.table.attrs["slack_force"])
     used &= contraction <= contraction.min() + _UPPER * stroke
+    used = np.flatnonzero(used)[:: 1 + len(used) // _ENOUGH]
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
     terms = [p, np.ones(len(p)), eps, p * eps, p * eps**2][: 5 if stroke else 2]
     if (

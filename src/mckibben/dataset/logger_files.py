@@ -6,7 +6,7 @@ import io
 import logging
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from mckibben.errors import DatasetError, Problem
 _HEADER = 60  # rows searched for a header
 _MOST_COLUMNS = 4096
 _LISTED = 10  # hidden rows in a warning
+_UNIT_FORMAT = re.compile(r'[0#.,]+ ?"\s*([^"]+)"')
 _HIDDEN = re.compile(rb'<(?:[a-z]+:)?(?:row|col)\b[^<>]*\bhidden="(?:1|true)"[^<>]*>')
 
 
@@ -36,6 +37,7 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
         tables = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
+        shown_units = {sheet.title: _shown_units(sheet) for sheet in book.worksheets}
         hidden = {sheet.title for sheet in book.worksheets if sheet.sheet_state != "visible"}
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             sheets: list[Any] = book.worksheets
@@ -47,7 +49,7 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     except Exception as error:  # openpyxl raises almost any exception on a damaged file
         raise unreadable(path, "a workbook", error, "save it again, or as CSV") from error
     sheet = RawTable(kind=RowProblem)
-    found = {title: _table(rows, known) for title, rows in tables.items()}
+    found = {title: _table(rows, known, shown_units[title]) for title, rows in tables.items()}
     filled = {title: channels for title, channels in found.items() if channels}
     shown = [title for title in filled if title not in hidden]
     if any(known(each.name, each.unit) for title in shown for each in filled[title]):
@@ -116,8 +118,20 @@ def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
     return rows
 
 
-def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, str], bool]) -> list[RawColumn]:
-    """Columns of a sheet."""
+def _shown_units(sheet: Any) -> dict[int, str]:
+    """Unit that the number formats of the first rows of a sheet show behind a number, of columns from 0."""
+    found: dict[int, str] = {}
+    for row in sheet.iter_rows(max_row=_HEADER):
+        for index, cell in enumerate(row[:_MOST_COLUMNS]):
+            if isinstance(cell.value, (int, float)) and (match := _UNIT_FORMAT.fullmatch(cell.number_format)):
+                found.setdefault(index, match[1] if is_unit(match[1]) else "")
+    return found
+
+
+def _table(
+    rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, str], bool], shown_units: Mapping[int, str]
+) -> list[RawColumn]:
+    """Columns of a sheet; units are in a row under the names, or shown by the number formats."""
     if len(rows) < 2:
         return []
     start = _start(rows, known)
@@ -132,7 +146,7 @@ def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, st
     body = rows[start + 1 + has_units :]
     if not body:
         return []
-    units = (under if has_units else []) + [""] * len(header)
+    units = (under if has_units else [shown_units.get(i, "") for i in range(len(header))]) + [""] * len(header)
     lines = [number for number, _ in body]
     return [
         RawColumn(name, as_column([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])

@@ -44,35 +44,42 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = Non
 
     `files` numbers the file of each point; no stroke extends across two.
     """
-    notes = []
-    pressure, contraction = (table[name].to_numpy() for name in ("pressure", "contraction"))
-    labels = group_pressures(pressure) if "set_pressure" not in table else None
-    if labels is not None:
-        nominal, scatter = nominal_pressures(pressure, labels)
-        table = table.assign(set_pressure=("point", nominal[labels]))
-        shown = format_range(nominal / bar)
-        plural = "s" if len(nominal) > 1 else ""
-        notes.append(
-            f"{len(nominal)} pressure level{plural} ({shown} bar), about which pressures scatter by {scatter:.2g} bar"
-        )
-    levels = _levels(table)
-    values, groups = np.unique(levels, return_inverse=True)
-    grouped = 2 * len(values) <= len(levels) and len(values) <= _MOST_LEVELS
-    if (
-        "direction" not in table
-        and (found := passes(groups if grouped else 0 * groups, contraction, files)) is not None
-    ):
-        direction, repeat = found
-        table = table.assign(direction=("point", direction))
-        each = ""
-        if grouped and repeat.any() and "repeat" not in table:
-            table = table.assign(repeat=("point", repeat))
-            each = f"{repeat.max() + 1} of each per level, "
-        notes.append(f"passes of loading and unloading, {each}from the order of the rows")
+    table, notes = _with_set_pressures(table)
+    table, found = _with_passes(table, files)
+    notes += found
     if not slack_known:
-        table, found_slack = without_offset(table)
-        notes += found_slack
+        table, found = without_offset(table)
+        notes += found
     return with_notes(table, notes)
+
+
+def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Table with the nominal pressures of its levels, and a note; unchanged if it has some or shows no levels."""
+    pressure = table["pressure"].to_numpy()
+    if "set_pressure" in table or (labels := group_pressures(pressure)) is None:
+        return table, []
+    nominal, scatter = nominal_pressures(pressure, labels)
+    shown = format_range(nominal / bar)
+    plural = "s" if len(nominal) > 1 else ""
+    note = f"{len(nominal)} pressure level{plural} ({shown} bar), about which pressures scatter by {scatter:.2g} bar"
+    return table.assign(set_pressure=("point", nominal[labels])), [note]
+
+
+def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, list[str]]:
+    """Table with directions and repeats, and a note; unchanged if it has directions or shows no reversals."""
+    if "direction" in table:
+        return table, []
+    values, groups = np.unique(_levels(table), return_inverse=True)
+    grouped = 2 * len(values) <= len(groups) and len(values) <= _MOST_LEVELS
+    if (found := passes(groups if grouped else 0 * groups, table["contraction"].to_numpy(), files)) is None:
+        return table, []
+    direction, repeat = found
+    table = table.assign(direction=("point", direction))
+    each = ""
+    if grouped and repeat.any() and "repeat" not in table:
+        table = table.assign(repeat=("point", repeat))
+        each = f"{repeat.max() + 1} of each per level, "
+    return table, [f"passes of loading and unloading, {each}from the order of the rows"]
 
 
 def _levels(table: xr.Dataset) -> Floats:
@@ -243,6 +250,8 @@ def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, f
     from scipy.special import ndtri
 
     floor = force.min()
+    if np.count_nonzero(force == floor) < _FEWEST_SLACK:
+        return None
     beyond = _beyond(force == floor, contraction, passes)
     if np.count_nonzero(force[beyond] == floor) < _FEWEST_SLACK:
         return None

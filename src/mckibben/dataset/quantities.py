@@ -15,7 +15,14 @@ from mckibben.dataset.columns import find_columns, parse_header, without_units
 from mckibben.dataset.plausibility import implied_diameter, missing_marks
 from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
-from mckibben.dataset.summaries import MOST_POINTS, invalid_rows, is_status, labelled_summaries, summaries
+from mckibben.dataset.summaries import (
+    MOST_POINTS,
+    invalid_rows,
+    is_status,
+    labelled_summaries,
+    several_specimens,
+    summaries,
+)
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, mm, quantity
 
@@ -121,8 +128,9 @@ class ColumnConverter:
             for name, (index, column) in self.places.items()
             if column.unit and is_status(sheet.channels[index].label)
         ]
-        invalid, states = invalid_rows([one for one in others if len(one.cells) == len(self.lines)], sheet.unit)
-        self.suspect += states
+        unread = [one for one in others if len(one.cells) == len(self.lines)]
+        invalid, states = invalid_rows(unread, sheet.unit)
+        self.suspect += [*states, *several_specimens(unread)]
         self.summaries = labelled_summaries(numeric)
         self.missing += [sheet.kind(mark, line=line) for line, mark in (invalid | self.summaries).items()]
         self.decimal, question = decimal_sign(numeric, others, sheet.delimiter, decimal)

@@ -159,17 +159,23 @@ def _settled(name: str, values: np.ndarray, dims: tuple[str, ...]) -> np.ndarray
         single = len(dims) > 1 and values.dtype == np.float32
         as_column = values.view() if single else np.asarray(values, np.float64).view()
     elif name in WORDS:
-        as_column = np.array(values, dtype="<U9") if _words(name, values) else np.array(values, dtype=str)
+        as_column = _owned(values, "<U9" if _words(name, values) else "U")
     elif name == "repeat" and np.all(np.isfinite(values) & (values == np.round(values))):
-        as_column = np.array(values, dtype=np.int64)
+        as_column = _owned(values, np.int64)
     else:
-        as_column = np.array(values, dtype=np.float64)
+        as_column = _owned(values, np.float64)
     as_column.setflags(write=False)
     return as_column
 
 
+def _owned(values: np.ndarray, dtype: Any) -> np.ndarray:
+    """Copy of an array, or the array itself if nothing can change it, as those of a table that was normalised."""
+    unchanging = values.flags.owndata and not values.flags.writeable
+    return np.array(values, dtype, copy=None if unchanging else True)
+
+
 def _words(name: str, values: np.ndarray) -> bool:
-    return bool(np.isin(values.astype(str), [*WORDS[name], ""]).all())
+    return bool(np.isin(values.astype(str, copy=False), [*WORDS[name], ""]).all())
 
 
 def _value_problems(name: str, values: np.ndarray, place: str) -> Iterator[Problem]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,11 +16,12 @@ Floats = NDArray[np.float64]
 
 MOST_POINTS = 20_000
 """Rows of a file, beyond which they are samples, not points."""
-_STATISTICS: Mapping[str, Callable[[Floats], Floats]] = {
-    "mean": lambda rows: rows.mean(axis=1),
-    "median": lambda rows: np.median(rows, axis=1),
-    "standard deviation": lambda rows: rows.std(axis=1, ddof=1),
-    "sum": lambda rows: rows.sum(axis=1),
+_STATISTICS: Mapping[str, Callable[..., Floats]] = {
+    "mean": np.mean,
+    "median": np.median,
+    "standard deviation": functools.partial(np.std, ddof=1),
+    "sum": np.sum,
+    "maximum": np.max,
 }
 _FEWEST = 4  # rows that a summary summarises
 _JUMP = 1.5  # usual steps from row to row, beyond which a summary is from its neighbors
@@ -52,6 +54,8 @@ _INVALID = frozenset(
 _SUMMARY = frozenset(
     "mean average avg median std stdev sum total mittelwert mittel summe moyenne promedio media".split()
 )
+_SPECIMEN = frozenset("specimen muscle actuator dut prüfling muskel probe muestra éprouvette provino".split())
+_NAME = frozenset("specimen muscle name id no nr number num type serial sn".split())
 _WORD = re.compile(r"[^\W\d_]+")
 _VALUES = 100  # different numbers in a column of states
 _LONGEST = 40  # characters of a value
@@ -90,7 +94,9 @@ def _ends(rows: Floats) -> Iterator[_Candidate]:
             (rows[:, : count - ends], range(count - ends, count), "before"),
         ):
             for name, statistic in _STATISTICS.items():
-                values = statistic(body)
+                if statistic is np.max and not np.ptp(body, axis=1).all():
+                    continue  # at a fixed length, a muscle has its largest force at its largest pressure
+                values = statistic(body, axis=1)
                 for at in places:
                     yield at, values, f"the {name} of the rows {side} it"
 
@@ -167,6 +173,18 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
                 "the rows that it marks as invalid"
             )
     return lines, warnings
+
+
+def several_specimens(channels: Sequence[RawColumn]) -> Iterator[str]:
+    """Warnings of columns that are not read and name more than one muscle."""
+    for channel in channels:
+        words = _words(channel.label)
+        if words.isdisjoint(_SPECIMEN) or not words <= _SPECIMEN | _NAME:
+            continue
+        names = [name for name in Counter(str(cell).strip() for cell in channel.cells) if name]
+        if 1 < len(names) <= len(channel.cells) / _FEWEST:
+            shown = f"{', '.join(map(repr, names[:_SHOWN]))}{' ...' if len(names) > _SHOWN else ''}"
+            yield f"{channel.name!r} is not read, and names {shown}: rows of several muscles are one; read them apart"
 
 
 def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:

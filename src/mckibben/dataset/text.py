@@ -15,7 +15,7 @@ from mckibben.dataset.columns import ABSOLUTE, SUBTRACT, is_unit
 from mckibben.dataset.sheet import COMMENTS, RawColumn, RawTable, numeric_bytes, parse_numbers
 from mckibben.errors import DatasetError, Problem
 
-_DELIMITERS = (",", ";", "\t")
+_DELIMITERS = (",", ";", "\t", "|")
 _PREAMBLE = 60  # lines searched for a header
 _MOST_COLUMNS = 4096
 _OF_PRESSURE = re.compile(r"press|druck|presi|(?<![a-z])(?:bar|psi|[km]?pa)(?![a-z])", re.IGNORECASE)
@@ -25,6 +25,7 @@ _JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
 _ROW_NUMBER = re.compile(r"\s*[0-9]{1,15}\s*")
+_TIME_STAMP = re.compile(r"^[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{3} -> ", re.MULTILINE)  # of the Arduino IDE
 _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+")
 
 _Known = Callable[[str, str], bool]
@@ -32,6 +33,8 @@ _Known = Callable[[str, str], bool]
 
 def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: str = "") -> RawTable:
     """Columns of a text: header after comments and preamble, an optional row of units, then rows."""
+    if _TIME_STAMP.match(text):
+        text = _TIME_STAMP.sub("", text)
     stream = _Lines(text)
     comments: dict[str, tuple[int, str]] = {}
     number = 0
@@ -118,7 +121,7 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
         cells = _split(candidate, delimiter)
         if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
             return lines[index:], number + index
-        if max(2, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
+        if max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
             break  # a row: the following lines cannot be a header
     return lines, number
 
@@ -454,14 +457,15 @@ def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: 
     if len(parts) != 3:
         found = f"has {len(parts) - 2} segments" if len(parts) > 3 else "is a LabVIEW measurement without a segment"
         raise DatasetError(source, [Problem(found, remedy="write one segment to a file, or give TDMS")])
-    fields = [line.rstrip().split("\t") for line in parts[1].splitlines()]
+    separator = "," if "Separator,Comma" in parts[0] else "\t"
+    fields = [line.rstrip().split(separator) for line in parts[1].splitlines()]
     said = {cells[0]: cells[1:] for cells in fields if cells}
     first = text[: text.rindex(_END)].count("\n") + 1
     body = parts[2].partition("\n")[2]
     header, _, rows = body.partition("\n")
-    names = header.rstrip("\r\n").split("\t")
+    names = header.rstrip("\r\n").split(separator)
     if names[-1] == "Comment":  # its cells are written only if there is a comment
-        rows = "".join(_padded(line, len(names)) for line in rows.splitlines(keepends=True))
+        rows = "".join(_padded(line, len(names), separator) for line in rows.splitlines(keepends=True))
     # leading blank lines preserve the line numbers
     sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros, decimal=decimal)
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
@@ -476,8 +480,8 @@ def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: 
     return sheet
 
 
-def _padded(line: str, cells: int) -> str:
+def _padded(line: str, cells: int, separator: str) -> str:
     """Row padded with an empty comment cell, if only that is missing."""
     content = line.rstrip("\r\n")
-    missing = cells - 1 - content.count("\t")
-    return f"{content}\t{line[len(content) :]}" if missing == 1 and content.strip() else line
+    missing = cells - 1 - content.count(separator)
+    return f"{content}{separator}{line[len(content) :]}" if missing == 1 and content.strip() else line

@@ -26,7 +26,7 @@ from mckibben.web.session import collect_warnings, end_sessions
 HOST = LOCAL[0]
 _SHUTDOWN = 2  # s for open requests
 _M_ARENA_MAX = -8  # of malloc.h
-_COLLECTED_AFTER = 5.0  # s after a page was left; those left in the meantime are freed with it
+_COLLECTED_AFTER = 1.0  # s after a page was left; those left in the meantime are freed with it
 _TAB_STORAGE = 60.0  # s that NiceGUI keeps its storage of a tab, which is empty; its default is 30 days
 
 
