@@ -24,7 +24,7 @@ from web import browser
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "course"))
-from notebooks import PAGES, cells, page  # noqa: E402
+from notebooks import LABS, cells, page  # noqa: E402
 
 MOVE = """(async () => {
   const sliders = [...document.querySelectorAll("form input")], times = [];
@@ -70,11 +70,11 @@ def picture(target: Path) -> None:
         image.crop((100, 0, 1100, 900)).save(target, optimize=True)
 
 
-def measure(moves: int) -> None:
-    """Measure all labs, and print a table and JSON."""
+def measure(labs: list[str], moves: int) -> None:
+    """Measure labs, and print a table and JSON."""
     found = {}
     with tempfile.TemporaryDirectory() as folder, browser() as tab:
-        for lab in PAGES:
+        for lab in labs:
             path = page(lab, Path(folder) / f"{lab}.html")
             start = time.perf_counter()
             tab.open(path.as_uri())
@@ -94,13 +94,14 @@ def measure(moves: int) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--labs", nargs="+", choices=LABS, default=list(LABS))
     parser.add_argument("--moves", type=int, default=120, help="number of moves of sliders per page")
     parser.add_argument("--image", type=Path, help="save a picture of a page instead")
     options = parser.parse_args()
     if options.image:
         picture(options.image)
     else:
-        measure(options.moves)
+        measure(options.labs, options.moves)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def load(name):
 
 
 notebooks, grade, grading = (load(name) for name in ("notebooks", "grade", "grading"))
-LABS = [*notebooks.PAGES]
+LABS = notebooks.LABS
 WRONG = {  # task: plausible mistakes, as changes of the solution
     "force_law": {
         "ideal": [
@@ -149,13 +150,30 @@ def test_a_notebook_that_does_not_run_earns_nothing(tmp_path):
     assert set(grade.grade("force_law", path).values()) == {0}
 
 
+@pytest.mark.parametrize(
+    "arguments, named",
+    [
+        ([], "force_law"),
+        (["force_law"], "NOTEBOOK"),
+        (["force", "x.ipynb"], "force_law"),
+        (["force_law", "x.ipynb"], "x.ipynb"),
+    ],
+)
+def test_wrong_arguments_of_grade_are_one_line(arguments, named):
+    command = [sys.executable, str(COURSE / "grade.py"), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert named in line
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lab", LABS)
 def test_a_page_has_text_formulas_and_its_explorer_and_loads_nothing(lab, tmp_path):
     pytest.importorskip("docutils")
     text = notebooks.page(lab, tmp_path / "pages" / "page.html").read_text(encoding="utf-8")
     assert text.count("<h1>") == 1
-    assert f'id="explore-{notebooks.PAGES[lab]}"' in text
     assert text.count('class="explorer"') == 1
     assert "<math" in text
     assert "FORMULA" not in text
