@@ -44,6 +44,18 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "validate": [("data.select(~out)", "data"), ("np.unique(pressure)", "pressure[:3]")],
         "compare": [("fit.rmse", "1.0")],
     },
+    "hysteresis": {
+        "width": [("np.median(up - down) / 2", "np.median(up - down)"), ("up - down", "down - up")],
+        "slip": [("length - force / stiffness", "anchor"), ("-limit, limit", "-limit / 2, limit / 2")],
+        "energy": [("/ 2 * np", "* np"), ("np.sum", "-np.sum")],
+        "secant": [("/ amplitude", ""), ("moved[1] * arm", "moved[1]")],
+        "ratio": [("> 2 * isobaric", "> 3 * isobaric"), ("0.01 * deg) / isobaric", "0.01) / isobaric")],
+        "rest": [
+            ("np.dot(widths, moment_arms(0.0))", "widths[0] * moment_arms(0.0)[0]"),
+            ("deviation = ", "deviation = 1 / deg * "),
+        ],
+        "identify": [("ExponentialLaw, loading)", "ExponentialLaw, means)"), (" - np.asarray(law.force(*grid))", "")],
+    },
     "attainable_stiffness": {
         "torque": [("return -sum", "return sum"), ("joint.tensions", "(lambda *_: (100.0, 100.0))")],
         "stiffness": [("return -(", "return ("), ("(2 * step)", "step")],

@@ -201,7 +201,7 @@ const explorer = (function () {
     // Charts of the rows that a module computes over a grid, one after the other where it has a state. Columns are those of
     // its rows and the arrays of its points; the curves of the initial values are drawn dashed.
     function table(name, module, {range, every, x, charts: wanted, says, picture}) {
-        const steps = grid(...range), play = picture && player(document.getElementById(name), module, steps.filter((_, k) => k % every === 0));
+        const steps = grid(...range), play = picture ? player(document.getElementById(name), module, steps.filter((_, k) => k % every === 0)) : null;
         const computed = (values) => {
             const self = made(module, values), rows = [];
             module.init?.(self);
