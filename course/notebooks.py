@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 FOLDER = Path(__file__).parent
 LABS = (
     "force_law",
+    "uncertainty",
     "hysteresis",
     "attainable_stiffness",
     "position_control",

@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
+from scipy import stats
 
 from mckibben import catalog
 from mckibben.muscle import MaxwellSlip, Muscle
@@ -18,6 +21,98 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 def _knee(key: str) -> Explorer:
     return explorers(Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml"), [key])[key]
+
+
+def _uncertainty() -> Explorer:
+    """Fits of Eq. 2 with a known decay to simulated forces; all of them are linear in the sizes of the errors."""
+    law = catalog.law("lei-mas-10-180n")
+    at, pressure = (np.ravel(each) for each in np.meshgrid(np.linspace(0, 0.12, 8), np.arange(2.0, 7.0)))
+    decay, draws = float(law.decay), np.random.default_rng(2)
+
+    def features(contraction: Any, pressure: Any) -> list[Any]:
+        shapes = contraction * 0 + 1, contraction, jnp.exp(-decay * contraction)
+        return [column for shape in shapes for column in (shape, shape * pressure)]
+
+    matrix = np.column_stack([np.asarray(one) for one in features(at, pressure)])
+    solve, free = np.linalg.pinv(matrix), len(at) - 6
+    covariance, quantile = solve @ solve.T, stats.t.ppf(0.975, free)
+    single = np.eye(len(at))[19]
+
+    def errors() -> np.ndarray:
+        """Unit errors of an experiment: independent, common to each pressure, and of one point; shape (points, 3)."""
+        common = draws.normal(size=5)[np.unique(pressure, return_inverse=True)[1]]
+        return np.column_stack([draws.normal(size=len(at)), common, single])
+
+    def fitted(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of the parameters, (6, 3), and products of the residuals, (3, 3)."""
+        residuals = unit - matrix @ solve @ unit
+        return solve @ unit, residuals.T @ residuals
+
+    shown = errors()
+    parameters_of, products = fitted(shown)
+    place = np.array([float(one) for one in features(np.array(0.05), 4.5)])
+    others = [(place @ of, products) for of, products in (fitted(errors()) for _ in range(200))]
+    estimates, scatters = np.array([one for one, _ in others]), np.array([two.ravel() for _, two in others])
+    leverage = float(place @ covariance @ place)
+
+    def sizes(parameters: Any) -> list[Any]:
+        return [parameters[name] for name in ("scatter", "common", "outlier")]
+
+    def row(parameters: Any, x: Any) -> dict[str, Any]:
+        size, phi = sizes(parameters), features(x, parameters["pressure"] / bar)
+        estimate = sum(size[j] * sum(phi[i] * parameters_of[i, j] for i in range(6)) for j in range(3))
+        variance = sum(size[i] * size[j] * products[i, j] for i in range(3) for j in range(3)) / free
+        spread = sum(phi[i] * phi[j] * covariance[i, j] for i in range(6) for j in range(6))
+        half, wide = (quantile * jnp.sqrt(variance * each) for each in (spread, spread + 1))
+        ends = {"low": estimate - half, "high": estimate + half, "lowest": estimate - wide, "highest": estimate + wide}
+        return {"estimate": estimate, "truth": 0 * x, **ends}
+
+    def points(parameters: Any) -> dict[str, Any]:
+        return {"at": jnp.asarray(at), "measured": sum(a * b for a, b in zip(sizes(parameters), shown.T, strict=True))}
+
+    def summary(parameters: Any) -> dict[str, Any]:
+        size = sizes(parameters)
+        products = [size[i] * size[j] for i in range(3) for j in range(3)]
+
+        def count(so_far: Any, experiment: Any) -> tuple[Any, None]:
+            estimate, scatter = experiment
+            error = sum(size[j] * estimate[j] for j in range(3))
+            variance = sum(one * scatter[j] for j, one in enumerate(products)) / free
+            return so_far + jnp.where(jnp.abs(error) <= quantile * jnp.sqrt(variance * leverage), 1.0, 0.0), None
+
+        inside, _ = jax.lax.scan(count, 0.0 * size[0], (jnp.asarray(estimates), jnp.asarray(scatters)))
+        at_place = row(parameters, jnp.asarray(0.05))
+        return {
+            "coverage": 100 * inside / len(estimates),
+            "confidence": (at_place["high"] - at_place["low"]) / 2,
+            "prediction": (at_place["highest"] - at_place["lowest"]) / 2,
+        }
+
+    sliders = [
+        Slider("scatter", "scatter of a point", "N", 1.0, 2.0, 0.1, 5.0, 0.1),
+        Slider("common", "error common to a pressure", "N", 1.0, 0.0, 0.0, 5.0, 0.1),
+        Slider("outlier", "error of one point", "N", 1.0, 0.0, 0.0, 40.0, 1.0),
+        Slider("pressure", "pressure of the intervals", "bar", bar, 4.5, 1.0, 8.0, 0.1),
+    ]
+    chart = Chart(
+        "Deviation from the true force over contraction",
+        "deviation, N",
+        (Curve("estimate", "fit"), Curve("truth", "truth", fixed=True), Curve("measured", dots=True, x="at")),
+        low=-8.0,
+        high=8.0,
+        bands=[("lowest", "highest"), ("low", "high")],
+    )
+    words = (
+        "At 5 % contraction the confidence interval is ± {confidence} N, the prediction interval ± {prediction} N. In "
+        "200 experiments with such errors, at 4.5 bar, {coverage} % of the confidence intervals contain the true force."
+    )
+    text = (
+        "A fit to 40 simulated forces, measured at 2, 3, 4, 5 and 6 bar: its deviation from the true law, with the "
+        "95 % intervals that assume independent errors (dark: confidence; light: prediction)."
+    )
+    table = Table(row, (0.0, 0.2, 81), Across("contraction, %", 0.0, 20.0, factor=100.0), [chart], [("", words)])
+    table = table._replace(summary=summary, points=points)
+    return table_explorer("uncertainty", "Explore the intervals over the errors", text, sliders, table)
 
 
 def _hysteresis() -> Explorer:
@@ -91,7 +186,7 @@ def _hysteresis() -> Explorer:
             (Curve("secant", "secant"), Curve("isobaric", "isobaric", fixed=True)),
             mm,
             low=0.0,
-            across=Across("push, mm", 0.0, 5.0, "push", 1 / mm),
+            across=Across("push, mm", 0.0, 5.5, "push", 1 / mm),
         ),
     )
     words = (
@@ -108,6 +203,7 @@ def _hysteresis() -> Explorer:
 
 EXPLORERS = {
     "force_law": lambda: _knee("force"),
+    "uncertainty": _uncertainty,
     "hysteresis": _hysteresis,
     "attainable_stiffness": lambda: _knee("attainable"),
     "position_control": lambda: _knee("run"),

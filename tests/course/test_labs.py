@@ -44,6 +44,18 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "validate": [("data.select(~out)", "data"), ("np.unique(pressure)", "pressure[:3]")],
         "compare": [("fit.rmse", "1.0")],
     },
+    "uncertainty": {
+        "confidence": [("(1 + level) / 2", "level"), ("matrix.shape[1]", "0"), ("np.sqrt(variance)", "variance")],
+        "prediction": [
+            ("np.hypot(confidence(matrix, force, new, level)[1], ", "("),
+            ("residuals @ residuals / degrees", "0.0"),
+        ],
+        "coverage": [("- new_truth) <= half", "- new_truth) <= 2 * half"), ("- new_truth", "- 1.01 * new_truth")],
+        "jackknife": [("(count - 1) *", ""), ("kept = groups != group", "kept = groups == groups")],
+        "left_out": [("data.select(~out)", "data"), ("Grouping.POINT).confidence", "Grouping.POINT).prediction")],
+        "outlier": [("/ np.sqrt(variance * free)", "/ np.sqrt(variance)"), ("residuals / np", "force / np")],
+        "beyond": [("<= 4 * bar + 1", "<= 7 * bar"), ("np.sqrt(np.mean(errors**2))", "np.max(np.abs(errors))")],
+    },
     "hysteresis": {
         "width": [("np.median(up - down) / 2", "np.median(up - down)"), ("up - down", "down - up")],
         "slip": [("length - force / stiffness", "anchor"), ("-limit, limit", "-limit / 2, limit / 2")],

@@ -210,13 +210,13 @@ const explorer = (function () {
                 if (k % every === 0) rows.push(Object.assign(row, {x: at}));
             });
             const columns = Object.fromEntries(Object.keys(rows[0]).map((key) => [key, rows.map((row) => row[key])]));
-            return {self, rows, columns: Object.assign(columns, module.points?.(self)), found: module.summary?.(self) ?? {}};
+            return {self, rows, columns: Object.assign(columns, module.points?.(self).points), found: module.summary?.(self) ?? {}};
         };
         let initial;
         start(name, (values, first, parent) => {
             initial ??= computed(first).columns;
             const {self, rows, columns, found} = computed(values);
-            for (const {title, label, factor = 1, limit = Infinity, curves, band, low, high, across = x} of wanted) {
+            for (const {title, label, factor = 1, limit = Infinity, curves, bands = [], low, high, across = x} of wanted) {
                 const at = (of, key = across.column ?? "x") => of[key].map((u) => u * (across.factor ?? 1));
                 const y = (of, key) => of[key].map((v) => (Math.abs(v * factor) < limit ? v * factor : NaN));
                 const all = [initial, columns].flatMap((of) => curves.flatMap((one) => at(of, one.x))).filter(Number.isFinite);
@@ -224,7 +224,7 @@ const explorer = (function () {
                 chart(parent, title, axis, {label, low, high}, [
                     ...curves.filter((one) => !one.fixed).map((one) => ({x: at(initial, one.x), y: y(initial, one.column), colour: SOFT, dashed: true, dots: one.dots})),
                     ...curves.map((one, k) => ({...one, x: at(columns, one.x), y: y(columns, one.column), colour: one.fixed ? SOFT : COLOURS[k % 3], dashed: one.fixed})),
-                ], band ? [{x: at(columns), low: y(columns, band[0]), high: y(columns, band[1])}] : []);
+                ], bands.map(([under, over]) => ({x: at(columns), low: y(columns, under), high: y(columns, over)})));
             }
             play?.(self, rows);
             const [, words] = says.find(([key]) => !key || found[key] > 0);

@@ -83,7 +83,7 @@ class Curve(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """Chart of curves, `factor` times their SI values; those beyond `limit` in shown units are left out."""
+    """Chart of curves, and bands between two columns, times a factor; values beyond `limit` as shown are left out."""
 
     title: str
     label: str
@@ -93,7 +93,7 @@ class Chart(NamedTuple):
     low: float | None = None
     high: float | None = None
     across: Across | None = None
-    band: tuple[str, str] | None = None
+    bands: Sequence[tuple[str, str]] = ()
 
 
 class Table(NamedTuple):
@@ -347,8 +347,8 @@ def table_explorer(
         module.add("row", "columns of the next row", next_row, {"state": state, "x": number})
         if summary is not None:
             module.add("summary", "numbers of the text", summary, {"state": state})
-    if table.points is not None:
-        module.add("points", "arrays over points", table.points, {})
+    if (points := table.points) is not None:
+        module.add("points", "arrays over points", lambda parameters: {"points": points(parameters)}, {})
     if picture is not None:
         given = {"angle": number, "pressure1": number, "pressure2": number}
         module.add("picture", "ends, lengths and diameters of the muscles [m]", picture, given)
