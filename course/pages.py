@@ -10,11 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from mckibben import catalog
+from mckibben import Constant, Reference, Sine, catalog
 from mckibben.muscle import MaxwellSlip, Muscle
-from mckibben.report.explorers import Across, Chart, Curve, Explorer, Slider, Table, explorers, table_explorer
+from mckibben.report.explorers import (
+    RUN_CHARTS,
+    Across,
+    Chart,
+    Curve,
+    Explorer,
+    Slider,
+    Table,
+    explorers,
+    run_explorer,
+    table_explorer,
+)
 from mckibben.scenario import Scenario
-from mckibben.units import bar, mm
+from mckibben.units import bar, deg, mm, ms
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -201,11 +212,38 @@ def _hysteresis() -> Explorer:
     return table_explorer("hysteresis", "Explore the loop over friction and motion", text, sliders, table)
 
 
+def _valves() -> Explorer:
+    reference = Reference(angle=Sine(amplitude=5 * deg, frequency=0.5), stiffness=Constant(14.0))
+    scenario = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml").replace(
+        command_delay=5 * ms, reference=reference, start={"stiffness": 14.0}, duration=4.0
+    )
+    sliders = [
+        Slider("command_delay", "delay of the commands", "ms", ms, 5.0, 0.0, 25.0, 0.5),
+        Slider("valve.time_constant", "time constant of the valves", "ms", ms, 20.0, 2.0, 60.0, 1.0),
+        Slider("controller.position.kp", "proportional gain", "bar/rad", bar, 2.0, 0.0, 8.0, 0.1),
+        Slider("controller.position.ki", "integral gain", "bar/(rad·s)", bar, 60.0, 0.0, 200.0, 5.0),
+    ]
+    text = (
+        "The knee of the lab on a sine of 5 deg: raise the delay until it oscillates, then make the valves faster, or "
+        "the gains smaller."
+    )
+    pressures = Chart(
+        "Command and pressure over time",
+        "muscle 1, bar",
+        (Curve("pressure1", "pressure"), Curve("command1", "command", fixed=True)),
+        1 / bar,
+    )
+    return run_explorer(
+        scenario, "Explore a loop with slow valves and a delay", text, sliders, [RUN_CHARTS[0], pressures]
+    )
+
+
 EXPLORERS = {
     "force_law": lambda: _knee("force"),
     "uncertainty": _uncertainty,
     "hysteresis": _hysteresis,
     "attainable_stiffness": lambda: _knee("attainable"),
     "position_control": lambda: _knee("run"),
+    "valves_and_delay": _valves,
 }
 """Explorers by lab, in the order of the course."""

@@ -91,6 +91,25 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
             ("(lowest <= stiffness) &", "(lowest > 0) |"),
         ],
     },
+    "valves_and_delay": {
+        "lag": [
+            (
+                "command + (pressure - command) * np.exp(-period / time_constant)",
+                "pressure + (command - pressure) * period / time_constant",
+            ),
+            ("-period", "-2 * period"),
+        ],
+        "flow": [("1.0 if ratio <= CRITICAL else ", ""), ("** 2)", ")"), ("upstream * share", "downstream * share")],
+        "fill": [("start + air.ATMOSPHERE", "start"), ("1.2 * ", "")],
+        "margin": [
+            ("np.pi + np.angle", "np.angle"),
+            ("2 * np.pi * frequency[crossing]", "frequency[crossing]"),
+            ("np.min(phase", "-np.min(-phase"),
+        ],
+        "cycle": [("2 * np.mean", "np.mean"), (" * control_period", "")],
+        "onset": [("np.argmax(", "-1 - 0 * np.argmax("), ("np.arange(10, 25) * ms", "np.arange(10, 25, 4) * ms")],
+        "predict": [("[-1]", "[0]"), ('["angle_rmse"])', '["angle_rmse"]) / deg')],
+    },
 }
 
 
