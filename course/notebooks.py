@@ -23,6 +23,7 @@ LABS = (
     "hysteresis",
     "attainable_stiffness",
     "position_control",
+    "model_based_control",
     "valves_and_delay",
 )
 """Labs in their order; `pages.py` has the explorers of their pages."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from mckibben import Constant, Reference, Sine, catalog
+from mckibben import Constant, Reference, Sine, Step, catalog
 from mckibben.muscle import MaxwellSlip, Muscle
 from mckibben.report.explorers import (
     RUN_CHARTS,
@@ -212,6 +213,35 @@ def _hysteresis() -> Explorer:
     return table_explorer("hysteresis", "Explore the loop over friction and motion", text, sliders, table)
 
 
+def _model_based() -> Explorer:
+    scenario = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
+    muscle = dataclasses.replace(scenario.joint.muscle1, strength=1.0)
+    stiffness = Step(before=13.0, after=16.0, at=1.5)
+    scenario = scenario.replace(
+        joint=dataclasses.replace(scenario.joint, muscle1=muscle, muscle2=muscle),
+        controller={
+            "class": "decoupling",
+            "feedback": {"bandwidth": 50.0, "damping": 2.5},
+            "observer": {"bandwidth": 150.0},
+        },
+        reference=Reference(angle=Sine(amplitude=8 * deg, frequency=1.0), stiffness=stiffness),
+        start={"stiffness": 13.0},
+        duration=3.0,
+    )
+    sliders = [
+        Slider("controller.feedback.bandwidth", "bandwidth of the poles", "rad/s", 1.0, 50.0, 10.0, 100.0, 1.0),
+        Slider("controller.observer.bandwidth", "bandwidth of the observer", "rad/s", 1.0, 150.0, 20.0, 400.0, 5.0),
+        Slider("joint.muscle.strength", "strength of the muscles", "%", 0.01, 100.0, 80.0, 120.0, 1.0),
+        Slider("load.mass2", "second mass of the load", "kg", 1.0, 0.5, 0.1, 1.0, 0.05),
+        Slider("valve.time_constant", "time constant of the valves", "ms", ms, 20.0, 5.0, 80.0, 1.0),
+    ]
+    text = (
+        "Decoupling control of the knee on a sine with a stiffness step. The last three change the plant alone; the "
+        "model of the controller keeps 100 %, 0.5 kg and 20 ms."
+    )
+    return run_explorer(scenario, "Explore decoupling control and errors of its model", text, sliders)
+
+
 def _valves() -> Explorer:
     reference = Reference(angle=Sine(amplitude=5 * deg, frequency=0.5), stiffness=Constant(14.0))
     scenario = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml").replace(
@@ -244,6 +274,7 @@ EXPLORERS = {
     "hysteresis": _hysteresis,
     "attainable_stiffness": lambda: _knee("attainable"),
     "position_control": lambda: _knee("run"),
+    "model_based_control": _model_based,
     "valves_and_delay": _valves,
 }
 """Explorers by lab, in the order of the course."""

@@ -91,6 +91,18 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
             ("(lowest <= stiffness) &", "(lowest > 0) |"),
         ],
     },
+    "model_based_control": {
+        "inverse": [("found[0] * bar", "found[0]"), ("both((6 * bar, 5 * bar))", "both((5 * bar, 5.5 * bar))")],
+        "torque": [("- np.asarray(load.gravity", "+ np.asarray(load.gravity"), ("load.total_inertia * ", "")],
+        "lead": [("pressures + time", "pressures - time"), (", times, axis", ", axis")],
+        "fair": [("50.0", "20.0"), ("50.0", "80.0"), ("50.0", "90.0")],
+        "coupling": [
+            ("5 * deg)[", "0 * deg)["),
+            ("deviation_pid, deviation_decoupling", "deviation_decoupling, deviation_pid"),
+        ],
+        "hidden": [("(knee, weak)", "(weak, knee)"), ('["stiffness_rmse"] / right', '["stiffness_rmse"] - right')],
+        "robust": [("55.0", "30.0"), ("55.0", "75.0")],
+    },
     "valves_and_delay": {
         "lag": [
             (
