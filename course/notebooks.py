@@ -25,6 +25,7 @@ LABS = (
     "position_control",
     "model_based_control",
     "valves_and_delay",
+    "jumping_leg",
 )
 """Labs in their order; `pages.py` has the explorers of their pages."""
 

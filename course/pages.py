@@ -11,8 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from mckibben import Constant, Reference, Sine, Step, catalog
+from mckibben import Constant, PressureRegulator, Reference, Sine, Step, catalog
+from mckibben.leg import Ground, LegPlant, LegStart, PressureSchedule, read_leg
+from mckibben.leg.metrics import MetricSums
 from mckibben.muscle import MaxwellSlip, Muscle
+from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.report.explorers import (
     RUN_CHARTS,
     Across,
@@ -26,6 +29,7 @@ from mckibben.report.explorers import (
     table_explorer,
 )
 from mckibben.scenario import Scenario
+from mckibben.simulation.loop import control_period, initial_loop
 from mckibben.units import bar, deg, mm, ms
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -268,6 +272,72 @@ def _valves() -> Explorer:
     )
 
 
+def _leg() -> Explorer:
+    """A jump of the leg of the lab from a squat, and its landing."""
+    valve = PressureRegulator(0.5 * L_PER_S_BAR, 7 * bar, time_constant=5 * ms, dead_volume=3e-6)
+    plant = LegPlant(read_leg("lei-leg-planar"), valve, Ground(20e3, 0.5, friction=0.0))
+    period, count, weight = 0.5 * ms, 1400, float(plant.leg.total_mass) * plant.gravity
+    start = LegStart((0.0, -20 * deg), (1 * bar,) * 4)
+    substeps = plant.needed_substeps(start.angles, None, period)
+    sliders = [
+        Slider("knee2", "knee, muscle that stretches", "bar", bar, 6.0, 1.0, 6.0, 0.1),
+        Slider("knee1", "knee, muscle that bends", "bar", bar, 0.0, 0.0, 3.0, 0.1),
+        Slider("hip2", "hip, muscle 2", "bar", bar, 6.0, 0.0, 6.0, 0.1),
+        Slider("hip1", "hip, muscle 1", "bar", bar, 0.0, 0.0, 6.0, 0.1),
+        Slider("wait", "wait at 1 bar", "ms", ms, 20.0, 5.0, 250.0, 5.0),
+    ]
+
+    def controller(parameters: Any) -> PressureSchedule:
+        levels = tuple((1 * bar, parameters[name]) for name in plant.leg.muscle_names)
+        return PressureSchedule(levels, ((parameters["wait"],),) * 4)
+
+    def init(parameters: Any) -> Any:
+        loop = initial_loop(plant, controller(parameters), start)
+        return loop, MetricSums.of(plant.observe(loop[0]))
+
+    def row(parameters: Any, state: Any, time: Any) -> Any:
+        loop, sums = state
+        loop, _ = control_period(plant, controller(parameters), loop, time, period, substeps)
+        now = plant.observe(loop[0])
+        columns = {
+            "height": now.mass_height,
+            "force": now.ground_up / weight,
+            "knee": now.angle[1],
+            "stretching": now.pressure[3],
+            "bending": now.pressure[2],
+        }
+        return (loop, sums.after(now, period, plant)), columns
+
+    def summary(parameters: Any, state: Any) -> dict[str, Any]:
+        found = state[1].finished(count, period)
+        return {
+            "rise": found.take_off_speed**2 / (2 * plant.gravity) / mm,
+            "landing": found.peak_landing_force / weight,
+            "work": found.muscle_work,
+            "stops": found.stop_energy,
+            "flies": jnp.where(found.take_off_speed > 0.05, 1.0, 0.0),
+        }
+
+    charts = (
+        Chart("Height of the centre of mass over time", "centre of mass, mm", (Curve("height", "height"),), 1 / mm),
+        Chart("Force of the ground over time", "ground, weights", (Curve("force", "force"),), low=0.0),
+        Chart(
+            "Pressures of the knee over time",
+            "knee, bar",
+            (Curve("stretching", "stretches"), Curve("bending", "bends")),
+            1 / bar,
+        ),
+    )
+    words = (
+        "The centre of mass rises by {rise} mm after take-off; the leg lands with {landing} weights. Until take-off "
+        "the muscles do {work} J of work, and the stops take {stops} J."
+    )
+    says = [("flies", words), ("", "The leg stays on the ground.")]
+    table = Table(row, (0.0, (count - 1) * period, count), Across("time, s", 0.0, 0.7), charts, says, init, summary)
+    text = "The leg squats at 1 bar in all muscles; after a wait, the pressures change. Wait longer: it sinks first."
+    return table_explorer("leg", "Explore a jump over pressures and timing", text, sliders, table._replace(every=4))
+
+
 EXPLORERS = {
     "force_law": lambda: _knee("force"),
     "uncertainty": _uncertainty,
@@ -276,5 +346,6 @@ EXPLORERS = {
     "position_control": lambda: _knee("run"),
     "model_based_control": _model_based,
     "valves_and_delay": _valves,
+    "jumping_leg": _leg,
 }
 """Explorers by lab, in the order of the course."""

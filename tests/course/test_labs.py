@@ -103,6 +103,17 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "hidden": [("(knee, weak)", "(weak, knee)"), ('["stiffness_rmse"] / right', '["stiffness_rmse"] - right')],
         "robust": [("55.0", "30.0"), ("55.0", "75.0")],
     },
+    "jumping_leg": {
+        "take_off": [("np.argmax(np.diff(touching))", "0"), ("(2 * GRAVITY)", "GRAVITY")],
+        "energy": [('"resisting_power", ', '"stop_power", '), ("mass * GRAVITY * ", "GRAVITY * ")],
+        "constant": [
+            ("(0 * bar, 6 * bar, 0 * bar, 6 * bar)", "(0 * bar, 6 * bar, 6 * bar, 0 * bar)"),
+            ("6 * bar)", "6)"),
+        ],
+        "timing": [("max(rises)", "rises[0]"), ("np.argmax(rises)", "0")],
+        "landing": [("np.argmin(", "np.argmax("), ("(plant, shut)", "(shut, plant)")],
+        "plan": [(" / (mass * GRAVITY)", ""), ("(0.95, 1.0, 1.05)", "(1.0, 1.0, 1.0)")],
+    },
     "valves_and_delay": {
         "lag": [
             (
