@@ -39,7 +39,7 @@ CONDUCTANCE, CRITICAL = 0.4 * air.L_PER_S_BAR, 0.3  # of a small proportional va
 # ## Task 1: a lag in discrete time
 #
 # The controller holds its command for a control period $h$. Give the pressure after it, exactly: not by an Euler step,
-# which would be wrong by a fifth at $h = T / 2$.
+# which would go a quarter too far at $h = T / 2$.
 
 
 # %% task lag
