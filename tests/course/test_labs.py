@@ -196,7 +196,7 @@ def test_checks_fail_for_wrong_answers(lab):
 
 
 def test_comparisons_name_likely_causes():
-    cases = {"bar": 1e-5, "percent": 100.0, "mm": 1e3, "deg": np.pi / 180, "sign": -1.0}
+    cases = {"bar": 1e-5, "percent": 100.0, "mm": 1e3, "deg": np.pi / 180, "sign": -1.0, "half": 2.0, "Hz": 0.5 / np.pi}
     for word, factor in cases.items():
         with pytest.raises(AssertionError, match=word):
             grading.close(3.0 * factor, 3.0, tolerance=0.01)
