@@ -5,7 +5,7 @@
 
 A lab begins in the browser when its first curves are drawn, and in a notebook when its first cells have run, from
 the start of the program. The answer of a slider is the time from its event to the end of the task that draws the new
-curves. Needs Chromium.
+curves; `cpu_ms` is the time of the processor for it, which other programs do not disturb. Needs Chromium.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 
 from PIL import Image
-from web import browser
+from web import Tab, browser
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "course"))
@@ -60,6 +60,12 @@ def first_cells(lab: str) -> float:
     return time.perf_counter() - start
 
 
+def busy(tab: Tab) -> float:
+    """Processor time [s] of the tasks of the page so far."""
+    found = tab.send("Performance.getMetrics")["metrics"]
+    return next(one["value"] for one in found if one["name"] == "TaskDuration")
+
+
 def picture(target: Path) -> None:
     """Save the upper part of a page."""
     with tempfile.TemporaryDirectory() as folder, browser() as tab:
@@ -80,10 +86,15 @@ def measure(labs: list[str], moves: int) -> None:
             tab.open(path.as_uri())
             tab.wait(PATH)
             opened = time.perf_counter() - start
+            tab.send("Performance.disable")
+            tab.send("Performance.enable", timeDomain="threadTicks")
+            before = busy(tab)
             times = sorted(tab.evaluate(MOVE % moves))
+            used = busy(tab) - before
             found[lab] = {
                 "page_s": round(opened, 2),
                 "notebook_s": round(first_cells(lab), 1),
+                "cpu_ms": round(1e3 * used / moves, 1),
                 "median_ms": round(statistics.median(times), 1),
                 "percentile_95_ms": round(times[int(0.95 * len(times))], 1),
             }

@@ -138,8 +138,8 @@ def _hysteresis() -> Explorer:
         Slider("half_width", "half width of the loop", "N", 1.0, 9.0, 0.5, 20.0, 0.5),
         Slider("presliding", "presliding length", "mm", mm, 0.6, 0.1, 2.0, 0.05),
         Slider("amplitude", "amplitude of the motion", "mm", mm, 3.0, 0.05, 6.0, 0.05),
-        Slider("contraction", "mean contraction", "%", 0.01, 8.0, 4.0, 16.0, 0.5),
-        Slider("pressure", "pressure", "bar", bar, 4.0, 1.0, 6.0, 0.1),
+        Slider("contraction", "mean contraction", "%", 0.01, 8.0, 3.0, 12.0, 0.5),
+        Slider("pressure", "pressure", "bar", bar, 4.0, 2.0, 6.0, 0.1),
     ]
     initial_length = muscle.specimen.initial_length
 
@@ -282,13 +282,12 @@ def _leg() -> Explorer:
     sliders = [
         Slider("knee2", "knee, muscle that stretches", "bar", bar, 6.0, 1.0, 6.0, 0.1),
         Slider("knee1", "knee, muscle that bends", "bar", bar, 0.0, 0.0, 3.0, 0.1),
-        Slider("hip2", "hip, muscle 2", "bar", bar, 6.0, 0.0, 6.0, 0.1),
-        Slider("hip1", "hip, muscle 1", "bar", bar, 0.0, 0.0, 6.0, 0.1),
+        Slider("hip2", "hip, muscle 2 (1: 0 bar)", "bar", bar, 6.0, 0.0, 6.0, 0.1),
         Slider("wait", "wait at 1 bar", "ms", ms, 20.0, 5.0, 250.0, 5.0),
     ]
 
     def controller(parameters: Any) -> PressureSchedule:
-        levels = tuple((1 * bar, parameters[name]) for name in plant.leg.muscle_names)
+        levels = tuple((1 * bar, parameters.get(name, 0.0)) for name in plant.leg.muscle_names)
         return PressureSchedule(levels, ((parameters["wait"],),) * 4)
 
     def init(parameters: Any) -> Any:

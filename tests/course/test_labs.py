@@ -110,7 +110,7 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
             ("(0 * bar, 6 * bar, 0 * bar, 6 * bar)", "(0 * bar, 6 * bar, 6 * bar, 0 * bar)"),
             ("6 * bar)", "6)"),
         ],
-        "timing": [("max(rises)", "rises[0]"), ("np.argmax(rises)", "0")],
+        "timing": [(", max(rises)", ", rises[0]"), ("np.argmax(rises)", "0")],
         "landing": [("np.argmin(", "np.argmax("), ("(plant, shut)", "(shut, plant)")],
         "plan": [(" / (mass * GRAVITY)", ""), ("(0.95, 1.0, 1.05)", "(1.0, 1.0, 1.0)")],
     },
