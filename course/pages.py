@@ -18,15 +18,15 @@ from mckibben.muscle import MaxwellSlip, Muscle
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.report.explorers import (
     RUN_CHARTS,
-    Across,
+    Axis,
     Chart,
+    ComputedRows,
     Curve,
     Explorer,
     Slider,
-    Table,
     explorers,
+    rows_explorer,
     run_explorer,
-    table_explorer,
 )
 from mckibben.scenario import Scenario
 from mckibben.simulation.loop import control_period, initial_loop
@@ -126,9 +126,9 @@ def _uncertainty() -> Explorer:
         "A fit to 40 simulated forces, measured at 2, 3, 4, 5 and 6 bar: its deviation from the true law, with the "
         "95 % intervals that assume independent errors (dark: confidence; light: prediction)."
     )
-    table = Table(row, (0.0, 0.2, 81), Across("contraction, %", 0.0, 20.0, factor=100.0), [chart], [("", words)])
-    table = table._replace(summary=summary, points=points)
-    return table_explorer("uncertainty", "Explore the intervals over the errors", text, sliders, table)
+    across = Axis("contraction, %", 0.0, 20.0, factor=100.0)
+    table = ComputedRows(row, (0.0, 0.2, 81), across, [chart], [("", words)], summary=summary, points=points)
+    return rows_explorer("uncertainty", "Explore the intervals over the errors", text, sliders, table)
 
 
 def _hysteresis() -> Explorer:
@@ -194,7 +194,7 @@ def _hysteresis() -> Explorer:
             "Force over contraction",
             "force, N",
             (Curve("force", "loop"), Curve("law", "law", fixed=True)),
-            across=Across("contraction, %", column="contraction", factor=100.0),
+            across=Axis("contraction, %", column="contraction", factor=100.0),
         ),
         Chart(
             "Stiffness to a push from rest",
@@ -202,19 +202,19 @@ def _hysteresis() -> Explorer:
             (Curve("secant", "secant"), Curve("isobaric", "isobaric", fixed=True)),
             mm,
             low=0.0,
-            across=Across("push, mm", 0.0, 5.5, "push", 1 / mm),
+            across=Axis("push, mm", 0.0, 5.5, "push", 1 / mm),
         ),
     )
     words = (
         "The loop is up to {width} N wide and loses {energy} mJ per cycle. The muscle has {small} N/mm to a tiny push, "
         "and {isobaric} N/mm by its law alone."
     )
-    table = Table(row, (0.0, 2.75, 441), Across("cycle"), charts, [("", words)], init, summary)
+    table = ComputedRows(row, (0.0, 2.75, 441), Axis("cycle"), charts, [("", words)], init, summary)
     text = (
         "A muscle moved along a sine at constant pressure, and its stiffness to a push. Dashed: the law without "
         "friction, and, thin, the values at the start."
     )
-    return table_explorer("hysteresis", "Explore the loop over friction and motion", text, sliders, table)
+    return rows_explorer("hysteresis", "Explore the loop over friction and motion", text, sliders, table)
 
 
 def _model_based() -> Explorer:
@@ -332,9 +332,10 @@ def _leg() -> Explorer:
         "the muscles do {work} J of work, and the stops take {stops} J."
     )
     says = [("flies", words), ("", "The leg stays on the ground.")]
-    table = Table(row, (0.0, (count - 1) * period, count), Across("time, s", 0.0, 0.7), charts, says, init, summary)
+    times = (0.0, (count - 1) * period, count)
+    table = ComputedRows(row, times, Axis("time, s", 0.0, 0.7), charts, says, init, summary, every=4)
     text = "The leg squats at 1 bar in all muscles; after a wait, the pressures change. Wait longer: it sinks first."
-    return table_explorer("leg", "Explore a jump over pressures and timing", text, sliders, table._replace(every=4))
+    return rows_explorer("leg", "Explore a jump over pressures and timing", text, sliders, table)
 
 
 EXPLORERS = {

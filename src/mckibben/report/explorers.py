@@ -62,7 +62,7 @@ class Explorer(NamedTuple):
     plays: bool = False
 
 
-class Across(NamedTuple):
+class Axis(NamedTuple):
     """Horizontal axis: label, ends in shown units (default: those of the data), column, and factor to shown units."""
 
     label: str
@@ -92,11 +92,11 @@ class Chart(NamedTuple):
     limit: float | None = None
     low: float | None = None
     high: float | None = None
-    across: Across | None = None
+    across: Axis | None = None
     bands: Sequence[tuple[str, str]] = ()
 
 
-class Table(NamedTuple):
+class ComputedRows(NamedTuple):
     """Functions of the values of sliders, and the charts of their results.
 
     ``row(parameters, x)`` returns columns; with ``init(parameters)``, which returns a state, ``row(parameters, state,
@@ -107,7 +107,7 @@ class Table(NamedTuple):
 
     row: Callable[..., Any]
     range: tuple[float, float, int]
-    across: Across
+    across: Axis
     charts: Sequence[Chart]
     says: Sequence[tuple[str, str]]
     init: Callable[..., Any] | None = None
@@ -296,9 +296,9 @@ def run_explorer(
         ("", _ERRORS),
     ]
     times = (0.0, scenario.duration - period, round(scenario.duration / period))
-    table = Table(row, times, Across("time, s", 0.0, scenario.duration), charts, says, init, summary, every=every)
+    table = ComputedRows(row, times, Axis("time, s", 0.0, scenario.duration), charts, says, init, summary, every=every)
     picture = _picture(nominal) if isinstance(nominal.joint.geometry, KneeGeometry) else None
-    return table_explorer("run", title, text, sliders, table, picture)
+    return rows_explorer("run", title, text, sliders, table, picture)
 
 
 def _picture(plant: JointPlant) -> Callable[..., dict[str, Any]]:
@@ -319,23 +319,23 @@ def _picture(plant: JointPlant) -> Callable[..., dict[str, Any]]:
     return picture
 
 
-def table_explorer(
+def rows_explorer(
     key: str,
     title: str,
     text: str,
     sliders: list[Slider],
-    table: Table,
+    rows: ComputedRows,
     picture: Callable[..., dict[str, Any]] | None = None,
 ) -> Explorer:
     """Explorer of a table of rows that functions of its sliders compute; `picture` draws a joint in motion."""
     number = np.zeros(())
     module = SourceModule("rows", _parameters(sliders))
-    if table.init is None:
-        module.add("row", "columns of a row", table.row, {"x": number})
-        if table.summary is not None:
-            module.add("summary", "numbers of the text", table.summary, {})
+    if rows.init is None:
+        module.add("row", "columns of a row", rows.row, {"x": number})
+        if rows.summary is not None:
+            module.add("summary", "numbers of the text", rows.summary, {})
     else:
-        init, row, summary = table.init, table.row, table.summary
+        init, row, summary = rows.init, rows.row, rows.summary
         state = jax.eval_shape(lambda: init(module.parameters))
         state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
 
@@ -347,17 +347,17 @@ def table_explorer(
         module.add("row", "columns of the next row", next_row, {"state": state, "x": number})
         if summary is not None:
             module.add("summary", "numbers of the text", summary, {"state": state})
-    if (points := table.points) is not None:
+    if (points := rows.points) is not None:
         module.add("points", "arrays over points", lambda parameters: {"points": points(parameters)}, {})
     if picture is not None:
         given = {"angle": number, "pressure1": number, "pressure2": number}
         module.add("picture", "ends, lengths and diameters of the muscles [m]", picture, given)
     options = {
-        "range": table.range,
-        "every": table.every,
-        "x": table.across._asdict(),
-        "charts": [_chart_options(one) for one in table.charts],
-        "says": table.says,
+        "range": rows.range,
+        "every": rows.every,
+        "x": rows.across._asdict(),
+        "charts": [_chart_options(one) for one in rows.charts],
+        "says": rows.says,
         "picture": picture is not None,
     }
     script = f'{write_js(module)}explorer.table("explore-{key}", {module.name}, {json.dumps(options)});'
