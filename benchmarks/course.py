@@ -5,7 +5,7 @@
 
 A lab begins in the browser when its first curves are drawn, and in a notebook when its first cells have run, from
 the start of the program. The answer of a slider is the time from its event to the end of the task that draws the new
-curves. Needs Chromium.
+curves; `cpu_ms` is the time of the processor for it, which other programs do not disturb. Needs Chromium.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import time
 from pathlib import Path
 
 from PIL import Image
-from web import browser
+from web import Tab, browser
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "course"))
-from notebooks import PAGES, cells, page  # noqa: E402
+from notebooks import LABS, cells, page  # noqa: E402
 
 MOVE = """(async () => {
   const sliders = [...document.querySelectorAll("form input")], times = [];
@@ -60,6 +60,12 @@ def first_cells(lab: str) -> float:
     return time.perf_counter() - start
 
 
+def busy(tab: Tab) -> float:
+    """Processor time [s] of the tasks of the page so far."""
+    found = tab.send("Performance.getMetrics")["metrics"]
+    return next(one["value"] for one in found if one["name"] == "TaskDuration")
+
+
 def picture(target: Path) -> None:
     """Save the upper part of a page."""
     with tempfile.TemporaryDirectory() as folder, browser() as tab:
@@ -70,20 +76,25 @@ def picture(target: Path) -> None:
         image.crop((100, 0, 1100, 900)).save(target, optimize=True)
 
 
-def measure(moves: int) -> None:
-    """Measure all labs, and print a table and JSON."""
+def measure(labs: list[str], moves: int) -> None:
+    """Measure labs, and print a table and JSON."""
     found = {}
     with tempfile.TemporaryDirectory() as folder, browser() as tab:
-        for lab in PAGES:
+        for lab in labs:
             path = page(lab, Path(folder) / f"{lab}.html")
             start = time.perf_counter()
             tab.open(path.as_uri())
             tab.wait(PATH)
             opened = time.perf_counter() - start
+            tab.send("Performance.disable")
+            tab.send("Performance.enable", timeDomain="threadTicks")
+            before = busy(tab)
             times = sorted(tab.evaluate(MOVE % moves))
+            used = busy(tab) - before
             found[lab] = {
                 "page_s": round(opened, 2),
                 "notebook_s": round(first_cells(lab), 1),
+                "cpu_ms": round(1e3 * used / moves, 1),
                 "median_ms": round(statistics.median(times), 1),
                 "percentile_95_ms": round(times[int(0.95 * len(times))], 1),
             }
@@ -94,13 +105,14 @@ def measure(moves: int) -> None:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--labs", nargs="+", choices=LABS, default=list(LABS))
     parser.add_argument("--moves", type=int, default=120, help="number of moves of sliders per page")
     parser.add_argument("--image", type=Path, help="save a picture of a page instead")
     options = parser.parse_args()
     if options.image:
         picture(options.image)
     else:
-        measure(options.moves)
+        measure(options.labs, options.moves)
 
 
 if __name__ == "__main__":

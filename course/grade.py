@@ -18,7 +18,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from notebooks import cells
+from notebooks import LABS, cells
 
 TIMEOUT = 600  # s
 
@@ -64,7 +64,11 @@ def grade(lab: str, notebook: Path) -> dict[str, int]:
 
 
 def main(lab: str, notebooks: list[Path]) -> None:
-    """Print one row per notebook."""
+    """Print one row per notebook; a lab or file that does not exist ends the program with one line."""
+    if lab not in LABS:
+        sys.exit(f"there is no lab {lab!r}; known: {', '.join(LABS)}")
+    if missing := [str(one) for one in notebooks if not one.is_file()]:
+        sys.exit(f"no such notebook: {', '.join(missing)}")
     names = [one.name for one in cells(lab) if one.kind == "check"]
     writer = csv.writer(sys.stdout)
     writer.writerow(["notebook", *names, "points"])
@@ -75,4 +79,6 @@ def main(lab: str, notebooks: list[Path]) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit(f"usage: python course/grade.py LAB NOTEBOOK...; labs: {', '.join(LABS)}")
     main(sys.argv[1], [Path(one) for one in sys.argv[2:]])

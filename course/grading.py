@@ -11,6 +11,8 @@ _FACTORS = {
     1e5: "is a pressure in bar where Pa is expected, or the reverse?",
     100.0: "is a contraction in percent where a ratio is expected, or the reverse?",
     1e3: "is a length in mm where m is expected, or the reverse?",
+    2 * np.pi: "is a frequency in Hz where rad/s is expected, or the reverse?",
+    2.0: "is a whole width or amplitude given where a half is expected, or the reverse?",
     180 / np.pi: "is an angle in deg where rad is expected, or the reverse?",
 }
 

@@ -17,9 +17,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 FOLDER = Path(__file__).parent
-SCENARIO = FOLDER.parent / "examples" / "pre-contracted-step-pid.yaml"
-PAGES = {"force_law": "force", "attainable_stiffness": "attainable", "position_control": "run"}
-"""Labs in their order, and the explorers of their pages."""
+LABS = (
+    "force_law",
+    "uncertainty",
+    "hysteresis",
+    "attainable_stiffness",
+    "position_control",
+    "model_based_control",
+    "valves_and_delay",
+    "jumping_leg",
+)
+"""Labs in their order; `pages.py` has the explorers of their pages."""
 
 _HEAD = re.compile(r"^# %%(?: \[(markdown)\]| (task) (\w+)| (check) (\w+) (\d+))?$", re.MULTILINE)
 _SOLUTION = re.compile(r"^( *)### BEGIN SOLUTION\n.*?### END SOLUTION$", re.DOTALL | re.MULTILINE)
@@ -81,14 +89,15 @@ def notebook(lab: str, *, solutions: bool) -> dict[str, Any]:
 
 def page(lab: str, path: Path) -> Path:
     """Write the self-contained page of a lab: its text, and an explorer after the introduction."""
+    from pages import EXPLORERS
+
     from mckibben.report.page import write_explorers
-    from mckibben.scenario import Scenario
 
     path.parent.mkdir(parents=True, exist_ok=True)
     introduction, *rest = (one.source for one in cells(lab) if one.kind == "markdown")
     heading, _, lead = introduction.partition("\n")
     texts = {"title": heading.removeprefix("# "), "lead": _html(lead), "body": _html("\n\n".join(rest))}
-    return write_explorers(Scenario.read(SCENARIO), path, keys=[PAGES[lab]], **texts)
+    return write_explorers([EXPLORERS[lab]()], path, **texts)
 
 
 def _html(text: str) -> str:
@@ -110,7 +119,7 @@ def _html(text: str) -> str:
 
 def main(target: Path) -> None:
     """Write notebooks of teachers and students, the checks, and the pages."""
-    for lab in PAGES:
+    for lab in LABS:
         for folder, solutions in (("source", True), ("release", False)):
             place = target / folder / lab
             place.mkdir(parents=True, exist_ok=True)
@@ -122,4 +131,6 @@ def main(target: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python course/notebooks.py FOLDER")
     main(Path(sys.argv[1]))

@@ -13,6 +13,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 
 import mckibben
+from mckibben.report.explorers import explorers
 from mckibben.report.page import write_explorers
 from mckibben.scenario import Scenario
 
@@ -110,8 +111,8 @@ def _block_math(translator: Any, node: nodes.math_block) -> None:
 def _explorers(app: Sphinx, error: Exception | None) -> None:
     if error is None:
         scenario = Scenario.read(Path(app.srcdir).parent / "examples" / "pre-contracted-step-pid.yaml")
-        write_explorers(scenario, Path(app.outdir) / "explorers.html")
-        for lab in course.PAGES:
+        write_explorers(explorers(scenario).values(), Path(app.outdir) / "explorers.html")
+        for lab in course.LABS:
             course.page(lab, Path(app.outdir) / "course" / f"{lab}.html")
 
 

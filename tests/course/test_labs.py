@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def load(name):
 
 
 notebooks, grade, grading = (load(name) for name in ("notebooks", "grade", "grading"))
-LABS = [*notebooks.PAGES]
+LABS = notebooks.LABS
 WRONG = {  # task: plausible mistakes, as changes of the solution
     "force_law": {
         "ideal": [
@@ -42,6 +43,30 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "fit": [("np.exp(-decay * contraction)", "contraction**2"), ("np.sqrt(np.mean(", "np.sqrt(np.sum(")],
         "validate": [("data.select(~out)", "data"), ("np.unique(pressure)", "pressure[:3]")],
         "compare": [("fit.rmse", "1.0")],
+    },
+    "uncertainty": {
+        "confidence": [("(1 + level) / 2", "level"), ("matrix.shape[1]", "0"), ("np.sqrt(variance)", "variance")],
+        "prediction": [
+            ("np.hypot(confidence(matrix, force, new, level)[1], ", "("),
+            ("residuals @ residuals / degrees", "0.0"),
+        ],
+        "coverage": [("- new_truth) <= half", "- new_truth) <= 2 * half"), ("- new_truth", "- 1.01 * new_truth")],
+        "jackknife": [("(count - 1) *", ""), ("kept = groups != group", "kept = groups == groups")],
+        "left_out": [("data.select(~out)", "data"), ("Grouping.POINT).confidence", "Grouping.POINT).prediction")],
+        "outlier": [("/ np.sqrt(variance * free)", "/ np.sqrt(variance)"), ("residuals / np", "force / np")],
+        "beyond": [("<= 4 * bar + 1", "<= 7 * bar"), ("np.sqrt(np.mean(errors**2))", "np.max(np.abs(errors))")],
+    },
+    "hysteresis": {
+        "width": [("np.median(up - down) / 2", "np.median(up - down)"), ("up - down", "down - up")],
+        "slip": [("length - force / stiffness", "anchor"), ("-limit, limit", "-limit / 2, limit / 2")],
+        "energy": [("/ 2 * np", "* np"), ("np.sum", "-np.sum")],
+        "secant": [("/ amplitude", ""), ("moved[1] * arm", "moved[1]")],
+        "ratio": [("> 2 * isobaric", "> 3 * isobaric"), ("0.01 * deg) / isobaric", "0.01) / isobaric")],
+        "rest": [
+            ("np.dot(widths, moment_arms(0.0))", "widths[0] * moment_arms(0.0)[0]"),
+            ("deviation = ", "deviation = 1 / deg * "),
+        ],
+        "identify": [("ExponentialLaw, loading)", "ExponentialLaw, means)"), (" - np.asarray(law.force(*grid))", "")],
     },
     "attainable_stiffness": {
         "torque": [("return -sum", "return sum"), ("joint.tensions", "(lambda *_: (100.0, 100.0))")],
@@ -65,6 +90,48 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
             ("(lowest <= stiffness) & ", ""),
             ("(lowest <= stiffness) &", "(lowest > 0) |"),
         ],
+    },
+    "model_based_control": {
+        "inverse": [("found[0] * bar", "found[0]"), ("both((6 * bar, 5 * bar))", "both((5 * bar, 5.5 * bar))")],
+        "torque": [("- np.asarray(load.gravity", "+ np.asarray(load.gravity"), ("load.total_inertia * ", "")],
+        "lead": [("pressures + time", "pressures - time"), (", times, axis", ", axis")],
+        "fair": [("50.0", "20.0"), ("50.0", "80.0"), ("50.0", "90.0")],
+        "coupling": [
+            ("5 * deg)[", "0 * deg)["),
+            ("deviation_pid, deviation_decoupling", "deviation_decoupling, deviation_pid"),
+        ],
+        "hidden": [("(knee, weak)", "(weak, knee)"), ('["stiffness_rmse"] / right', '["stiffness_rmse"] - right')],
+        "robust": [("55.0", "30.0"), ("55.0", "75.0")],
+    },
+    "jumping_leg": {
+        "take_off": [("np.argmax(np.diff(touching))", "0"), ("(2 * GRAVITY)", "GRAVITY")],
+        "energy": [('"resisting_power", ', '"stop_power", '), ("mass * GRAVITY * ", "GRAVITY * ")],
+        "constant": [
+            ("(0 * bar, 6 * bar, 0 * bar, 6 * bar)", "(0 * bar, 6 * bar, 6 * bar, 0 * bar)"),
+            ("6 * bar)", "6)"),
+        ],
+        "timing": [(", max(rises)", ", rises[0]"), ("np.argmax(rises)", "0")],
+        "landing": [("np.argmin(", "np.argmax("), ("(plant, shut)", "(shut, plant)")],
+        "plan": [(" / (mass * GRAVITY)", ""), ("(0.95, 1.0, 1.05)", "(1.0, 1.0, 1.0)")],
+    },
+    "valves_and_delay": {
+        "lag": [
+            (
+                "command + (pressure - command) * np.exp(-period / time_constant)",
+                "pressure + (command - pressure) * period / time_constant",
+            ),
+            ("-period", "-2 * period"),
+        ],
+        "flow": [("1.0 if ratio <= CRITICAL else ", ""), ("** 2)", ")"), ("upstream * share", "downstream * share")],
+        "fill": [("start + air.ATMOSPHERE", "start"), ("1.2 * ", "")],
+        "margin": [
+            ("np.pi + np.angle", "np.angle"),
+            ("2 * np.pi * frequency[crossing]", "frequency[crossing]"),
+            ("np.min(phase", "-np.min(-phase"),
+        ],
+        "cycle": [("2 * np.mean", "np.mean"), (" * control_period", "")],
+        "onset": [("np.argmax(", "-1 - 0 * np.argmax("), ("np.arange(10, 25) * ms", "np.arange(10, 25, 4) * ms")],
+        "predict": [("[-1]", "[0]"), ('["angle_rmse"])', '["angle_rmse"]) / deg')],
     },
 }
 
@@ -129,7 +196,7 @@ def test_checks_fail_for_wrong_answers(lab):
 
 
 def test_comparisons_name_likely_causes():
-    cases = {"bar": 1e-5, "percent": 100.0, "mm": 1e3, "deg": np.pi / 180, "sign": -1.0}
+    cases = {"bar": 1e-5, "percent": 100.0, "mm": 1e3, "deg": np.pi / 180, "sign": -1.0, "half": 2.0, "Hz": 0.5 / np.pi}
     for word, factor in cases.items():
         with pytest.raises(AssertionError, match=word):
             grading.close(3.0 * factor, 3.0, tolerance=0.01)
@@ -149,13 +216,30 @@ def test_a_notebook_that_does_not_run_earns_nothing(tmp_path):
     assert set(grade.grade("force_law", path).values()) == {0}
 
 
+@pytest.mark.parametrize(
+    "arguments, named",
+    [
+        ([], "force_law"),
+        (["force_law"], "NOTEBOOK"),
+        (["force", "x.ipynb"], "force_law"),
+        (["force_law", "x.ipynb"], "x.ipynb"),
+    ],
+)
+def test_wrong_arguments_of_grade_are_one_line(arguments, named):
+    command = [sys.executable, str(COURSE / "grade.py"), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert named in line
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lab", LABS)
 def test_a_page_has_text_formulas_and_its_explorer_and_loads_nothing(lab, tmp_path):
     pytest.importorskip("docutils")
     text = notebooks.page(lab, tmp_path / "pages" / "page.html").read_text(encoding="utf-8")
     assert text.count("<h1>") == 1
-    assert f'id="explore-{notebooks.PAGES[lab]}"' in text
     assert text.count('class="explorer"') == 1
     assert "<math" in text
     assert "FORMULA" not in text

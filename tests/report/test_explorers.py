@@ -14,6 +14,7 @@ from mckibben.paper.settings import PRE_CONTRACTED, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report.explorers import explorers
 from mckibben.report.page import write_explorers
+from mckibben.units import deg
 
 pytestmark = pytest.mark.slow
 
@@ -59,11 +60,18 @@ def test_sliders_start_at_the_values_of_the_report(found):
 
 @needs_node
 def test_run(found, case):
-    body = """module.init(self); const rows = [];
-              for (let k = 0; k < options.count; ++k) rows.push(module.period(self, k * options.period));
-              say([rows.map((row) => row.angle), rows.map((row) => row.stiffness)]);"""
-    for values, expected in zip(run(found["run"], body), ("angle", "stiffness"), strict=True):
+    body = """const [low, high, count] = options.range, rows = [];
+              module.init(self);
+              for (let k = 0; k < count; ++k) rows.push(module.row(self, low + (high - low) * k / (count - 1)));
+              say([rows.map((row) => row.angle), rows.map((row) => row.stiffness), module.summary(self)]);"""
+    *columns, summary = run(found["run"], body)
+    for values, expected in zip(columns, ("angle", "stiffness"), strict=True):
         assert np.allclose(values, case.result[expected], rtol=1e-9, atol=1e-11)
+    metrics = case.result.metrics
+    assert summary["angle"] == pytest.approx(metrics["angle_rmse"] / deg, rel=1e-9)
+    assert summary["stiffness"] == pytest.approx(metrics["stiffness_rmse"], rel=1e-9)
+    assert summary["air"] == pytest.approx(metrics["air"] / 1e-3, rel=1e-9)
+    assert summary["amplitude"] == metrics["oscillation_amplitude"] == summary["diverged"] == 0
 
 
 @needs_node
@@ -113,6 +121,6 @@ def test_the_script_of_the_page_is_valid():
 
 
 def test_the_page_of_the_documentation_has_all_and_loads_nothing(case, found, tmp_path):
-    text = write_explorers(case.scenario, tmp_path / "explorers.html").read_text(encoding="utf-8")
+    text = write_explorers(found.values(), tmp_path / "explorers.html").read_text(encoding="utf-8")
     assert [key for key in found if f'id="explore-{key}"' in text] == list(found)
     assert not re.search(r"(src|href)=|https?:|@import", text.replace("http://www.w3.org/2000/svg", ""))

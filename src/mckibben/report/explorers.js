@@ -19,7 +19,7 @@ const explorer = (function () {
 
     const show = (number) => String(Number(number.toPrecision(4))).replace("-", "−");
 
-    // curves: {x, y, colour, dashed, label, at}; bands: {x, low, high}; non-finite numbers are left out
+    // curves: {x, y, colour, dashed, dots, label, at}; bands: {x, low, high}; non-finite numbers are left out
     function chart(parent, title, x, y, curves, bands = []) {
         const width = Math.max(parent.width, 280), height = Math.min(300, Math.max(220, 0.5 * width));
         const ended = curves.some((one) => one.label && !(one.at >= 0));
@@ -50,7 +50,8 @@ const explorer = (function () {
         curves.forEach((one, number) => {
             const points = one.x.map((u, k) => [u, one.y[k]]).filter((point) => point.every(Number.isFinite));
             const stroke = one.colour ?? COLOURS[number % COLOURS.length], dash = one.dashed ? {"stroke-dasharray": "6 4"} : {};
-            element(svg, "polyline", {points: points.map(([u, v]) => `${px(u).toFixed(1)},${py(v).toFixed(1)}`).join(" "), fill: "none", stroke, "stroke-width": one.dashed ? 1.5 : 2, ...dash});
+            if (one.dots) for (const [u, v] of points) element(svg, "circle", {cx: px(u).toFixed(1), cy: py(v).toFixed(1), r: 3, fill: one.dashed ? "none" : stroke, stroke});
+            else element(svg, "polyline", {points: points.map(([u, v]) => `${px(u).toFixed(1)},${py(v).toFixed(1)}`).join(" "), fill: "none", stroke, "stroke-width": one.dashed ? 1.5 : 2, ...dash});
             const [u, v] = points.at(-1) ?? [], at = one.at ?? -1; // default place of the label: the last point
             if (at >= 0) text(px(one.x[at]), py(one.y[at]) + 4, one.label, {fill: stroke, stroke: "#fff", "stroke-width": 4, "paint-order": "stroke", "text-anchor": "middle"});
             else if (one.label && points.length) labels.push({words: one.label, fill: stroke, x: px(u), y: py(v)});
@@ -197,32 +198,39 @@ const explorer = (function () {
         };
     }
 
-    function run(name, module, {period, count}) {
-        const every = 10, times = grid(0, (count - every) * period, count / every);
-        const play = player(document.getElementById(name), module, times);
-        start(name, (values, _, charts) => {
-            const self = made(module, values), rows = [], errors = [0, 0];
-            module.init(self);
-            for (let k = 0; k < count; ++k) {
-                const now = module.period(self, k * period);
-                if (k % every === 0) rows.push(now);
-                errors[0] += (now.angle - now.desired_angle) ** 2 / count;
-                errors[1] += (now.stiffness - now.desired_stiffness) ** 2 / count;
+    // Charts of the rows that a module computes over a grid, one after the other where it has a state. Columns are those of
+    // its rows and the arrays of its points; the curves of the initial values are drawn dashed.
+    function table(name, module, {range, every, x, charts: wanted, says, picture}) {
+        const steps = grid(...range), play = picture ? player(document.getElementById(name), module, steps.filter((_, k) => k % every === 0)) : null;
+        const computed = (values) => {
+            const self = made(module, values), rows = [];
+            module.init?.(self);
+            steps.forEach((at, k) => {
+                const row = module.row(self, at);
+                if (k % every === 0) rows.push(Object.assign(row, {x: at}));
+            });
+            const columns = Object.fromEntries(Object.keys(rows[0]).map((key) => [key, rows.map((row) => row[key])]));
+            return {self, rows, columns: Object.assign(columns, module.points?.(self).points), found: module.summary?.(self) ?? {}};
+        };
+        let initial;
+        start(name, (values, first, parent) => {
+            initial ??= computed(first).columns;
+            const {self, rows, columns, found} = computed(values);
+            for (const {title, label, factor = 1, limit = Infinity, curves, bands = [], low, high, across = x} of wanted) {
+                const at = (of, key = across.column ?? "x") => of[key].map((u) => u * (across.factor ?? 1));
+                const y = (of, key) => of[key].map((v) => (Math.abs(v * factor) < limit ? v * factor : NaN));
+                const all = [initial, columns].flatMap((of) => curves.flatMap((one) => at(of, one.x))).filter(Number.isFinite);
+                const axis = {low: across.low ?? Math.min(...all), high: across.high ?? Math.max(...all), label: across.label};
+                chart(parent, title, axis, {label, low, high}, [
+                    ...curves.filter((one) => !one.fixed).map((one) => ({x: at(initial, one.x), y: y(initial, one.column), colour: SOFT, dashed: true, dots: one.dots})),
+                    ...curves.map((one, k) => ({...one, x: at(columns, one.x), y: y(columns, one.column), colour: one.fixed ? SOFT : COLOURS[k % 3], dashed: one.fixed})),
+                ], bands.map(([under, over]) => ({x: at(columns), low: y(columns, under), high: y(columns, over)})));
             }
-            const x = {low: 0, high: count * period, label: "time, s"}, deg = 180 / Math.PI;
-            const bounded = (v, limit) => (Math.abs(v) < limit ? v : NaN);
-            for (const [key, label, factor, limit] of [["angle", "angle, °", deg, 90], ["stiffness", "stiffness, N·m/rad", 1, 100]]) {
-                const curve = (of, more) => ({x: times, y: rows.map((row) => bounded(factor * row[of], limit)), ...more});
-                chart(charts, `${key} over time`, x, {label}, [
-                    curve(`desired_${key}`, {colour: SOFT, dashed: true, label: "desired"}), curve(key, {colour: COLOURS[0], label: "actual"}),
-                ]);
-            }
-            play(self, rows);
-            const [angle, stiffness] = errors.map(Math.sqrt);
-            if (!Number.isFinite(angle) || angle > 1) return "The joint diverges.";
-            return `Root mean square error: ${show(angle * deg)}° and ${show(stiffness)} N·m/rad.`;
+            play?.(self, rows);
+            const [, words] = says.find(([key]) => !key || found[key] > 0);
+            return words.replace(/{(\w+)}/g, (_, key) => show(Number(found[key].toPrecision(3))));
         });
     }
 
-    return {force, attainable, run};
+    return {force, attainable, table};
 })();

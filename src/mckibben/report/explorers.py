@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -15,21 +16,25 @@ import numpy as np
 from mckibben.codegen import SourceModule, write_js
 from mckibben.control import Setpoint
 from mckibben.joint.geometry import KneeGeometry
+from mckibben.scenario.parameters import find_parameter
+from mckibben.scenario.values import changed
 from mckibben.simulation.loop import control_period, initial_loop
-from mckibben.units import bar, factor, mm
+from mckibben.simulation.metrics import trajectory
+from mckibben.simulation.oscillation import Oscillation
+from mckibben.units import bar, deg, factor, litre, mm
 
 if TYPE_CHECKING:
     from mckibben.muscle import Muscle
     from mckibben.plant import JointPlant
     from mckibben.scenario import Scenario
 
-KEYS = ("force", "attainable", "run")
 _ANGLES = (-45.0, 45.0)  # deg
 _GAINS = {
     "kp": ("proportional", "bar/rad"),
     "ki": ("integral", "bar/(rad*s)"),
     "kd": ("derivative", "bar*s/rad"),
 }
+_ERRORS = "Root mean square error: {angle}° and {stiffness} N·m/rad; {air} L of air."
 _STIFFNESS_GAINS = {"kp": ("proportional", "bar/(N*m/rad)"), "ki": ("integral", "bar/(N*m*s/rad)")}
 
 
@@ -47,22 +52,90 @@ class Slider(NamedTuple):
 
 
 class Explorer(NamedTuple):
-    """Title, text, sliders, and the scripts that compute and draw."""
+    """Title, text, sliders, and the scripts that compute and draw; `plays` if it has a joint in motion."""
 
     key: str
     title: str
     text: str
     sliders: list[Slider]
     script: markupsafe.Markup
+    plays: bool = False
 
 
-def explorers(scenario: Scenario, keys: Sequence[str] = KEYS) -> dict[str, Explorer]:
+class Axis(NamedTuple):
+    """Horizontal axis: label, ends in shown units (default: those of the data), column, and factor to shown units."""
+
+    label: str
+    low: float | None = None
+    high: float | None = None
+    column: str = "x"
+    factor: float = 1.0
+
+
+class Curve(NamedTuple):
+    """Curve of a column; `fixed` ones are drawn dashed, `dots` as points. `x` is the column of its abscissas."""
+
+    column: str
+    label: str = ""
+    fixed: bool = False
+    dots: bool = False
+    x: str = ""
+
+
+class Chart(NamedTuple):
+    """Chart of curves, and bands between two columns, times a factor; values beyond `limit` as shown are left out."""
+
+    title: str
+    label: str
+    curves: Sequence[Curve]
+    factor: float = 1.0
+    limit: float | None = None
+    low: float | None = None
+    high: float | None = None
+    across: Axis | None = None
+    bands: Sequence[tuple[str, str]] = ()
+
+
+class ComputedRows(NamedTuple):
+    """Functions of the values of sliders, and the charts of their results.
+
+    ``row(parameters, x)`` returns columns; with ``init(parameters)``, which returns a state, ``row(parameters, state,
+    x)`` returns the following state and columns. `range` is first, last and number of x, of which each n-th is drawn.
+    ``summary(parameters[, state])`` returns numbers of the text: the first of `says` whose number is positive, or
+    without a name. ``points(parameters)`` returns columns of their own length.
+    """
+
+    row: Callable[..., Any]
+    range: tuple[float, float, int]
+    across: Axis
+    charts: Sequence[Chart]
+    says: Sequence[tuple[str, str]]
+    init: Callable[..., Any] | None = None
+    summary: Callable[..., dict[str, Any]] | None = None
+    points: Callable[..., dict[str, Any]] | None = None
+    every: int = 1
+
+
+RUN_CHARTS = (
+    Chart(
+        "angle over time", "angle, °", (Curve("angle", "actual"), Curve("desired_angle", "desired", True)), 1 / deg, 90
+    ),
+    Chart(
+        "stiffness over time",
+        "stiffness, N·m/rad",
+        (Curve("stiffness", "actual"), Curve("desired_stiffness", "desired", True)),
+        limit=100,
+    ),
+)
+
+
+def explorers(scenario: Scenario, keys: Sequence[str] = ("force", "attainable", "run")) -> dict[str, Explorer]:
     """Force law, attainable stiffness, and run of a scenario of the knee with two PID loops."""
     plant = scenario.plant()
     made = {
         "force": lambda: _force(plant.joint.muscle1),
         "attainable": lambda: _attainable(plant),
-        "run": lambda: _run(scenario, plant),
+        "run": lambda: _run(scenario),
     }
     return {key: made[key]() for key in keys}
 
@@ -140,44 +213,95 @@ def _attainable(plant: JointPlant) -> Explorer:
     return _explorer("attainable", title, text, sliders, module, {"angles": _ANGLES})
 
 
-def _run(scenario: Scenario, plant: JointPlant) -> Explorer:
-    controller: Any = scenario.control()
-    substeps = scenario.needed_substeps()
-    initial = plant.complete_state(scenario.initial(plant))
-    reference, loops = scenario.reference(), {"position": _GAINS, "stiffness": _STIFFNESS_GAINS}
-    places = [(loop, gain) for loop, gains in loops.items() for gain in gains]
+def _run(scenario: Scenario) -> Explorer:
+    text = (
+        f"The run of {scenario.duration:g} s with a stiffness step, simulated again in this page with the same "
+        f"numbers as mckibben's, and played. Gains start at those of the scenario."
+    )
     sliders = [
-        _around(f"{loop}_{gain}", f"{loop}, {label}", unit, getattr(getattr(controller, loop), gain))
-        for loop, gains in loops.items()
+        _around(
+            f"controller.{loop}.{gain}", f"{loop}, {label}", unit, getattr(getattr(scenario.controller, loop), gain)
+        )
+        for loop, gains in {"position": _GAINS, "stiffness": _STIFFNESS_GAINS}.items()
         for gain, (label, unit) in gains.items()
     ]
-    module = SourceModule("closedLoop", _parameters(sliders))
+    return run_explorer(scenario, "Explore a run over the gains of its two PID loops", text, sliders)
 
-    def of(parameters: Any) -> Any:
-        def fields(controller: Any) -> list[Any]:
-            return [getattr(getattr(controller, loop), gain) for loop, gain in places]
 
-        return eqx.tree_at(fields, controller, [parameters[one.name] for one in sliders])
+def run_explorer(
+    scenario: Scenario,
+    title: str,
+    text: str,
+    sliders: list[Slider],
+    charts: Sequence[Chart] = RUN_CHARTS,
+    every: int = 10,
+) -> Explorer:
+    """Explorer of a run of a scenario; sliders have addresses of its parameters.
 
-    def init(parameters: Any) -> dict[str, Any]:
-        return {"state": initial_loop(plant, of(parameters), initial)}
+    Charts have columns of `mckibben.simulation.Result`. A controller's model does not follow changes of the plant. The
+    run starts in the equilibrium of the given scenario.
+    """
+    places = {one.name: find_parameter(scenario, one.name).places for one in sliders}
+    sliders = [one._replace(name=one.name.replace(".", "_")) for one in sliders]
+    fixed, period, substeps = scenario.with_fixed_model(), scenario.control_period, scenario.needed_substeps()
+    longest = {one.name: one.high * one.factor for one in sliders if one.name == "command_delay"}
+    nominal = scenario.model_copy(update=longest).plant().with_period(period)
+    reference, initial = scenario.reference(), nominal.complete_state(scenario.initial(nominal))
+    names = {curve.column for chart in charts for curve in chart.curves} | {"angle", "pressure1", "pressure2"}
 
-    def period(parameters: Any, state: Any, time: Any) -> dict[str, Any]:
+    def of(parameters: Any) -> tuple[JointPlant, Any]:
+        values = zip(places.values(), (parameters[one.name] for one in sliders), strict=True)
+        found = changed(fixed, {place: value for each, value in values for place in each})
+        plant = dataclasses.replace(found.plant(), delay_periods=nominal.delay_periods)
+        return plant, found.controller.with_period(period)
+
+    def init(parameters: Any) -> Any:
+        zero = jnp.zeros(())
+        return initial_loop(*of(parameters), initial), Oscillation.empty(zero), (zero,) * 6
+
+    def row(parameters: Any, state: Any, time: Any) -> tuple[Any, dict[str, Any]]:
+        loop, oscillation, (count, angle, stiffness, air, *before) = state
+        plant, controller = of(parameters)
         setpoint = Setpoint(reference.angle(time), reference.stiffness(time))
-        given = scenario.control_period, substeps
-        state, record = control_period(plant, of(parameters), state, setpoint, *given)
-        at = record.state
-        stiffness = plant.joint.evaluate(at.angle, at.pressures)[1]
+        loop, record = control_period(plant, controller, loop, setpoint, period, substeps)
+        now = trajectory(plant, setpoint, record, record.state.angle, controller.stiffness_amplitude)
+        oscillation = oscillation.after(now.angle, now.desired_angle, count, plant.sensors.angle_resolution)
+        held = (now.air1, now.air2)
+        inflow = sum(jnp.maximum(new - old, 0.0) for new, old in zip(held, before, strict=True))
+        sums = (
+            count + 1,
+            angle + (now.angle - now.desired_angle) ** 2,
+            stiffness + (now.stiffness - now.desired_stiffness) ** 2,
+            air + jnp.where(count > 0, inflow, 0.0),
+            *held,
+        )
+        return (loop, oscillation, sums), {name: getattr(now, name) for name in sorted(names)}
+
+    def summary(parameters: Any, state: Any) -> dict[str, Any]:
+        _, oscillation, (count, angle, stiffness, air, *_) = state
+        cycle = oscillation.limit_cycle(round(scenario.duration / period), period)
+        error = jnp.sqrt(angle / count) / deg
         return {
-            "state": state,
-            "angle": at.angle,
-            "stiffness": stiffness,
-            "pressure1": at.pressures[0],
-            "pressure2": at.pressures[1],
-            "desired_angle": setpoint.angle,
-            "desired_stiffness": setpoint.stiffness,
+            "angle": error,
+            "stiffness": jnp.sqrt(stiffness / count),
+            "air": air / litre,
+            "amplitude": cycle.amplitude / deg,
+            "frequency": 1 / cycle.period,
+            "diverged": jnp.where(error < 1 / deg, 0.0, 1.0),
         }
 
+    says = [
+        ("diverged", "The joint diverges."),
+        ("amplitude", "Limit cycle of {amplitude}° at {frequency} Hz. " + _ERRORS),
+        ("", _ERRORS),
+    ]
+    times = (0.0, scenario.duration - period, round(scenario.duration / period))
+    table = ComputedRows(row, times, Axis("time, s", 0.0, scenario.duration), charts, says, init, summary, every=every)
+    picture = _picture(nominal) if isinstance(nominal.joint.geometry, KneeGeometry) else None
+    return rows_explorer("run", title, text, sliders, table, picture)
+
+
+def _picture(plant: JointPlant) -> Callable[..., dict[str, Any]]:
     def picture(parameters: Any, angle: Any, pressure1: Any, pressure2: Any) -> dict[str, Any]:
         """Ends of muscles and connectors, lengths and diameters of the muscles [m]."""
         joint, found = plant.joint, {}
@@ -192,17 +316,56 @@ def _run(scenario: Scenario, plant: JointPlant) -> Explorer:
             found |= {f"length{number}": length, f"diameter{number}": diameter}
         return found
 
-    state = jax.eval_shape(lambda: init(module.parameters)["state"])
-    state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
-    module.add("init", "initial state", init, {})
-    module.add("period", "one control period", period, {"state": state, "time": np.zeros(())})
+    return picture
+
+
+def rows_explorer(
+    key: str,
+    title: str,
+    text: str,
+    sliders: list[Slider],
+    rows: ComputedRows,
+    picture: Callable[..., dict[str, Any]] | None = None,
+) -> Explorer:
+    """Explorer of a table of rows that functions of its sliders compute; `picture` draws a joint in motion."""
     number = np.zeros(())
-    given = {"angle": number, "pressure1": number, "pressure2": number}
-    module.add("picture", "ends, lengths and diameters of the muscles [m]", picture, given)
-    count = round(scenario.duration / scenario.control_period)
-    text = (
-        f"The run of {scenario.duration:g} s with a stiffness step, simulated again in this page with the same "
-        f"numbers as mckibben's, and played. Gains start at those of the scenario."
-    )
-    options = {"period": scenario.control_period, "count": count}
-    return _explorer("run", "Explore a run over the gains of its two PID loops", text, sliders, module, options)
+    module = SourceModule("rows", _parameters(sliders))
+    if rows.init is None:
+        module.add("row", "columns of a row", rows.row, {"x": number})
+        if rows.summary is not None:
+            module.add("summary", "numbers of the text", rows.summary, {})
+    else:
+        init, row, summary = rows.init, rows.row, rows.summary
+        state = jax.eval_shape(lambda: init(module.parameters))
+        state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
+
+        def next_row(parameters: Any, state: Any, x: Any) -> dict[str, Any]:
+            following, columns = row(parameters, state, x)
+            return {"state": following, **columns}
+
+        module.add("init", "initial state", lambda parameters: {"state": init(parameters)}, {})
+        module.add("row", "columns of the next row", next_row, {"state": state, "x": number})
+        if summary is not None:
+            module.add("summary", "numbers of the text", summary, {"state": state})
+    if (points := rows.points) is not None:
+        module.add("points", "arrays over points", lambda parameters: {"points": points(parameters)}, {})
+    if picture is not None:
+        given = {"angle": number, "pressure1": number, "pressure2": number}
+        module.add("picture", "ends, lengths and diameters of the muscles [m]", picture, given)
+    options = {
+        "range": rows.range,
+        "every": rows.every,
+        "x": rows.across._asdict(),
+        "charts": [_chart_options(one) for one in rows.charts],
+        "says": rows.says,
+        "picture": picture is not None,
+    }
+    script = f'{write_js(module)}explorer.table("explore-{key}", {module.name}, {json.dumps(options)});'
+    return Explorer(key, title, text, sliders, markupsafe.Markup(script), picture is not None)
+
+
+def _chart_options(chart: Chart) -> dict[str, Any]:
+    """Options of a chart without those that are None, which the script has defaults for."""
+    found = {name: value for name, value in chart._asdict().items() if value is not None}
+    curves = [{name: value for name, value in one._asdict().items() if value} for one in chart.curves]
+    return found | {"curves": curves} | ({} if chart.across is None else {"across": chart.across._asdict()})

@@ -5,10 +5,9 @@ from __future__ import annotations
 import base64
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jinja2
 import markupsafe
@@ -19,14 +18,11 @@ from mckibben.paper import Reproduction, file_stem
 from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report import tables
-from mckibben.report.explorers import KEYS, explorers
+from mckibben.report.explorers import Explorer, explorers
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.storage.files import atomic_write
-
-if TYPE_CHECKING:
-    from mckibben.scenario import Scenario
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 
@@ -100,22 +96,21 @@ def write_page(path: Path, text: str) -> Path:
 
 
 def write_explorers(
-    scenario: Scenario,
+    explorers: Iterable[Explorer],
     path: Path,
     *,
-    keys: Sequence[str] = KEYS,
     title: str = "Force law, attainable stiffness and a run of the knee, with sliders",
     lead: str = "",
     body: str = "",
 ) -> Path:
-    """Write a self-contained page with explorers of a scenario, between two parts of a text in trusted HTML.
+    """Write a self-contained page with explorers, between two parts of a text in trusted HTML.
 
     With a text the page has its title as heading.
     """
     parts = {"style": style_sheet(), "script": markupsafe.Markup(_resource("explorers.js"))}
     text = {"title": title, "lead": markupsafe.Markup(lead), "body": markupsafe.Markup(body)}
     template = template_of("explorers.html.jinja")
-    return write_page(path, template.render(explorers=explorers(scenario, keys), **parts, **text))
+    return write_page(path, template.render(explorers=list(explorers), **parts, **text))
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
