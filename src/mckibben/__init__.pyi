@@ -41,6 +41,7 @@ from .identification import (
     Fit as Fit,
     identify as identify,
     identify_hysteresis as identify_hysteresis,
+    identify_pooled as identify_pooled,
     identify_with_friction as identify_with_friction,
     rank as rank,
     validate as validate,

@@ -12,7 +12,7 @@ from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import ScenarioError
 from mckibben.identification import Fit
-from mckibben.muscle import Muscle, ThresholdLaw
+from mckibben.muscle import Muscle, ThresholdLaw, forces
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 
@@ -392,3 +392,25 @@ def test_a_threshold_is_found_together_with_friction(cli, tmp_path):
     numbers = json.loads(found.out)
     assert "hysteresis" in numbers and numbers["threshold"]["significant"]
     assert numbers["threshold"]["threshold"]["value"] == pytest.approx(0.4 * bar, rel=0.1)
+
+
+@pytest.mark.slow
+def test_specimens_of_one_make_are_pooled_and_another_length_is_predicted(cli, tmp_path):
+    files, law = [], catalog.law("lei-mas-10-180n")
+    contraction, pressure = (each.ravel() for each in np.meshgrid([0.0, 0.05, 0.1, 0.15], np.arange(1, 7) * bar))
+    for number, length in enumerate((100 * mm, 200 * mm, 300 * mm)):
+        force = np.maximum(forces(law, contraction, pressure), 0)
+        force = force + 0.3 * np.random.default_rng(number).standard_normal(len(force))
+        data = IsobaricDataset.of(
+            pressure=pressure, contraction=contraction, force=force, initial_length=length, slack_force=3.0
+        )
+        data.to_csv(tmp_path / f"{number}.csv")
+        files.append(f"{number}.csv")
+    answer = cli("identify", *files, "--pool", "--for-length", "250 mm", "--out", "fit")
+    assert answer.code == 0, answer.err
+    numbers = json.loads((tmp_path / "fit" / "results.json").read_text())
+    assert numbers["form"] == "the same law" and len(numbers["specimens"]) == 3
+    assert all(one["lengths_rmse"] < 1.0 for one in numbers["specimens"])
+    assert float(read_component(Muscle, tmp_path / "fit" / "muscle.yaml").specimen.initial_length) == 250 * mm
+    assert cli("identify", *files, "--pool", "--law", "all").code == 2
+    assert cli("identify", *files, "--for-length", "250 mm").code == 2

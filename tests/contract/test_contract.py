@@ -60,6 +60,7 @@ CORRECTION = muscle.ForceCorrection((-20.0, 5.0), (1e-5, 0.0), 0.1, 0.05)
 KNEE, LOAD = plant_scope()["joint"], plant_scope()["load"]
 SPECIMEN = KNEE.muscle1.specimen
 SLIP = MaxwellSlip(12.0, 0.5 * mm, growth=1e-5, tension_growth=0.02, viscous=20.0, elements=4)
+BY_RATE = dataclasses.replace(SLIP, viscous_growth=1e-4, rate_growth=0.5, rate_speed=10 * mm)
 ROUGH = dataclasses.replace(KNEE.muscle1, friction=SLIP)
 TWO_BONES, PULLEY = joint.TwoBonePath(-0.02, 0.30, -0.03, 0.0), joint.Pulley(25 * mm, 0.3)
 PID = control.PID(2 * bar, 60 * bar, 0.4 * bar)
@@ -82,6 +83,7 @@ EXAMPLES = [
     muscle.ThresholdLaw(CHOU, 3e4),
     CORRECTION,
     SLIP,
+    BY_RATE,
     muscle.MaxwellCreep(500.0, 5.0, arms=2),
     muscle.MaxwellCreep(0.0, 5.0, arms=2, pressure_share=0.1, pressure_time_constant=2.0),
     Domain(0.0, 0.2),

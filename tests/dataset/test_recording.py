@@ -361,3 +361,44 @@ def test_samples_farther_apart_than_a_plateau_are_points_already():
     with pytest.raises(RangeError) as refused:
         steps.plateaus()
     assert (refused.value.field, refused.value.lower) == ("dwell", 4.0)
+
+
+def moving(rate):
+    """Time, contraction and pressure of two sines at each of two pressures, with rests between."""
+    sine = 0.08 - 0.05 * np.cos(2 * np.pi * rate * np.arange(0, 2 / rate, 0.02))
+    once = np.concatenate([np.full(100, 0.03), sine, np.full(100, 0.03)])
+    contraction = np.tile(once, 2)
+    pressure = np.repeat([2 * bar, 3 * bar], len(once))
+    return 0.02 * np.arange(len(contraction)), contraction, pressure
+
+
+def test_strokes_are_split_into_parts_of_equal_travel_and_their_ends():
+    time, contraction, pressure = moving(0.25)
+    force = 100 + 50 * np.sign(np.gradient(contraction))
+    found = Recording.of(time=time, pressure=pressure, contraction=contraction, force=force).strokes()
+    data = found.dataset
+    stroke = data.table["repeat"].to_numpy()
+    assert sorted(set(data.levels)) == [2 * bar, 3 * bar] and len(data.repeats) == 8
+    for number in data.repeats:
+        one = data.contraction[stroke == number]
+        assert one.min() == pytest.approx(0.03, abs=1e-4) and one.max() == pytest.approx(0.13, abs=1e-4)
+        assert len(one) >= 45 and (np.diff(one) != 0).all()
+    inside = (data.contraction > 0.04) & (data.contraction < 0.12)
+    assert set(data.force[inside & (data.table.direction == "loading").to_numpy()]) == {50.0}
+    assert sum(found.counts.values()) == len(time) and found.counts["at rest"] > 100
+
+
+def test_a_recording_without_strokes_is_refused():
+    time = np.arange(0, 10, 0.02)
+    for contraction, pressure in (
+        (0.1, 2 * bar),
+        (0.1 + 0.01 * time, 2 * bar),
+        (0.1 + 0.05 * np.sin(time), time * bar),
+    ):
+        with pytest.raises(RangeError) as refused:
+            Recording.of(
+                time=time, pressure=pressure + 0 * time, force=50 + 0 * time, contraction=contraction
+            ).strokes()
+        assert "strokes" in str(refused.value)
+    with pytest.raises(RangeError):
+        Recording.of(time=time, pressure=0 * time, force=0 * time, contraction=0.1).strokes(step=0.0)

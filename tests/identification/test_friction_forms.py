@@ -1,15 +1,17 @@
 """Forms of friction: chosen by held-out loops, rejected where they lack something; only significant drifts."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, identify_hysteresis
+from mckibben.dataset import Recording
 from mckibben.errors import IdentificationError
 from mckibben.identification import FrictionForm
 from mckibben.identification.friction_forms import systematic_residual
-from mckibben.muscle import forces
+from mckibben.muscle import MaxwellSlip, forces
 from mckibben.units import bar, mm
 
 LAW = catalog.law("lei-mas-10-180n")
@@ -147,3 +149,62 @@ def test_a_systematic_residual_is_shared_by_neighbours_along_a_path():
     assert systematic_residual(model, shared) == pytest.approx(0.5)
     assert systematic_residual(model, shared * [1, -1, 1, 1, 1, -1, 1]) == 0.0
     assert systematic_residual(SimpleNamespace(paths=paths, used=np.zeros(7, bool)), shared) == 0.0
+
+
+FRICTION = MaxwellSlip(10.0, 0.5 * mm, growth=2 / bar, reference_pressure=3.5 * bar)
+BY_RATE = {
+    "pressure": FRICTION,
+    "variable-viscous": dataclasses.replace(
+        FRICTION, viscous=300.0, viscous_growth=80 / bar, viscous_length_growth=8e3, reference_length=0.165
+    ),
+    "rate": dataclasses.replace(FRICTION, rate_growth=0.5, rate_speed=5 * mm),
+}
+
+
+def strokes(friction, more=None):
+    """Points of sines of 9 mm at three rates and four pressures, from a recording."""
+    rng, parts = np.random.default_rng(0), []
+    sines = [np.pi * rate * np.arange(0, 1 / rate, 0.02) for rate in (0.03, 0.1, 0.3)]
+    contraction = np.concatenate([0.08 - 0.05 * np.cos(2 * phase) for phase in sines])
+    time, length = 0.02 * np.arange(len(contraction)), LENGTH * (1 - contraction)
+    rate = np.gradient(length, time)
+    for number, pressure in enumerate(np.arange(2, 6) * bar):
+        tension = np.maximum(forces(LAW, contraction, pressure), 0)
+        force = tension + friction.path_response(length, tension, pressure, side=1.0)
+        force += np.asarray(friction.viscous_force(length, tension, pressure, rate))
+        force += 0.0 if more is None else more(rate)
+        gauge = np.full(len(time), pressure)
+        parts.append((number * (time[-1] + 5) + time, gauge, force + 0.3 * rng.standard_normal(len(time)), contraction))
+    columns = dict(
+        zip(("time", "pressure", "force", "contraction"), map(np.concatenate, zip(*parts, strict=True)), strict=True)
+    )
+    return Recording.of(**columns, initial_length=LENGTH, slack_force=1.0).strokes().dataset
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", list(BY_RATE))
+def test_dependence_on_the_rate_is_identified_only_if_the_data_ask_for_it(kind):
+    true = BY_RATE[kind]
+    found = identify_hysteresis(ExponentialLaw, strokes(true))
+    assert found.form is FrictionForm(kind) and found.lack_of_fit is None
+    friction, errors = found.friction, found.standard_errors
+    assert friction.growth == pytest.approx(true.growth, rel=0.03)
+    assert friction.presliding_length == pytest.approx(true.presliding_length, rel=0.05)
+    for name in ("viscous_growth", "viscous_length_growth", "rate_growth", "rate_speed"):
+        assert (getattr(friction, name) is None) == (getattr(true, name) is None) == (not np.isfinite(errors[name]))
+        if getattr(true, name) is not None:
+            assert getattr(friction, name) == pytest.approx(getattr(true, name), rel=0.06)
+
+
+@pytest.mark.slow
+def test_friction_of_another_dependence_on_the_rate_is_noticed():
+    found = identify_hysteresis(ExponentialLaw, strokes(FRICTION, lambda rate: 1e5 * rate * np.abs(rate)))
+    assert found.warnings and (found.lack_of_fit is None or "rate" in found.lack_of_fit.quantity)
+
+
+def test_forms_that_need_rates_are_refused_without_them():
+    data = loops("coulomb")
+    for form in (FrictionForm.VARIABLE_VISCOUS, FrictionForm.RATE):
+        with pytest.raises(IdentificationError) as refused:
+            identify_hysteresis(ExponentialLaw, data, form=form)
+        assert form.value in str(refused.value)

@@ -64,7 +64,9 @@ def test_growth_and_drift_are_found_with_their_errors(drifting):
     order = list(errors)
     assert found.correlations.shape == (len(order), len(order))
     known = [np.isfinite(errors[name]) for name in order]
-    assert [name for name, has in zip(order, known, strict=True) if not has] == ["tension_growth", "viscous"]
+    assert [name for name, has in zip(order, known, strict=True) if not has] == [
+        *("tension_growth", "viscous", "viscous_growth", "viscous_length_growth", "rate_growth", "rate_speed"),
+    ]
     np.testing.assert_allclose(np.diag(found.correlations)[known], 1.0)
 
 

@@ -156,20 +156,67 @@ def test_the_band_grows_with_pressure_and_ends_at_none():
 
 def test_viscous_friction_is_linear_where_taut_and_fades_where_slack():
     friction = dataclasses.replace(PLAIN, viscous=50.0)
-    assert float(friction.viscous_force(400.0, 0.1)) == pytest.approx(5.0, rel=1e-3)
+    assert float(friction.viscous_force(0.2, 400.0, 3e5, 0.1)) == pytest.approx(5.0, rel=1e-3)
     rates = np.linspace(-100, 100, 41)
     for tension in (0.0, 1e-12, 3.0, 400.0):
-        force = np.asarray(friction.viscous_force(tension, rates))
+        force = np.asarray(friction.viscous_force(0.2, tension, 3e5, rates))
         assert np.all(np.abs(force) <= tension / 2) and np.all(force * rates >= 0)
-    assert float(PLAIN.viscous_force(400.0, 0.1)) == 0.0
+    assert float(PLAIN.viscous_force(0.2, 400.0, 3e5, 0.1)) == 0.0
+
+
+RATES = {"viscous_growth": 40 / bar, "viscous_length_growth": 4e3, "reference_length": 0.16}
+
+
+def test_damping_depends_on_pressure_and_length():
+    friction = dataclasses.replace(PLAIN, viscous=100.0, reference_pressure=3 * bar, **RATES)
+    for length, pressure, damping in ((0.16, 3, 100.0), (0.16, 5, 180.0), (0.17, 3, 140.0), (0.16, 0, 0.0)):
+        found = float(friction.viscous_force(length, 1e6, pressure * bar, 0.01))
+        assert found == pytest.approx(0.01 * damping, rel=1e-9)
+        assert float(friction.steepest_damping(length, 1e6, pressure * bar)) == pytest.approx(damping)
+    assert friction.follows_rate and not PLAIN.follows_rate and not NoFriction().follows_rate
+
+
+def test_the_width_of_steady_motion_grows_with_the_rate_to_a_limit():
+    friction = dataclasses.replace(PLAIN, rate_growth=0.5, rate_speed=0.01)
+    width = float(friction.half_width_at(1e5, 3 * bar))
+    rates = np.array([-1.0, -0.01, 0.0, 0.01, 1.0])
+    force = np.asarray(friction.viscous_force(0.2, 1e5, 3 * bar, rates))
+    np.testing.assert_allclose(force, width * 0.5 * np.array([-1, -np.tanh(1), 0, np.tanh(1), 1]), rtol=1e-6)
+    slope = float(jax.grad(lambda rate: friction.viscous_force(0.2, 1e5, 3 * bar, rate))(0.0))
+    assert slope == pytest.approx(float(friction.steepest_damping(0.2, 1e5, 3 * bar)), rel=1e-6)
+
+
+@given(tension=st.floats(0, 500), pressure=st.floats(0, 6e5), length=st.floats(0.1, 0.2), rate=st.floats(-1, 1))
+def test_rate_dependent_friction_is_dissipative_and_the_muscle_never_pushes(tension, pressure, length, rate):
+    friction = dataclasses.replace(PLAIN, viscous=50.0, rate_growth=2.0, rate_speed=0.01, **RATES)
+    force = float(friction.viscous_force(length, tension, pressure, rate))
+    assert force * rate >= 0 and abs(force) <= tension / 2
+
+
+@pytest.mark.parametrize(
+    ("given", "missing"),
+    [
+        ({"rate_growth": 0.5}, "rate_speed"),
+        ({"rate_speed": 0.01}, "rate_growth"),
+        ({"viscous_length_growth": 4e3}, "reference_length"),
+    ],
+)
+def test_parameters_that_go_together_are_given_together(given, missing):
+    with pytest.raises(RangeError) as refused:
+        dataclasses.replace(PLAIN, **given)
+    assert refused.value.field == missing
 
 
 def test_slopes_are_finite_everywhere():
     state = PLAIN.initial(0.2)
 
     def total(numbers):
-        friction = MaxwellSlip(numbers[0], numbers[1], growth=numbers[2], viscous=numbers[3])
-        force = friction.force(state, numbers[4], numbers[5], 2e5) + friction.viscous_force(numbers[5], numbers[6])
+        rates = {"viscous_growth": 1e-4, "viscous_length_growth": 1e3, "reference_length": 0.2, "rate_growth": 0.5}
+        friction = MaxwellSlip(
+            numbers[0], numbers[1], growth=numbers[2], viscous=numbers[3], **rates, rate_speed=numbers[3] / 1e3
+        )
+        force = friction.force(state, numbers[4], numbers[5], 2e5)
+        force = force + friction.viscous_force(numbers[4], numbers[5], 2e5, numbers[6])
         return force + sum(friction.project(state, numbers[4], numbers[5], 2e5))
 
     slope = jax.jit(jax.grad(total))
@@ -194,7 +241,7 @@ def test_none_is_none(specimen, law):
     none = NoFriction()
     assert none.initial(0.2) == () and none.project((), 0.2, 1.0, 1.0) == ()
     assert jax.tree.leaves(none) == []
-    assert float(none.force((), 0.2, 100.0, 1e5)) == float(none.viscous_force(100.0, 1.0)) == 0.0
+    assert float(none.force((), 0.2, 100.0, 1e5)) == float(none.viscous_force(0.2, 100.0, 1e5, 1.0)) == 0.0
     np.testing.assert_array_equal(none.path_response([0.1, 0.2], 1.0, 1.0), [0, 0])
 
 

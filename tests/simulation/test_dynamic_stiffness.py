@@ -50,6 +50,26 @@ def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
     assert (found.loss[:, 1:] > 1.0).all()
 
 
+def test_damping_of_the_muscles_is_the_loss_over_the_rate(knee, load):
+    """K'' = 2 pi f sum of c r^2 at small amplitudes, with a half width of almost nothing."""
+    friction = MaxwellSlip(
+        *(1e-6, 0.5 * mm),
+        viscous=20.0,
+        viscous_growth=10 / bar,
+        viscous_length_growth=1e3,
+        reference_length=0.16,
+    )
+    muscles = [dataclasses.replace(each, friction=friction) for each in (knee.muscle1, knee.muscle2)]
+    plant = JointPlant(dataclasses.replace(knee, muscle1=muscles[0], muscle2=muscles[1]), load, IdealValve())
+    pressures = np.array([4.0, 5.0]) * bar
+    assert min(map(float, knee.tensions(0.0, pressures))) > 10
+    found = dynamic_stiffness(plant, plant.init_state(0.0, tuple(pressures)), 1e-3 * deg, FAST, cycles=2)
+    lengths = 0.18 * (1 - np.array(knee.contractions(0.0, pressures)))
+    damping = np.maximum(20.0 + 10 * pressures / bar + 1e3 * (lengths - 0.16), 0)
+    arms = np.array([float(arm) for arm in knee.geometry.moment_arms(0.0)])
+    assert found.loss[0, 0] == pytest.approx(2 * np.pi * found.frequency[0] * np.sum(damping * arms**2), rel=1e-2)
+
+
 def test_friction_of_the_joint_adds_to_the_stiffness_and_its_loop_to_the_loss(knee, load):
     """At the reversals it is T against the motion; the area is 4 T a, less what its springs give back."""
     torque, presliding = 0.3, 0.05 * deg

@@ -37,12 +37,12 @@ from mckibben.cli.options import (
 )
 from mckibben.errors import ParameterError
 from mckibben.storage.files import atomic_write, make_subfolder, to_json, write_json
-from mckibben.units import show
+from mckibben.units import bar, show
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
     from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking, ThresholdFit
-    from mckibben.muscle import MaxwellSlip
+    from mckibben.muscle import ForceLaw, MaxwellSlip
 
 
 _ALL, _LEVEL = "all", 0.95
@@ -71,6 +71,12 @@ def identify(
         str, Option(metavar="VOLUME", help="Measured volume of the air at contraction 0, in place of --diameter.")
     ] = "",
     threshold: Annotated[bool, Option("--threshold", help="Identify a pressure threshold with the law.")] = False,
+    pool: Annotated[
+        bool, Option("--pool", help="Each file is another specimen of one make; one law for all, and errors left out.")
+    ] = False,
+    for_length: Annotated[
+        str, Option(metavar="LENGTH", help="Initial length of a specimen that --pool predicts: force and muscle.yaml.")
+    ] = "",
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with the friction.")] = False,
     initial_length: InitialLength = "",
     displacement: Displacement = "",
@@ -116,6 +122,18 @@ def identify(
     if any(inner) and not out:
         raise ParameterError("--diameter and --fill apply to muscle.yaml", remedy="add --out DIR")
     how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
+    if pool or for_length:
+        others = (profile, bootstrap, hysteresis, threshold, *inner, law_type is None or not pool)
+        if any(other is not None and other is not False and other != 0 for other in others):
+            raise ParameterError(
+                "--pool fits a single law, and applies to no other option of the fit",
+                remedy="give --pool, --law, --for-length, --level and --out alone",
+            )
+        assert law_type is not None
+        each = [read_data([one], how, skip_corrupt=skip_corrupt) for one in data]
+        length = parse_positive("--for-length", for_length, "m") if for_length else None
+        _pool(law_type, each, length, level, json, out)
+        return
     points = read_data(data, how, skip_corrupt=skip_corrupt)
     inner.check(points.table.attrs.get("initial_length"))
     if law_type is None:
@@ -170,6 +188,46 @@ def identify(
     if out:
         figures = ", ".join(drawn)
         notify(f"wrote {fit_name}, recipe.yaml, data.nc, results.json, {figures} (.png, .svg) to {out}; {kept}", json)
+
+
+def _pool(
+    law: type[ForceLaw], data: list[IsobaricDataset], length: float | None, level: float, json: bool, out: Path | None
+) -> None:
+    import numpy as np
+
+    from mckibben.identification import identify_pooled
+    from mckibben.scenario import muscle_text
+
+    found = identify_pooled(law, data)
+    numbers, texts = found.numbers(), [found.report()]
+    if length is not None:
+        domain = found.law.domain
+        ends = (float(domain.contraction_min), float(domain.contraction_max))
+        ratio = 1 - found.dead_length / length
+        at = np.linspace(max(ends[0] * ratio, 0.0), ends[1] * ratio, 4)
+        highest = float(domain.pressure_max)
+        columns = np.column_stack([at, *found.predict(at, highest, length, level=level)])
+        numbers["predicted"] = {"pressure_bar": highest / bar, "points": columns.tolist()}
+        texts.append(f"\nforce of {show(length, 'mm')} at {highest / bar:.3g} bar, {100 * level:g} % interval:")
+        texts += [f"  {100 * one[0]:5.1f} %  {one[1]:8.4g} N  {one[2]:.4g} .. {one[3]:.4g} N" for one in columns]
+    if out:
+        with keeping(out):
+            found.fit.to_yaml(out / "fit.yaml")
+            write_json(out / "results.json", numbers)
+            if length is not None:
+                specimen = found.specimen(length)
+                text = muscle_text("fit.yaml", specimen=specimen.name, initial_length=float(specimen.initial_length))
+                with atomic_write(out / "muscle.yaml", overwrite=True) as part:
+                    part.write_text(text, encoding="utf-8")
+    echo(to_json(numbers) if json else "\n".join(texts))
+    if out:
+        muscle = ""
+        if length is not None:
+            dead = show(found.dead_length, "mm", 4)
+            muscle = (
+                f" and muscle.yaml, whose length is the active one; the dead length, {dead}, belongs to the connector"
+            )
+        notify(f"wrote fit.yaml and results.json{muscle} to {out}", json)
 
 
 class _Inner(NamedTuple):

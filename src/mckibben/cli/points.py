@@ -60,14 +60,23 @@ def points(
         Path | None, Option(metavar="FILE", help="New file: .csv, or .nc with the spread of the force.")
     ] = None,
     isometric: Annotated[bool, Option("--isometric", help="Points at pressure levels at a fixed length.")] = False,
+    strokes: Annotated[
+        bool, Option("--strokes", help="Points along strokes at constant pressures, also fast ones.")
+    ] = False,
     levels: Annotated[
         str, Option(metavar="'1, 2, 3 bar'", help="Levels of --isometric (default: evenly spaced).")
     ] = "",
     count: Annotated[int, Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
     contraction: FixedContraction = "",
-    pressure_tolerance: Annotated[str, Option(metavar="PRESSURE", help="Tolerance of a plateau.")] = "2 kPa",
+    pressure_tolerance: Annotated[
+        str, Option(metavar="PRESSURE", help="Tolerance of a plateau, or of --strokes.")
+    ] = "2 kPa",
     contraction_tolerance: Annotated[
-        str, Option(metavar="RATIO", help="Tolerance of a plateau (default 0.1 %) or of --isometric (0.5 %).")
+        str,
+        Option(
+            metavar="RATIO",
+            help="Tolerance of a plateau (default 0.1 %), of --isometric (0.5 %), or step of --strokes.",
+        ),
     ] = "",
     force_tolerance: Annotated[str, Option(metavar="FORCE", help="Tolerance of a plateau (default: none).")] = "",
     dwell: Annotated[str, Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
@@ -89,7 +98,7 @@ def points(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Extract points from a raw recording: steady plateaus, or pressure levels at a fixed length."""
+    """Extract points from a raw recording: steady plateaus, strokes, or pressure levels at a fixed length."""
     for file, endings in ((out, (".csv", ".nc")), (save_recipe, (".yaml", ".yml"))):
         if file is not None:
             check_new(file, *endings)
@@ -125,6 +134,10 @@ def points(
             contraction=held,
             contraction_tolerance=0.005 if tolerance is None else tolerance,
             gap=between,
+        )
+    elif strokes:
+        found = read.strokes(
+            step=0.002 if tolerance is None else tolerance, pressure_tolerance=steady["pressure_tolerance"], gap=between
         )
     else:
         found = read.plateaus(contraction_tolerance=0.001 if tolerance is None else tolerance, gap=between, **steady)  # type: ignore[arg-type]

@@ -137,7 +137,11 @@ _MOVE = {
 def _moved(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any, rate: Any) -> Any:
     state = friction.project(friction.initial(length), length + move / 3, tension, pressure)
     force = friction.force(state, length + move, tension, pressure)
-    return force, friction.viscous_force(tension, rate), friction.half_width_at(tension, pressure)
+    return (
+        force,
+        friction.viscous_force(length + move, tension, pressure, rate),
+        friction.half_width_at(tension, pressure),
+    )
 
 
 def _moved_in_two(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any, _: Any) -> tuple[Any, Any]:

@@ -156,7 +156,7 @@ def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tupl
     most = min(len(groups) // _FEWEST, _MOST_RUNS)
     for rows in levels:
         ends = np.flatnonzero(np.diff(files[rows])) + 1 if files is not None else []
-        found = ((one[part], word) for one in np.split(rows, ends) for part, word in _runs(contraction[one]))
+        found = ((one[part], word) for one in np.split(rows, ends) for part, word in one_way_parts(contraction[one]))
         runs = list(itertools.islice(found, most + 1))  # more are too many
         reversing += len(runs) > 1
         count += len(runs)
@@ -169,7 +169,7 @@ def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tupl
     return (direction, repeat) if 2 * reversing > len(levels) else None
 
 
-def _runs(values: Floats) -> Iterator[tuple[slice, Literal["loading", "unloading"]]]:
+def one_way_parts(values: Floats) -> Iterator[tuple[slice, Literal["loading", "unloading"]]]:
     """Parts in which the contraction rises (unloading) or falls (loading), ignoring noise."""
     threshold = _REVERSAL * np.ptp(values)
     if not threshold:

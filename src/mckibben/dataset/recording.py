@@ -25,11 +25,12 @@ from mckibben.dataset.isometric import (
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, checked, extracted_points
 from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
-from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
+from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments, strokes
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 
 _FEW_USED = 0.1  # of the samples
+_LEAST = 20  # samples of a constant pressure
 _CONTINUOUS = (
     "if the length changes slowly all the time, fit the samples themselves: mk.read_dataset(path) (command line: "
     "mckibben identify FILE)"
@@ -272,6 +273,86 @@ class Recording(MeasuredTable):
         table, notes = without_offset(points.dataset.table)
         found = replace(points, dataset=IsobaricDataset(with_notes(table, notes)), notes=(*points.notes, *notes))
         return checked(found)
+
+    def strokes(
+        self,
+        *,
+        step: float = 0.2 * percent,
+        pressure_tolerance: float = 10 * kPa,
+        level_tolerance: float = 10 * kPa,
+        gap: float | None = None,
+    ) -> ExtractedPoints:
+        """Points along the strokes at constant pressures, also fast ones: means over equal parts of the travel.
+
+        `identify_hysteresis` finds from strokes at several speeds how the friction depends on the rate.
+
+        Parameters
+        ----------
+        step
+            Travel of a part, as a contraction [-].
+        pressure_tolerance
+            The pressure is constant while it stays within this [Pa] of its middle.
+        level_tolerance, gap
+            As in `plateaus`.
+
+        Raises
+        ------
+        RangeError
+            If an argument is invalid, the contraction is unknown, or there are no strokes in both directions.
+        """
+        check_positive("strokes", step=step)
+        check_positive("strokes", "Pa", pressure_tolerance=pressure_tolerance, level_tolerance=level_tolerance)
+        if self.contraction is None:
+            raise RangeError(
+                "the recording has no contraction",
+                remedy="give columns of lengths and initial_length when reading it",
+            )
+        account = SampleAccount(self.table, gap)
+        constant = steady_segments([(self.pressure, pressure_tolerance)], account.broken | (account.of >= 0), _LEAST)
+        blocks, level = np.full(len(self), -1), np.zeros(len(self))
+        for number, (a, b) in enumerate(zip(constant.first, constant.last, strict=True)):
+            blocks[a:b] = number
+        account.assign_reason(blocks < 0, "at varying pressure")
+        at, means = np.flatnonzero(blocks >= 0), np.empty(0)
+        if len(at):
+            count = np.bincount(blocks[at])
+            means = np.bincount(blocks[at], self.pressure[at]) / count
+            never = np.zeros(len(means), bool)
+            level[at] = levels_of(means, level_tolerance, never, level_tolerance)[0][blocks[at]]
+        if "set_pressure" in self.table:
+            level = self.table["set_pressure"].to_numpy()
+        found = strokes(self.contraction, blocks, step)
+        if not (found.loading.any() and not found.loading.all()):
+            raise RangeError(
+                f"no strokes in both directions at constant pressure\n  {account.describe('at rest')}",
+                remedy="allow a larger pressure_tolerance (command line: --pressure-tolerance), or a shorter step",
+            )
+        used = np.flatnonzero(found.of >= 0)
+        account.assign_reason(used, "used")
+        owner = found.of[used]
+        samples = np.bincount(owner, minlength=len(found.stroke))
+
+        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.bincount(owner, values[used], len(samples)) / samples
+
+        force, at_level = mean(self.force), mean(level)
+        spread = np.sqrt(np.bincount(owner, (self.force[used] - force[owner]) ** 2, len(samples)) / samples)
+        return checked(
+            extracted_points(
+                self.table,
+                account,
+                "at rest",
+                samples,
+                pressure=mean(self.pressure),
+                contraction=mean(self.contraction),
+                force=force,
+                direction=np.where(found.loading, "loading", "unloading"),
+                repeat=found.stroke,
+                time=mean(self.time),
+                set_pressure=np.round(at_level, 3),
+                force_spread=spread,
+            )
+        )
 
     def isometric(
         self,

@@ -173,7 +173,7 @@ def muscle_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> 
         unit = _muscle_unit(muscle, each, scenario.control_period)
         made[f"{each}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder), fmi)
         left_out += missing
-        if muscle.has_creep or getattr(muscle.friction, "viscous", 0.0):
+        if muscle.has_creep or muscle.friction.follows_rate:
             left_out.append(f"{each}: creep and viscous friction, which follow the rate of the contraction")
     return Exported(made, tuple(dict.fromkeys(left_out)))
 

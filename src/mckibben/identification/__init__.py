@@ -10,6 +10,7 @@ from mckibben.identification.hysteresis import HysteresisFit, SensorDrift, ident
 from mckibben.identification.intervals import ForceIntervals, Interval, IntervalEstimate
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
+from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
 from mckibben.identification.posterior import Noise, Posterior, posterior
 from mckibben.identification.pressure_creep import PressureCreepFit, identify_pressure_creep
 from mckibben.identification.profile import Profile, profile
@@ -38,8 +39,11 @@ __all__ = [
     "IntervalEstimate",
     "LackOfFit",
     "LeaveOnePressureOut",
+    "LeftOutSpecimen",
     "Noise",
     "Outlier",
+    "PoolForm",
+    "PooledFit",
     "Posterior",
     "PressureCreepFit",
     "Profile",
@@ -56,6 +60,7 @@ __all__ = [
     "identify",
     "identify_creep",
     "identify_hysteresis",
+    "identify_pooled",
     "identify_pressure_creep",
     "identify_threshold",
     "identify_with_friction",

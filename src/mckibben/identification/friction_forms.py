@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mckibben.errors import IdentificationError
-from mckibben.identification.loading_path import DriftBasis, PathDependentModel
+from mckibben.identification.loading_path import FRICTION, DriftBasis, PathDependentModel
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
     Bools,
@@ -39,6 +39,11 @@ class FrictionForm(enum.Enum):
     VISCOUS, DRY_AND_VISCOUS
         Proportional to the rate of the length; viscous in parallel with a constant half width. Both need times at which
         the speed varies.
+    VARIABLE_VISCOUS
+        Half width linear in the pressure, and in parallel damping that is linear in pressure and length.
+    RATE
+        Half width linear in the pressure, which grows with the rate of the length to a limit. Both need three pressures
+        and times at which the speed varies.
     """
 
     COULOMB = "coulomb"
@@ -47,11 +52,18 @@ class FrictionForm(enum.Enum):
     TENSION = "tension"
     VISCOUS = "viscous"
     DRY_AND_VISCOUS = "dry-and-viscous"
+    VARIABLE_VISCOUS = "variable-viscous"
+    RATE = "rate"
 
     @property
     def free(self) -> tuple[str, ...]:
         """Parameters of the friction that the form estimates."""
         return _FREE[self]
+
+    @property
+    def follows_rate(self) -> bool:
+        """Whether the friction depends on the rate of the length."""
+        return not {"viscous", "rate_growth"}.isdisjoint(self.free)
 
 
 _FREE = {
@@ -61,6 +73,10 @@ _FREE = {
     FrictionForm.TENSION: ("half_width", "tension_growth", "log_presliding"),
     FrictionForm.VISCOUS: ("viscous",),
     FrictionForm.DRY_AND_VISCOUS: ("half_width", "viscous", "log_presliding"),
+    FrictionForm.VARIABLE_VISCOUS: (
+        *("half_width", "growth", "viscous", "viscous_growth", "viscous_length_growth", "log_presliding"),
+    ),
+    FrictionForm.RATE: ("half_width", "growth", "rate_growth", "log_rate_speed", "log_presliding"),
 }
 
 
@@ -87,6 +103,10 @@ class PathSolution:
     def at_bound(self) -> list[str]:
         """Free parameters at a bound."""
         return [n for n, out in zip(self.free, self.active, strict=False) if out and n != "log_presliding"]
+
+    def has(self, name: str) -> bool:
+        """Whether a parameter was free."""
+        return name in self.free
 
     def error(self, name: str) -> float:
         """Standard error of a parameter; NaN if it was not free."""
@@ -142,7 +162,13 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
             remedy="look for outliers, wrong units and rows that are not in the order of the test",
         )
     known = uncertainty(found.jacobian, found.residuals, found.active)
-    return dataclasses.replace(found, errors=known.standard_errors, correlations=known.correlations)
+    errors = known.standard_errors
+    if not {"viscous", "rate_growth"}.isdisjoint(free):  # fast strokes have errors of timing in common
+        robust = _errors(found.jacobian[:, ~found.active], found.residuals, model.paths.stroke(model.means)[model.used])
+        variance = robust.variance(np.eye(int(np.count_nonzero(~found.active))))[0]
+        errors = errors.copy()
+        errors[~found.active] = np.maximum(errors[~found.active], np.sqrt(variance))
+    return dataclasses.replace(found, errors=errors, correlations=known.correlations)
 
 
 _FEWEST_LEVELS = 4  # with more, there are enough groups
@@ -233,6 +259,7 @@ class FormComparison:
 
 
 _AS_GOOD = 1.05  # times the lowest error
+_RATE_GROWTH = 0.3  # at the start of a fit
 _UNDETERMINED = 1e-8  # of the information in a direction outside a block
 
 
@@ -246,7 +273,7 @@ def compare_forms(
     squares: dict[FrictionForm, Floats] = {}
     found: dict[FrictionForm, PathSolution] = {}
     for form in FrictionForm:
-        if ("growth" in form.free and not many) or ("viscous" in form.free and model.rate is None):
+        if ("growth" in form.free and not many) or (form.follows_rate and model.rate is None):
             continue
         answer = least_squares(model, form_start(model, start, form), (*law, *form.free), max_nfev=50)
         if form is FrictionForm.DRY_AND_VISCOUS and "half_width" in answer.at_bound:
@@ -272,13 +299,15 @@ def compare_forms(
 
 def form_start(model: PathDependentModel, start: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
     """Start of a fit of a form: parameters that it does not estimate are zero, or reverse friction within one step."""
-    values = {**start, **dict.fromkeys(("growth", "tension_growth", "viscous"), 0.0)}
+    values = {**start, **dict.fromkeys(set(FRICTION) - {"half_width", "log_presliding"}, 0.0)}
     if "log_presliding" not in form.free:
         values["log_presliding"] = model.shortest
     if "half_width" not in form.free:
         values["half_width"] = MIN_HALF_WIDTH
-    if "viscous" in form.free and model.rate is not None:
+    if form.follows_rate and model.rate is not None:
         speed = float(np.median(np.abs(model.rate[model.used])))
+        if form is FrictionForm.RATE:
+            return values | {"rate_growth": _RATE_GROWTH, "log_rate_speed": float(np.log(speed))}
         values["viscous"] = (
             start["half_width"] / speed if "half_width" not in form.free else 0.1 * values["half_width"] / speed
         )
@@ -310,7 +339,8 @@ class LackOfFit:
     Attributes
     ----------
     quantity
-        "pressure", "tension", "contraction", "rate" or, for a viscous form alone, "direction".
+        "pressure", "tension", "contraction", "rate", its product with the pressure or the contraction, its square or,
+        for a viscous form alone, "direction".
     force
         Root mean square [N] of the friction that depends on it.
     p_value
@@ -343,27 +373,42 @@ _REMEDIES = {
     "contraction": None,
     "rate": FrictionForm.DRY_AND_VISCOUS,
     "direction": FrictionForm.DRY_AND_VISCOUS,
+    "rate and pressure": FrictionForm.VARIABLE_VISCOUS,
+    "rate and contraction": FrictionForm.VARIABLE_VISCOUS,
+    "square of the rate": FrictionForm.RATE,
 }
 
 
 def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) -> LackOfFit | None:
-    """Score test of dependences missing from the form, robust to errors common to a path; `scale` is a force [N]."""
+    """Score test of dependences missing from the form; `scale` is a force [N].
+
+    It is robust to errors common to a path, or to a stroke if rates are known.
+    """
     from scipy.special import stdtr
 
     means, used = model.means, model.used
     tension = model.components(found.values)[0]
     side = model.band_side(found.values)
+    rate = np.zeros(len(side)) if model.rate is None else model.rate
     taut = tension > _TAUT * scale
     side = np.where(taut if np.count_nonzero(taut & used) >= _LEAST_ROWS else tension > 0, side, 0.0)
     quantities = {
         "pressure": (means.pressure - model.reference_pressure) * side,
         "tension": (tension - tension[tension > 0].mean()) * side,
         "contraction": (means.contraction - means.contraction[tension > 0].mean()) * side,
-        "rate": np.zeros(len(side)) if model.rate is None else model.rate * np.abs(side),
+        "rate": rate * np.abs(side),
         "direction": side,
     }
+    if found.has("viscous") or found.has("rate_growth"):
+        quantities |= {
+            "rate and pressure": quantities["rate"] * (means.pressure - model.reference_pressure),
+            "rate and contraction": quantities["rate"] * (means.contraction - means.contraction[tension > 0].mean()),
+            "square of the rate": quantities["rate"] * np.abs(rate),
+        }
     has = {"pressure": "growth", "tension": "tension_growth", "rate": "viscous", "direction": "half_width"}
-    jacobian, labels = found.jacobian[:, ~found.active], model.paths.label[used]
+    has |= {"rate and pressure": "viscous_growth", "rate and contraction": "viscous_length_growth"}
+    labels = (model.paths.label if model.rate is None else model.paths.stroke(means))[used]
+    jacobian = found.jacobian[:, ~found.active]
     lengths = np.linalg.norm(jacobian, axis=0)
     jacobian = jacobian[:, lengths > 0] / lengths[lengths > 0]
     candidates: list[tuple[float, LackOfFit]] = []
@@ -381,7 +426,10 @@ def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) ->
         p_value = 2 * float(stdtr(freedom[0], -abs(amount[-1]) / np.sqrt(variance[0])))
         force = float(abs(amount[-1]) / np.linalg.norm(column) * size)
         if p_value < _LACK_LEVEL and force > _LEAST_LACK * scale:
-            candidates.append((float(rest @ rest), LackOfFit(quantity, force, p_value, _REMEDIES[quantity])))
+            remedy = _REMEDIES[quantity]
+            if remedy and remedy.follows_rate and (found.has("viscous_growth") or found.has("rate_growth")):
+                remedy = None
+            candidates.append((float(rest @ rest), LackOfFit(quantity, force, p_value, remedy)))
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 

@@ -69,8 +69,8 @@ class HysteresisFit:
         dependence that the form lacks, None if there is none.
     standard_errors, correlations
         By parameter, in SI, in this order: the law's parameters (unless the law was given), ``half_width``, ``growth``,
-        ``tension_growth``, ``viscous`` and ``presliding_length``; NaN if the form lacks it or the data do not determine
-        it.
+        ``tension_growth``, ``viscous``, ``viscous_growth``, ``viscous_length_growth``, ``rate_growth``, ``rate_speed``
+        and ``presliding_length``; NaN if the form lacks it or the data do not determine it.
     drift
         Drift of the force sensor; None if not significant (1 %).
     rmse, max_error
@@ -133,15 +133,22 @@ class HysteresisFit:
         """Name, estimate, standard error and unit of the parameters of the friction, as text."""
         friction, errors, length = self.friction, self.standard_errors, self.friction.presliding_length
         by_tension = self.form is FrictionForm.TENSION
+        damping = errors["viscous_growth"] * bar, errors["viscous_length_growth"] * mm
         at = show(friction.reference_tension, "N", 3) if by_tension else show(friction.reference_pressure, "bar", 3)
         rows = [
             ("half width", f"{friction.half_width:.4g}", errors["half_width"], f"N at {at}"),
             ("growth", f"{friction.growth * bar:.3g}", errors["growth"] * bar, "N/bar"),
             ("tension growth", f"{friction.tension_growth or 0.0:.3g}", errors["tension_growth"], "N/N"),
             ("viscous", f"{friction.viscous:.4g}", errors["viscous"], "N*s/m"),
+            ("viscous growth", f"{(friction.viscous_growth or 0.0) * bar:.3g}", *damping[:1], "N*s/m/bar"),
+            ("by length", f"{(friction.viscous_length_growth or 0.0) * mm:.3g}", *damping[1:], "N*s/m/mm"),
+            ("rate growth", f"{friction.rate_growth or 0.0:.3g}", errors["rate_growth"], "of the half width"),
+            ("rate speed", f"{(friction.rate_speed or 0.0) / mm:.3g}", errors["rate_speed"] / mm, "mm/s"),
             ("presliding length", f"{length / mm:.4g}", errors["presliding_length"] / mm, "mm"),
         ]
         has = {"growth": friction.growth, "tension growth": friction.tension_growth, "viscous": friction.viscous}
+        has |= {"viscous growth": friction.viscous_growth, "by length": friction.viscous_length_growth}
+        has |= dict.fromkeys(("rate growth", "rate speed"), friction.rate_growth)
         return [
             (name, value, f"{error:.2g}" if np.isfinite(error) else "-", unit)
             for name, value, error, unit in rows
@@ -240,7 +247,9 @@ def identify_hysteresis(
     taut = ~means.slack
     bases = DriftBasis.candidates(paths, means)[: None if drift else 1]
     used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
-    outliers = find_outliers(means)
+    rate = paths.rate(means)
+    used &= (rate is None) | ~paths.at_reversal(means)
+    outliers = find_outliers(means) if rate is None else ()  # friction that varies with the rate is not an outlier
     used &= ~np.isin(np.arange(len(means)) + 1, [one.row for one in outliers])
     known = law if isinstance(law, ForceLaw) else None
     law_type = type(law) if isinstance(law, ForceLaw) else law
@@ -256,7 +265,7 @@ def identify_hysteresis(
         float(levels.mean()),
         elements,
         float(means.force[taut].mean()),
-        paths.rate(means),
+        rate,
     )
     of_law = () if known else model.law_names
     _check_count(model, (*of_law, *FrictionForm.CONSTANT.free), bases[-1])
@@ -320,7 +329,7 @@ def identify_hysteresis(
     misfit = (
         f"{type(model.template).__name__} leaves residuals of {answer.rmse:.3g} N, {systematic:.3g} N of them shared "
         f"by neighbouring points, against {half_gap:.3g} N of half the loop width: the misfit may be mistaken for "
-        "friction or drift; use a law that fits better"
+        "friction or drift; use a law that fits better, or a form of friction, if the law does"
     )
     return dataclasses.replace(answer, warnings=(*answer.warnings, misfit))
 
@@ -349,7 +358,7 @@ def _check_form(model: PathDependentModel, form: FrictionForm, levels: Floats) -
             lower=3,
             remedy="measure at more pressures, or choose another form",
         )
-    if "viscous" in form.free and model.rate is None:
+    if form.follows_rate and model.rate is None:
         raise IdentificationError(
             f"friction of the form {form.value!r} needs times at which the speed varies",
             remedy="give the times of motions at several speeds, or choose another form",
@@ -395,7 +404,8 @@ def _result(
     points = means.select(taut)
     friction = model.friction(found.values)
     names = [name for name in found.free if name in model.law_names]
-    errors = {name: found.error(name) for name in (*names, *FRICTION[:-1])}
+    errors = {name: found.error(name) for name in (*names, *FRICTION) if not name.startswith("log_")}
+    errors["rate_speed"] = found.error("log_rate_speed") * (friction.rate_speed or 1.0)
     errors["presliding_length"] = found.error("log_presliding") * friction.presliding_length
     order = [*names, *FRICTION]
     correlations = np.full((len(order), len(order)), np.nan)

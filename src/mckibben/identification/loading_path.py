@@ -76,15 +76,38 @@ class LoadingPaths:
             label[rows] = path
         return label
 
+    def stroke(self, means: IsobaricDataset) -> Ints:
+        """Stroke of each row, shape (rows,): the rows of a path between reversals."""
+        loading = means.table["direction"].to_numpy() == "loading"
+        stroke, count = np.empty(len(self.length), np.int64), 0
+        for rows in self.rows:
+            stroke[rows] = count + np.cumsum(np.diff(loading[rows], prepend=loading[rows[:1]]))
+            count = stroke[rows[-1]] + 1
+        return stroke
+
+    def at_reversal(self, means: IsobaricDataset) -> Bools:
+        """Ends of strokes that were measured at a reversal, where the rate is unknown, shape (rows,)."""
+        strokes, ends = self.stroke(means), np.zeros(len(self.length), bool)
+        for rows in self.rows:
+            if self.turns[rows].any():
+                changes = np.diff(strokes[rows]) != 0
+                ends[rows] = np.append(True, changes) | np.append(changes, True)
+        return ends
+
     def rate(self, means: IsobaricDataset) -> Floats | None:
-        """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed."""
+        """Rate of the length [m/s], shape (rows,); None without times, or at one speed.
+
+        Central differences within a stroke.
+        """
         if "time" not in means.table:
             return None
         time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
+        strokes = self.stroke(means)
         for rows in self.rows:
             if len(rows) > 1 and (np.diff(time[rows]) <= 0).any():
                 return None
-            rate[rows] = np.gradient(self.length[rows], time[rows]) if len(rows) > 1 else 0.0
+            for stroke in np.split(rows, np.flatnonzero(np.diff(strokes[rows])) + 1):
+                rate[stroke] = np.gradient(self.length[stroke], time[stroke]) if len(stroke) > 1 else 0.0
         slow, fast = np.quantile(np.abs(rate), [0.25, 0.75])
         return rate if fast > _SPEEDS * slow else None
 
@@ -266,12 +289,17 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
     return middle / 2
 
 
-FRICTION = ("half_width", "growth", "tension_growth", "viscous", "log_presliding")
-"""Friction parameters in SI, as in `MaxwellSlip`, with the logarithm of the presliding length [m]."""
+FRICTION = (
+    *("half_width", "growth", "tension_growth", "viscous", "viscous_growth", "viscous_length_growth"),
+    *("rate_growth", "log_rate_speed", "log_presliding"),
+)
+"""Friction parameters in SI, as in `MaxwellSlip`, with the logarithms of rate speed [m/s] and presliding length [m]."""
 
 _TENSION_STEP = 1e-4  # N: of difference quotients
 _RELATIVE_STEP = 1e-6
 _WIDEST = 1e5  # N
+_FASTEST_GROWTH = 100.0  # of the half width
+_BEYOND = 3.0  # times the rates of the points
 _LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never fully reverse
 
 
@@ -308,8 +336,18 @@ class PathDependentModel:
             tension_growth=values["tension_growth"] or None,
             reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
             viscous=values["viscous"],
+            viscous_growth=values["viscous_growth"] or None,
+            viscous_length_growth=values["viscous_length_growth"] or None,
+            reference_length=self.reference_length if values["viscous_length_growth"] else None,
+            rate_growth=values["rate_growth"] or None,
+            rate_speed=float(np.exp(values["log_rate_speed"])) if values["rate_growth"] else None,
             elements=self.elements,
         )
+
+    @property
+    def reference_length(self) -> float:
+        """Mean length [m] of the points used."""
+        return float(self.paths.length[self.used].mean())
 
     @property
     def shortest(self) -> float:
@@ -324,10 +362,19 @@ class PathDependentModel:
             "half_width": (MIN_HALF_WIDTH, _WIDEST),
             "tension_growth": (-1.0, 1.0),
             "viscous": (0.0, np.inf),
+            "rate_growth": (0.0, _FASTEST_GROWTH),
+            "log_rate_speed": self._log_speeds,
             "log_presliding": (self.shortest, float(np.log(_LONGEST * np.ptp(self.paths.length)))),
         }
         lower, upper = zip(*(given.get(name, (-np.inf, np.inf)) for name in names), strict=True)
         return np.array(lower, float), np.array(upper, float)
+
+    @property
+    def _log_speeds(self) -> tuple[float, float]:
+        """Logarithms of the lowest and highest rate speed [m/s] that the rates of the points may determine."""
+        rates = np.abs(np.zeros(1) if self.rate is None else self.rate[self.used])
+        slow, fast = np.maximum(np.quantile(rates, [0.05, 1.0]), 1e-9)
+        return float(np.log(slow / _BEYOND)), float(np.log(_BEYOND * fast))
 
     def components(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
         """Tension of the law and friction force [N] at each row, shape (rows,)."""
@@ -360,6 +407,8 @@ class PathDependentModel:
             "tension_growth": float(np.abs(tension - self.reference_tension).max()),
             "viscous": 1.0 if self.rate is None else float(np.abs(self.rate).max()),
         }
+        sizes["viscous_growth"] = sizes["viscous"] * sizes["growth"]
+        sizes["viscous_length_growth"] = sizes["viscous"] * float(np.ptp(self.paths.length))
         steps = np.array([*by_law, *(_RELATIVE_STEP / max(sizes.get(name, 1.0), 1e-9) for name in others)])
         moved = [dict(values) for _ in names]
         for k, name in enumerate(others):
@@ -376,7 +425,7 @@ class PathDependentModel:
 
     def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
-        half_width, growth, by_tension, viscous, log_presliding = (
+        half_width, growth, by_tension, viscous, by_pressure, by_length, by_rate, log_speed, log_presliding = (
             np.array([values[name] for values in sets]) for name in FRICTION
         )
         above = self.means.pressure - self.reference_pressure
@@ -392,7 +441,10 @@ class PathDependentModel:
             side=self.paths.side[:, None],
         )
         force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
-        if self.rate is None or not viscous.any():
+        if self.rate is None or not (viscous.any() or by_rate.any()):
             return force
-        half = np.maximum(tension / 2, 1e-9)
-        return force + half * np.tanh(viscous * self.rate[:, None] / half)
+        half, rate = np.maximum(tension / 2, 1e-9), self.rate[:, None]
+        longer = (self.paths.length - self.reference_length)[:, None]
+        damping = np.maximum(viscous + by_pressure * above[:, None] + by_length * longer, 0.0)
+        drag = damping * rate + by_rate * limit * np.tanh(rate / np.exp(log_speed))
+        return force + half * np.tanh(drag / half)

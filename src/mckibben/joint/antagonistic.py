@@ -130,6 +130,13 @@ class AntagonisticJoint(Component):
             for muscle in (self.muscle1, self.muscle2):
                 if isinstance(muscle.friction, MaxwellSlip):
                     check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
+                    rates = (muscle.friction.viscous_growth, muscle.friction.viscous_length_growth)
+                    if any(part is not None for part in (*rates, muscle.friction.rate_growth)):
+                        raise RangeError(
+                            f"{owner}: friction needs the rate of the muscle's length, which is unknown there",
+                            field="friction",
+                            remedy="leave out viscous_growth, viscous_length_growth and rate_growth, or the spring",
+                        )
                 if muscle.has_creep:
                     raise RangeError(
                         f"{owner}: creep needs the rate of the muscle's length, which is unknown there",

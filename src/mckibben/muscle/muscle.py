@@ -180,7 +180,7 @@ class Muscle(Component):
         tension = self.tension(contraction, pressure)
         if state.creep:  # friction may use half of the tension; negative creep reduces the other half
             tension = tension + 2 * jnp.minimum(self.creep_force(contraction, tension, state), 0.0)
-        return self.friction.viscous_force(tension, rate)
+        return self.friction.viscous_force(self.specimen.length_at(contraction), tension, pressure, rate)
 
     def state_rate(self, state: MuscleState, rate: ArrayLike, pressure: ArrayLike) -> MuscleState:
         """Return the time derivative of the state at a rate of the length [m/s] and a gauge pressure [Pa].

@@ -190,11 +190,12 @@ def _fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) ->
         at = _extremes(angles)
         lengths = [np.asarray(plant.joint.geometry.path_lengths(at + step)) for step in (-_STEP, _STEP)]
         arms = np.max(np.abs(lengths[1] - lengths[0]) / (2 * _STEP), axis=1)
-        for muscle, arm in zip(plant.muscles, map(float, arms), strict=True):
+        for muscle, arm, path in zip(plant.muscles, map(float, arms), lengths[0], strict=True):
             friction, creep = muscle.friction, muscle.creep
             if isinstance(friction, MaxwellSlip):
                 total += float(np.sum(friction.stiffnesses)) * arm**2
-                damping += float(friction.viscous) * arm**2
+                if friction.follows_rate:
+                    damping += _steepest_damping(muscle, friction, path) * arm**2
             if isinstance(creep, MaxwellCreep):
                 total += float(creep.stiffness) * arm**2
                 modes += [1 / float(tau) for tau in (*creep.time_constants, *creep.pressure_time_constants)]
@@ -203,6 +204,13 @@ def _fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) ->
     half = damping / (2 * inertia)  # of s^2 + 2 half s + total/inertia
     root = half**2 - total / inertia
     return max(*modes, half + math.sqrt(root) if root > 0 else math.sqrt(total / inertia))
+
+
+def _steepest_damping(muscle: Muscle, friction: MaxwellSlip, lengths: NDArray[np.float64]) -> float:
+    """Largest slope [N*s/m] of the friction over the rate at lengths [m] and all pressures of the domain."""
+    pressures = np.array([muscle.domain.pressure_min, muscle.domain.pressure_max], float)[:, None]
+    tension = np.asarray(muscle.tension(muscle.specimen.contraction_at(lengths), pressures))
+    return float(np.max(friction.steepest_damping(lengths, tension, pressures)))
 
 
 def _fastest_air(plant: JointPlant, angles: ArrayLike) -> float:

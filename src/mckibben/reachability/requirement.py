@@ -277,7 +277,8 @@ def friction_force(
     def friction(pressure: float) -> NDArray[np.float64]:
         tension = np.maximum(forces(muscle, contractions, pressure), minimum_tension)
         sliding = half_widths(muscle.friction, tension, pressure)
-        return sliding + np.asarray(muscle.friction.viscous_force(tension, rate))
+        lengths = length * (1 - contractions)
+        return sliding + np.asarray(muscle.friction.viscous_force(lengths, tension, pressure, rate))
 
     working, opposing = (friction(float(end)) for end in (muscle.domain.pressure_max, muscle.domain.pressure_min))
     if cocontracted:

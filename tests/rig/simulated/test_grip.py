@@ -63,13 +63,15 @@ def test_friction_along_a_way_is_that_of_the_muscle():
     np.testing.assert_allclose(told, expected[1:], atol=1e-4)
 
 
-def test_viscous_friction_is_that_of_the_muscle():
-    friction = MaxwellSlip(12.0, 0.5e-3, viscous=300.0)
+@pytest.mark.parametrize("more", [{}, {"viscous_growth": 1e-3, "rate_growth": 0.5, "rate_speed": 0.05}])
+def test_viscous_friction_is_that_of_the_muscle(more):
+    more = {**more, "viscous_length_growth": 5e3, "reference_length": 0.17} if more else more
+    friction = MaxwellSlip(12.0, 0.5e-3, viscous=300.0, **more)
     slow, quick = Grip(Muscle(SPECIMEN, LAW, friction), 0.1), Grip(Muscle(SPECIMEN, LAW, friction), 0.1)
     added = quick.force(1e-3, 3 * bar, 0.01) - slow.force(1e-3, 3 * bar, 1e9)
     tension = slow.table.force(0.1 - 1e-3 / 0.18, 3 * bar)
     with jax.disable_jit():
-        assert added == pytest.approx(float(friction.viscous_force(tension, 0.1)), rel=1e-6)
+        assert added == pytest.approx(float(friction.viscous_force(0.163, tension, 3 * bar, 0.1)), rel=1e-6)
 
 
 def test_creep_after_moves_is_that_of_the_muscle():

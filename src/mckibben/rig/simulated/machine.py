@@ -144,6 +144,10 @@ class Grip:
             self._width = float(friction.half_width), float(friction.growth), float(friction.reference_pressure)
             self._by_tension = float(friction.tension_growth or 0.0), float(friction.reference_tension)
             self._viscous = float(friction.viscous)
+            self._viscous_growth = float(friction.viscous_growth or 0.0), float(friction.viscous_length_growth or 0.0)
+            self._reference_length = float(friction.reference_length or 0.0)
+            self._by_rate = float(friction.rate_growth or 0.0), float(friction.rate_speed or 1.0)
+            self._follows_rate = friction.follows_rate
         self._deflections = [0.0] * len(self._stiffness)
         self._times: list[float] = []
         self._delays: list[float] = []
@@ -192,9 +196,14 @@ class Grip:
                 now = most if now > most else -most if now < -most else now
                 deflections[k] = now
                 total += stiffness * now
-            if travel and self._viscous and tension > 2 * _LEAST and span > 0:
-                half = tension / 2
-                total += half * math.tanh(self._viscous * travel / span / half)
+            if travel and self._follows_rate and tension > 2 * _LEAST and span > 0:
+                half, rate = tension / 2, travel / span
+                by_pressure, by_length = self._viscous_growth
+                damping = self._viscous + by_pressure * (pressure - reference)
+                damping += by_length * (self.length * (1 - self.start) + stretch - self._reference_length)
+                growth, speed = self._by_rate
+                drag = max(damping, 0.0) * rate + growth * limit * math.tanh(rate / speed)
+                total += half * math.tanh(drag / half)
         for k, time in enumerate(self._times):
             most = tension / (2 * len(self._times))
             now = _followed(self._relaxing[k], self._share * travel, span / time)

@@ -1,0 +1,373 @@
+"""One force law for several specimens of one make, which differ in length: pooled fit, and errors when left out."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mckibben.component.checks import check_positive
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification.fit import Fit
+from mckibben.identification.fitting import identify
+from mckibben.identification.least_squares import FitProblem, grid_search, solve
+from mckibben.identification.outliers import find_outliers, without_outliers
+from mckibben.identification.smooth import SMOOTH_LAWS
+from mckibben.identification.uncertainty import Floats, Ints
+from mckibben.muscle import ExponentialLaw, ForceLaw, Specimen, forces
+from mckibben.units import mm, show
+
+_AS_GOOD = 1.05  # times the lowest error
+_LONGEST, _SHORTEST = 0.3, -0.1  # bounds of the dead length, of the shortest specimen
+_MOST_BLOCKS = 8  # lengths of a specimen; more are grouped
+_ROUNDS = 3  # of strengths and law
+_CLOSE = 1e-3  # contractions closer than this are one
+
+
+class PoolForm(NamedTuple):
+    """Differences between the specimens of a pool that are estimated: dead length of the make, strengths."""
+
+    dead_length: bool
+    strength: bool
+
+    @property
+    def name(self) -> str:
+        """Form as text."""
+        parts = [word for word, has in zip(("dead length", "strengths"), self, strict=True) if has]
+        return " and ".join(parts) or "the same law"
+
+
+class LeftOutSpecimen(NamedTuple):
+    """Prediction of a specimen from the others.
+
+    Attributes
+    ----------
+    name, length, points
+        Name, initial length [m], and number of taut points.
+    rmse
+        Error [N] of the law of the other specimens.
+    lengths_rmse
+        Error [N] at its lengths, each left out in turn, by the pooled fit to all other points; NaN if it has only one.
+    strength
+        Force over that of the law of the other specimens.
+    inside
+        Share of its points within the 95 % intervals that all specimens give.
+    """
+
+    name: str
+    length: float
+    points: int
+    rmse: float
+    lengths_rmse: float
+    strength: float
+    inside: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PooledFit:
+    """Law of a make, by `identify_pooled`.
+
+    Attributes
+    ----------
+    fit
+        Law fitted to the points of all specimens, over the contraction of the active length (initial length minus dead
+        length), and divided by the strengths.
+    form, errors
+        Chosen form, and error [N] at left-out lengths by form.
+    dead_length, dead_length_error
+        Length [m] at the ends of each specimen that does not contract, and its standard error (jackknife over the
+        specimens); 0 and NaN unless the form has it.
+    left_out
+        Predictions of each specimen from the others.
+    strength_scatter, scatter
+        Standard deviations among specimens, of the strength [-] and of the remaining error [N], from `left_out`.
+    """
+
+    fit: Fit
+    form: PoolForm
+    errors: dict[str, float]
+    dead_length: float
+    dead_length_error: float
+    strengths: Floats = field(repr=False)
+    left_out: tuple[LeftOutSpecimen, ...]
+    strength_scatter: float
+    scatter: float
+
+    def numbers(self) -> dict[str, Any]:
+        """Pool as plain data."""
+        return {
+            "form": self.form.name,
+            "errors_N": self.errors,
+            "rmse_N": self.fit.rmse,
+            "parameters": {name: float(getattr(self.law, name)) for name in self.fit.standard_errors},
+            "dead_length_mm": self.dead_length / mm,
+            "dead_length_standard_error_mm": self.dead_length_error / mm,
+            "strengths": self.strengths.tolist(),
+            "strength_scatter": self.strength_scatter,
+            "scatter_N": self.scatter,
+            "specimens": [one._asdict() for one in self.left_out],
+        }
+
+    @property
+    def law(self) -> ForceLaw:
+        """The law, over the contraction of the active length."""
+        return self.fit.law
+
+    def specimen(self, length: float, name: str = "") -> Specimen:
+        """Specimen of an initial length [m] as it is measured; its own initial length is the active one."""
+        check_positive("specimen", "m", length=length - self.dead_length)
+        return Specimen(name or f"pooled, {show(length, 'mm')}", length - self.dead_length)
+
+    def predict(
+        self, contraction: ArrayLike, pressure: ArrayLike, length: float, *, level: float = 0.95
+    ) -> tuple[Floats, Floats, Floats]:
+        """Force [N] of another specimen of this make, and the ends of its prediction interval.
+
+        The contraction [-] is that of the whole initial length [m]. The interval is that of Student's t with the number
+        of specimens minus one; it has the scatter among specimens, and broadcasts as the force.
+        """
+        from scipy.special import stdtrit
+
+        force = forces(self.law, _active(np.asarray(contraction, float), length, self.dead_length), pressure)
+        half = float(stdtrit(len(self.left_out) - 1, 0.5 + level / 2)) * np.sqrt(
+            (self.strength_scatter * force) ** 2 + self.scatter**2
+        )
+        return force, force - half, force + half
+
+    def report(self) -> str:
+        """Pool as text."""
+        lines = [
+            f"{type(self.law).__name__} of {len(self.left_out)} specimens of one make, with {self.form.name}",
+            "",
+            f"{'specimen':20}  {'length':>8}  {'points':>6}  {'left out':>8}  {'lengths':>8}  strength  inside 95 %",
+        ]
+        lines += [
+            f"{one.name[:20]:20}  {show(one.length, 'mm', 4):>8}  {one.points:6}  {one.rmse:6.3g} N  "
+            f"{one.lengths_rmse:6.3g} N  {one.strength:8.3f}  {100 * one.inside:.0f} %"
+            for one in self.left_out
+        ]
+        lines.append("")
+        if self.form.dead_length:
+            error = self.dead_length_error / mm
+            lines.append(f"dead length: {self.dead_length / mm:.3g} mm, standard error {error:.2g} mm")
+        lines.append(
+            f"another specimen: strength +- {100 * self.strength_scatter:.2g} %, and {self.scatter:.2g} N, "
+            "as standard deviations"
+        )
+        lines.append("error at left-out lengths by form:")
+        best = min(self.errors.values())
+        for name, rmse in sorted(self.errors.items(), key=lambda item: item[1]):
+            lines.append(f"  {name:28}  {rmse:.3g} N{'' if rmse == best else f' ({rmse / best:.2f} times the lowest)'}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        count = len(self.left_out)
+        return f"<PooledFit {type(self.law).__name__}: {count} specimens, {self.form.name}, RMSE {self.fit.rmse:.3g} N>"
+
+
+def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) -> PooledFit:
+    """Fit one law to several specimens of one make: equal diameter and braid, several initial lengths.
+
+    The force of a braid depends on pressure and contraction, not on the length (Chou and Hannaford 1996). Two
+    corrections are estimated if they lower the error at left-out lengths by more than 5 %: a dead length at the ends,
+    common to the make, and a strength of each specimen. The errors are those at points that were left out: a specimen
+    predicted from the others, and each length of a specimen predicted from all other points, which needs no more than
+    two lengths per specimen.
+
+    Parameters
+    ----------
+    law
+        Class of the law, such as `ExponentialLaw`.
+    datasets
+        One per specimen, at least three, with their initial lengths.
+
+    Raises
+    ------
+    IdentificationError
+        If there are fewer than three specimens, an initial length is unknown, or the points do not determine the law.
+    """
+    if len(datasets) < 3:
+        raise IdentificationError(
+            f"{len(datasets)} specimens do not show how specimens differ",
+            value=len(datasets),
+            lower=3,
+            remedy="give at least three datasets, one per specimen",
+        )
+    pool = _Pool.of(law, datasets)
+    forms = [PoolForm(dead, strength) for dead in (False, True)[: 1 + pool.several] for strength in (False, True)]
+    squares = {form: pool.left_out_lengths(form) for form in forms}
+    errors = {form: float(np.sqrt(np.nanmean(error**2))) for form, error in squares.items()}
+    form = min(
+        (form for form in forms if errors[form] <= _AS_GOOD * min(errors.values())),
+        key=lambda form: (sum(form), errors[form]),
+    )
+    dead, strengths = pool.corrections(form)
+    everything = np.ones(len(pool.force), bool)
+    rows, deads, ratios, rests, predicted = [], [], [], [], []
+    for number, data in enumerate(pool.parts):
+        own = pool.specimen == number
+        without, others = pool.corrections(form, ~own)
+        tension = forces(pool.fit(without, others, ~own).law, pool.contraction(without)[own], pool.pressure[own])
+        ratio = float(pool.force[own] @ tension / (tension @ tension))
+        deads.append(without)
+        ratios.append(ratio - 1)
+        rests.append(pool.force[own] - ratio * tension)
+        predicted.append(tension)
+        rmse, inner = (float(np.sqrt(np.mean(e**2))) for e in (pool.force[own] - tension, squares[form][own]))
+        rows.append(
+            (data.table.attrs["specimen"] or f"specimen {number + 1}", float(pool.lengths[number]), rmse, inner)
+        )
+    count = len(pool.parts)
+    strength_scatter = float(np.sqrt(np.mean(np.square(ratios))))
+    scatter = float(np.sqrt(np.mean(np.concatenate(rests) ** 2)))
+    error = float(np.sqrt((count - 1) / count * np.sum((np.array(deads) - np.mean(deads)) ** 2)))
+    answer = PooledFit(
+        pool.fit(dead, strengths, everything),
+        form,
+        {form.name: rmse for form, rmse in errors.items()},
+        dead,
+        error if form.dead_length else math.nan,
+        strengths,
+        (),
+        strength_scatter,
+        scatter,
+    )
+    from scipy.special import stdtrit
+
+    students = float(stdtrit(count - 1, 0.975))
+    left_out = tuple(
+        LeftOutSpecimen(
+            name,
+            length,
+            len(tension),
+            rmse,
+            inner,
+            1 + ratio,
+            float(np.mean(np.abs(ratio * tension + rest) <= students * np.hypot(strength_scatter * tension, scatter))),
+        )
+        for (name, length, rmse, inner), ratio, rest, tension in zip(rows, ratios, rests, predicted, strict=True)
+    )
+    return dataclasses.replace(answer, left_out=left_out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pool:
+    """Taut points of all specimens."""
+
+    law: type[ForceLaw]
+    parts: tuple[IsobaricDataset, ...]
+    lengths: Floats
+    specimen: Ints
+    block: Ints
+    whole: Floats
+    pressure: Floats
+    force: Floats
+
+    @classmethod
+    def of(cls, law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) -> _Pool:
+        parts = []
+        for number, data in enumerate(datasets):
+            if data.table.attrs.get("initial_length") is None:
+                raise IdentificationError(
+                    f"the initial length of dataset {number + 1} is unknown",
+                    remedy="give each dataset its initial_length",
+                )
+            means = data.plateau_means()
+            parts.append(without_outliers(means, find_outliers(means)).taut)
+        specimen = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        blocks, first = [], 0
+        for part in parts:
+            blocks.append(first + _groups(part.contraction))
+            first = blocks[-1].max(initial=first) + 1
+        columns = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("contraction", "levels", "force")
+        )
+        lengths = np.array([part.table.attrs["initial_length"] for part in parts], float)
+        return cls(law, tuple(parts), lengths, specimen, np.concatenate(blocks), *columns)
+
+    @property
+    def several(self) -> bool:
+        """Whether the lengths differ enough for a dead length."""
+        return bool(np.ptp(self.lengths) > 0.1 * self.lengths.min())
+
+    def contraction(self, dead: float) -> Floats:
+        """Contraction [-] of the active length."""
+        return _active(self.whole, self.lengths[self.specimen], dead)
+
+    def dataset(self, dead: float, strengths: Floats, kept: np.ndarray) -> IsobaricDataset:
+        """Points of one law: over the active contraction, forces divided by the strengths."""
+        return IsobaricDataset.of(
+            pressure=self.pressure[kept],
+            contraction=self.contraction(dead)[kept],
+            force=(self.force / strengths[self.specimen])[kept],
+            slack_force=-1e9,
+        )
+
+    def fit(self, dead: float, strengths: Floats, kept: np.ndarray) -> Fit:
+        """Fit of the law to the kept points."""
+        return identify(self.law, self.dataset(dead, strengths, kept), robust=False)
+
+    def corrections(self, form: PoolForm, kept: np.ndarray | None = None) -> tuple[float, Floats]:
+        """Dead length [m] and strengths of a form, from the kept points."""
+        from scipy.optimize import minimize_scalar
+
+        kept = np.ones(len(self.force), bool) if kept is None else kept
+        if not form.dead_length:
+            return 0.0, self._solved(form, 0.0, kept)[1]
+        shortest = float(self.lengths.min())
+        found = minimize_scalar(
+            lambda dead: self._solved(form, dead, kept)[0],
+            bounds=(_SHORTEST * shortest, _LONGEST * shortest),
+            method="bounded",
+            options={"xatol": 1e-3 * shortest},
+        )
+        return float(found.x), self._solved(form, float(found.x), kept)[1]
+
+    def left_out_lengths(self, form: PoolForm) -> Floats:
+        """Errors [N] at each point as all other lengths predict it, for corrections of all points; shape (points,)."""
+        dead, errors = self.corrections(form)[0], np.full(len(self.force), np.nan)
+        for block in np.unique(self.block):
+            rest = self.block != block
+            if len(np.unique(self.specimen[rest])) < len(self.parts):
+                continue  # the specimen has one length
+            _, strengths, tension = self._solved(form, dead, rest)
+            errors[~rest] = (self.force - strengths[self.specimen] * tension)[~rest]
+        return errors
+
+    def _solved(self, form: PoolForm, dead: float, kept: np.ndarray) -> tuple[float, Floats, Floats]:
+        """Sum of squares [N^2] at the kept points, strengths with a mean of 1, and the law's force [N] everywhere."""
+        kind = ExponentialLaw if self.law in SMOOTH_LAWS else self.law
+        strengths, present = np.ones(len(self.parts)), np.unique(self.specimen[kept])
+        contraction = self.contraction(dead)
+        for _ in range(_ROUNDS if form.strength else 1):
+            problem = FitProblem.of(kind, self.dataset(dead, strengths, kept))
+            found = solve(problem, grid_search(problem))
+            tension = forces(problem.law(found.values), contraction, self.pressure)
+            if form.strength:
+                own = [kept & (self.specimen == number) for number in present]
+                ratios = np.array([self.force[k] @ tension[k] / (tension[k] @ tension[k]) for k in own])
+                strengths[present] = ratios / ratios.mean()
+        rest = (self.force - strengths[self.specimen] * tension)[kept]
+        return float(rest @ rest), strengths, tension
+
+
+def _active(contraction: Floats, length: Floats | float, dead: float) -> Floats:
+    """Contraction [-] of the active length, for that of the whole one [m]."""
+    return contraction * (length / (length - dead))
+
+
+def _groups(contraction: Floats) -> Ints:
+    """Fixed lengths of a specimen: the measured ones, or groups of equally many points."""
+    order = np.argsort(contraction, kind="stable")
+    label = np.empty(len(order), np.int64)
+    label[order] = np.cumsum(np.diff(contraction[order], prepend=contraction[order[:1]]) > _CLOSE)
+    if label.max(initial=0) < _MOST_BLOCKS:
+        return label
+    label[order] = np.arange(len(order)) * _MOST_BLOCKS // len(order)
+    return label
