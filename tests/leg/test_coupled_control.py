@@ -43,15 +43,15 @@ def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles
     control = CoupledControl(controllers, TimedReference(EXAMPLE["references"]()), (2e5,), leg=leg)
     measurement = LegMeasurement(tuple(map(jnp.asarray, ANGLES)), tuple(map(jnp.asarray, (3e5,) * 7)), jnp.zeros(()))
     planned = (3.0, -4.0, 5.0)
-    loaded = control._loaded(measurement, tuple(map(jnp.asarray, RATES)), tuple(map(jnp.asarray, planned)))
+    loads = control._loads(measurement, tuple(map(jnp.asarray, RATES)), tuple(map(jnp.asarray, planned)))
     made = joint_equations(leg, ANGLES, RATES, 9.81)
     alone = dataclasses.replace(leg, biarticular=())
     rectus_torque = np.subtract(leg.torques(ANGLES, (3e5,) * 7), alone.torques(ANGLES, (3e5,) * 6))
     damping = np.array([joint.damping for joint in leg.joints])
     needed = np.array(made.matrix) @ planned + np.array(made.bias) + damping * RATES - rectus_torque
     found = [
-        one.load.required_torque(*motion)  # type: ignore[attr-defined]
-        for one, motion in zip(loaded.controllers, zip(ANGLES, RATES, planned, strict=True), strict=True)
+        one.required_torque(*motion)
+        for one, motion in zip(loads, zip(ANGLES, RATES, planned, strict=True), strict=True)
     ]
     np.testing.assert_allclose(np.array(found, float), needed, atol=1e-12)
 
