@@ -80,8 +80,9 @@ def leg(folder: Path, *, quick: bool) -> Table:
         inverted(bench.timed()),
         (
             "Vertical slider, hip and knee with four muscles, valves of 20 ms, contact; one core. In space: `lei-leg`, "
-            f"side swing, hip and knee with six muscles. Friction from a slip speed as given. Ours: {LANES} landings of different speeds in a batch, with all metrics. "
-            "MuJoCo: the emitted plugin, `mj_step` with `nstep`, its own contact.",
+            "side swing, hip and knee with six muscles. Friction from a slip speed as given. Ours: "
+            f"{LANES} landings of different speeds in a batch, with all metrics. MuJoCo: the emitted plugin, `mj_step` "
+            "with `nstep`, its own contact.",
             f"Equal accuracy: the largest step with which the angle of the knee is within {ANGLE_ERROR / deg:g} deg, "
             f"and the peak force within {100 * FORCE_ERROR:g} %, of the same engine's run with {FINER} times finer "
             f"steps than {STEP / ms:g} ms, as are all smaller steps; both every {PERIOD / ms:g} ms. Our ratio is "

@@ -2,14 +2,14 @@
 
     python benchmarks/leg_tracking.py [--setup NAME ...] [--runs 128] [--tune] [--quick]
 
-The catalog's leg with its trunk held: all joints follow sines at once, in half of the runs at constant stiffness, in the
-others with a step of the stiffness of each joint, at different times. Each valve has a tube, commands are late, encoders
-are quantised, pressures noisy, and the muscles have friction. In each run all of `SCATTER` differs from what the
-controllers' models hold. The gains are those of leg_tracking.json, written by `--tune`: differential evolution with the
-same population, generations and runs for each controller, in which each joint selects its own gains by its own cost; it
-begins in the middle of the ranges. The table is of other runs: medians, with the 90th percentile,
-and the median ratio to the PID with compensation of its delay in the same run, with its 95 % interval (bootstrap).
-Failed runs count as infinite.
+The catalog's leg with its trunk held: all joints follow sines at once, in half of the runs at constant stiffness, in
+the others with a step of the stiffness of each joint, at different times. Each valve has a tube, commands are late,
+encoders are quantised, pressures noisy, and the muscles have friction. In each run all of `SCATTER` differs from what
+the controllers' models hold. The gains are those of leg_tracking.json, written by `--tune`: differential evolution with
+the same population, generations and runs for each controller, in which each joint selects its own gains by its own
+cost; it begins in the middle of the ranges. The table is of other runs: medians, with the 90th percentile, and the
+median ratio to the PID with compensation of its delay in the same run, with its 95 % interval (bootstrap). Failed runs
+count as infinite.
 """
 
 import argparse
@@ -33,11 +33,11 @@ from mckibben.leg.dynamics import joint_equations
 from mckibben.leg.simulate import LegProblem
 from mckibben.muscle.air import DENSITY
 from mckibben.muscle.friction import MaxwellSlip
+from mckibben.numerics.batching import named_leaves
 from mckibben.plant import SampledSensors
 from mckibben.simulation.engine import BatchFunction, compute_chunks
 from mckibben.simulation.loop import control_period, initial_loop
 from mckibben.simulation.problem import sampling_times, split_runs
-from mckibben.numerics.batching import named_leaves
 from mckibben.units import bar, deg, kPa, ms
 
 GAINS = Path(__file__).with_name("leg_tracking.json")
