@@ -1,6 +1,6 @@
 """Angle and stiffness of three joints at once through valves with air: PID per joint against models of joint and leg.
 
-    python benchmarks/leg_tracking.py [--setup NAME ...] [--runs 128] [--tune] [--quick]
+    python benchmarks/leg_tracking.py [--setup NAME ...] [--runs 128] [--tune [CONTROLLER ...]]
 
 The catalog's leg with its trunk held: all joints follow sines at once, in half of the runs at constant stiffness, in
 the others with a step of the stiffness of each joint, at different times. Each valve has a tube, commands are late,
@@ -66,7 +66,7 @@ SETUPS = {
         "{class: tube, volume: 3 cm^3, conductance: 0.2 L/(s*bar), valve: "
         "{from: smc-itv0050, supply: 8 bar, dead_volume: 1 cm^3, hysteresis: 0.05 bar}}",
         8 * ms,
-        12,
+        4,
         12 * deg,
         1.0,
         {"valve.valve.time_constant": (0.67, 1.5), "valve.valve.band": (0.5, 2.0), "valve.valve.hysteresis": (0.2, 2)},
@@ -75,7 +75,7 @@ SETUPS = {
         "{class: tube, volume: 12 cm^3, conductance: 1 L/(s*bar), valve: "
         "{from: festo-mpye-5-m5, supply: 7 bar, dead_zone: 3 %, dead_volume: 1 cm^3}}",
         2 * ms,
-        24,
+        10,
         60 * deg,
         2.0,
         {"valve.valve.spool_lag": (0.7, 3.0), "valve.valve.dead_zone": (0.33, 2.0)},
@@ -107,6 +107,7 @@ PID = {  # where the search begins, and the factor to either end of its range
 PREDICTION = {"observer.bandwidth": (80.0, 10.0), "pressure_observer.bandwidth": (100.0, 10.0)}
 POLES = {"feedback.bandwidth": (25.0, 6.0)}
 REFERENCE = "PID, delay compensated"
+NAMES = "PID", REFERENCE, "decoupling per joint", "decoupling of the leg"
 SEARCH = {"population": 24, "generations": 20, "runs": 8}
 
 
@@ -163,12 +164,11 @@ def controllers(plant: LegPlant) -> dict[str, JointwiseControl]:
             model, load, mk.PolePlacement(25.0, damping=2.5), valve=plant.valve, friction_compensation=True, **observers
         )
         alone.append(DelayCompensation(model, load, controller=inner, **known))
-    return {
-        "PID": JointwiseControl(tuple(pid), reference),
-        REFERENCE: JointwiseControl(tuple(late), reference),
-        "decoupling per joint": JointwiseControl(tuple(alone), reference),
-        "decoupling of the leg": CoupledControl(tuple(alone), reference, leg=plant.leg, gravity=plant.gravity),
-    }
+    each = (
+        *(JointwiseControl(tuple(one), reference) for one in (pid, late, alone)),
+        CoupledControl(tuple(alone), reference, leg=plant.leg, gravity=plant.gravity),
+    )
+    return dict(zip(NAMES, each, strict=True))
 
 
 def gains_of(name: str) -> dict[str, tuple[float, float]]:
@@ -299,7 +299,7 @@ def table(setup, plant, gains, runs, seed=1):
     """Rows of a table: each controller on the same runs."""
     over, found = draws(setup, plant, runs, seed), {}
     for name, controller in controllers(plant).items():
-        each = addressed({gain: np.array(one)[:, None] for gain, one in gains[name].items()}, runs)
+        each = addressed(gains[name], runs)
         found[name] = simulated(setup, plant, controller, over | each)
     rng = np.random.default_rng(seed)
     for quantity, unit, scale in (("angle", "deg", deg), ("stiffness", "N\\*m/rad", 1.0), ("air", "L", 1e-3)):
@@ -325,22 +325,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--setup", choices=SETUPS, nargs="+", default=list(SETUPS))
     parser.add_argument("--runs", type=int, default=128, help="of the table")
-    parser.add_argument("--tune", action="store_true", help="tune the controllers, and write the gains")
-    parser.add_argument("--quick", action="store_true", help="a small search")
+    parser.add_argument("--tune", choices=NAMES, nargs="*", help="tune these controllers, or all, and write the gains")
     given = parser.parse_args()
-    kept = json.loads(GAINS.read_text()) if GAINS.is_file() else {}
-    size = {"population": 8, "generations": 1, "runs": 2} if given.quick else SEARCH
     for name in given.setup:
         setup = SETUPS[name]
         plant = plant_of(setup)
-        if given.tune:
+        made = controllers(plant)
+        for one in () if given.tune is None else given.tune or NAMES:
             begin = time.perf_counter()
-            kept[name] = {one: tuned(setup, plant, one, it, **size) for one, it in controllers(plant).items()}
-            GAINS.write_text(json.dumps(kept, indent=1) + "\n")
-            print(f"  tuned in {time.perf_counter() - begin:.0f} s", flush=True)
-        print(f"\n| {name}, {given.runs} runs |", " | ".join(kept[name]), "|")
-        print("|---" * (1 + len(kept[name])), "|", sep="")
-        table(setup, plant, kept[name], given.runs)
+            gains = tuned(setup, plant, one, made[one], **SEARCH)
+            keep(name, one, gains)
+            print(f"  {time.perf_counter() - begin:.0f} s", flush=True)
+        if given.runs:
+            print(f"\n| {name} |", " | ".join(NAMES), "|")
+            print("|---" * (1 + len(NAMES)), "|", sep="")
+            table(setup, plant, kept()[name], given.runs)
+
+
+def kept():
+    """Gains by setup, controller and name, one for each joint."""
+    return json.loads(GAINS.read_text()) if GAINS.is_file() else {}
+
+
+def keep(setup, name, gains):
+    """Write the gains of a controller."""
+    found = kept()
+    found.setdefault(setup, {})[name] = gains
+    GAINS.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":
