@@ -108,7 +108,7 @@ PREDICTION = {"observer.bandwidth": (80.0, 10.0), "pressure_observer.bandwidth":
 POLES = {"feedback.bandwidth": (25.0, 6.0)}
 REFERENCE = "PID, delay compensated"
 NAMES = "PID", REFERENCE, "decoupling per joint", "decoupling of the leg"
-SEARCH = {"population": 24, "generations": 20, "runs": 8}
+SEARCH = {"population": 16, "generations": 16, "runs": 8}
 
 
 def plant_of(setup: Setup) -> LegPlant:
@@ -295,12 +295,14 @@ def tuned(setup, plant, name, controller, *, population, generations, runs, seed
     return {gain: [float(f"{one:.4g}") for one in values[:, i]] for i, gain in enumerate(ranges)}
 
 
-def table(setup, plant, gains, runs, seed=1):
-    """Rows of a table: each controller on the same runs."""
-    over, found = draws(setup, plant, runs, seed), {}
-    for name, controller in controllers(plant).items():
-        each = addressed(gains[name], runs)
-        found[name] = simulated(setup, plant, controller, over | each)
+def unseen(setup, plant, name, gains, runs, seed=1):
+    """Errors and air of a controller with gains, on runs other than those of the search."""
+    over = draws(setup, plant, runs, seed) | addressed(gains, runs)
+    return simulated(setup, plant, controllers(plant)[name], over)
+
+
+def table(found, runs, seed=1):
+    """Rows of the errors and the air of each controller."""
     rng = np.random.default_rng(seed)
     for quantity, unit, scale in (("angle", "deg", deg), ("stiffness", "N\\*m/rad", 1.0), ("air", "L", 1e-3)):
         for joint, where in enumerate(JOINTS):
@@ -339,7 +341,7 @@ def main() -> None:
         if given.runs:
             print(f"\n| {name} |", " | ".join(NAMES), "|")
             print("|---" * (1 + len(NAMES)), "|", sep="")
-            table(setup, plant, kept()[name], given.runs)
+            table({one: unseen(setup, plant, one, kept()[name][one], given.runs) for one in NAMES}, given.runs)
 
 
 def kept():
