@@ -27,6 +27,7 @@ from mckibben.leg import (
     Link,
     PressureSchedule,
     Trunk,
+    read_leg,
     simulate_leg,
     simulate_legs,
 )
@@ -34,12 +35,13 @@ from mckibben.units import deg, mm, ms
 
 DURATION, PERIOD, STEP = 0.3, 2 * ms, 0.25 * ms
 SUBSTEPS = round(PERIOD / STEP)
+IN_SPACE = ", in space"
 GROUNDS = {
     "friction 0.8 from 100 mm/s": Ground(friction=0.8),
     "friction 0.8 from 30 mm/s": Ground(friction=0.8, slip_speed=30 * mm),
     "no friction": Ground(friction=0.0),
 }
-ANGLES = (2 * deg, -5 * deg)
+ANGLES = {"": (2 * deg, -5 * deg), IN_SPACE: (2 * deg, 2 * deg, -5 * deg)}
 SPEEDS = 0.6, 1.2  # m/s, downwards at the touch
 LANES, REPEATED = 256, 20
 ANGLE_ERROR, FORCE_ERROR = 0.1 * deg, 0.01
@@ -52,21 +54,24 @@ Force = Callable[[int], tuple[NDArray[np.float64], float]]
 
 
 def leg_plant(where: str) -> LegPlant:
-    """Hip and knee with two muscles each, on a slider."""
+    """Hip and knee with two muscles each, on a slider; or side swing, hip and knee of the catalog's leg."""
+    valve = mk.FirstOrderValve(20 * ms)
+    if where.endswith(IN_SPACE):
+        return LegPlant(read_leg("lei-leg"), valve, GROUNDS[where.removesuffix(IN_SPACE)])
     muscle = mk.Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     pair = mk.AntagonisticJoint(mk.KneeGeometry(370 * mm, 30 * mm, 208 * mm), muscle, muscle)
     hip = LegJoint(pair, -15 * deg, 15 * deg, name="hip", damping=0.05)
     knee = LegJoint(pair, -25 * deg, 30 * deg, link_angle=-30 * deg, name="knee", damping=0.05)
     links = Link(0.4, 0.5, 0.19, 0.009), Link(0.37, 0.3, 0.15, 0.005)
     own = Leg(Trunk(1.0), links, (hip, knee), foot_radius=20 * mm)
-    return LegPlant(own, mk.FirstOrderValve(20 * ms), GROUNDS[where])
+    return LegPlant(own, valve, GROUNDS[where])
 
 
 def leg(folder: Path, *, quick: bool) -> Table:
     """The table of landings."""
     bench = Bench(rounds=5 if quick else 15, budget=1.0 if quick else 5.0)
-    for where in GROUNDS:
-        _add(bench, folder, where)
+    for number, where in enumerate(ground + kind for kind in ANGLES for ground in GROUNDS):
+        _add(bench, folder, where, f"leg{number}")
     return Table(
         "Landings of a leg",
         f"landing of {DURATION:g} s",
@@ -74,9 +79,10 @@ def leg(folder: Path, *, quick: bool) -> Table:
         "knee angle [rad]",
         inverted(bench.timed()),
         (
-            "Vertical slider, hip and knee with four muscles, valves of 20 ms, contact; one core. Friction from a slip "
-            f"speed as given. Ours: {LANES} landings of different speeds in a batch, with all metrics. "
-            "MuJoCo: the emitted plugin, `mj_step` with `nstep`, its own contact.",
+            "Vertical slider, hip and knee with four muscles, valves of 20 ms, contact; one core. In space: `lei-leg`, "
+            "side swing, hip and knee with six muscles. Friction from a slip speed as given. Ours: "
+            f"{LANES} landings of different speeds in a batch, with all metrics. MuJoCo: the emitted plugin, `mj_step` "
+            "with `nstep`, its own contact.",
             f"Equal accuracy: the largest step with which the angle of the knee is within {ANGLE_ERROR / deg:g} deg, "
             f"and the peak force within {100 * FORCE_ERROR:g} %, of the same engine's run with {FINER} times finer "
             f"steps than {STEP / ms:g} ms, as are all smaller steps; both every {PERIOD / ms:g} ms. Our ratio is "
@@ -86,7 +92,7 @@ def leg(folder: Path, *, quick: bool) -> Table:
     )
 
 
-def _add(bench: Bench, folder: Path, where: str) -> None:
+def _add(bench: Bench, folder: Path, where: str, model_name: str) -> None:
     """Engines on a ground."""
     plant = leg_plant(where)
     controller, start = _given(plant)
@@ -100,7 +106,7 @@ def _add(bench: Bench, folder: Path, where: str) -> None:
             run = simulate_leg(plant, controller, start, duration=DURATION, control_period=PERIOD, substeps=count)
         except SimulationError:  # too long a step
             return np.full(round(DURATION / PERIOD), np.nan), np.nan
-        return run["angle"][1], float(run["ground_up"].max())
+        return run["angle"][-1], float(run["ground_up"].max())
 
     def batch(count: int, engine: str) -> Callable[[], Any]:
         given = {"duration": DURATION, "control_period": PERIOD, "substeps": count, "workers": 1, "engine": engine}
@@ -110,7 +116,7 @@ def _add(bench: Bench, folder: Path, where: str) -> None:
     base = named("MuJoCo, RK4", SUBSTEPS)
 
     def others() -> list[Candidate]:
-        model = _Mujoco(plant, start, folder, f"leg{list(GROUNDS).index(where)}")
+        model = _Mujoco(plant, start, folder, model_name)
         found = [
             Candidate(named(f"MuJoCo, {one}", SUBSTEPS), model.runs(one, SUBSTEPS), REPEATED, base=base)
             for one in INTEGRATORS
@@ -140,8 +146,10 @@ def _add(bench: Bench, folder: Path, where: str) -> None:
 
 def _given(plant: LegPlant) -> tuple[PressureSchedule, LegStart]:
     """Constant pressures, and a landing in the middle of the speeds."""
-    pressures = plant.leg.pressures_for(ANGLES, (0.0, 0.0), (None, 17.0))
-    return PressureSchedule(tuple((one,) for one in pressures)), LegStart(ANGLES, pressures, 0.0, -sum(SPEEDS) / 2)
+    angles = next(one for one in ANGLES.values() if len(one) == len(plant.leg.joints))
+    others = len(angles) - 1
+    pressures = plant.leg.pressures_for(angles, (0.0,) * len(angles), ((None,) * others) + (17.0,))
+    return PressureSchedule(tuple((one,) for one in pressures)), LegStart(angles, pressures, 0.0, -sum(SPEEDS) / 2)
 
 
 def coarsest(traced: Force) -> tuple[int, float]:

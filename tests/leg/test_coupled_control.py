@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.control import DelayCompensation
 from mckibben.errors import RangeError
-from mckibben.leg import BiarticularMuscle, CoupledControl, LegMeasurement, TimedReference, read_leg
+from mckibben.joint import Measurement
+from mckibben.leg import BiarticularMuscle, CoupledControl, LegMeasurement, LegStart, TimedReference, read_leg
 from mckibben.leg.dynamics import acceleration, at_rest, joint_equations, posture_of
 from mckibben.numerics.spatial import ZERO
+from mckibben.units import ms
 
 EXAMPLE = runpy.run_path("examples/leg/three_joints.py")
+LOAD = mk.GeneralLoad(1.0, 0.0)
 ANGLES, RATES = (0.05, -0.03, -0.2), (1.0, -2.0, 3.0)
 
 
@@ -38,22 +42,65 @@ def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles
     paths = mk.joint.Pulley(0.03, 0.08), mk.joint.Pulley(0.02, 0.08)
     rectus = BiarticularMuscle(leg.muscles[0], *paths, "hip", "knee", "shortens", "shortens", "rectus")
     leg = dataclasses.replace(leg, biarticular=(rectus,))
-    load, poles = mk.GeneralLoad(1.0, 0.0), mk.PolePlacement(30.0)
-    controllers = tuple(mk.DecouplingControl(joint.muscles, load, poles) for joint in leg.joints)
+    controllers = tuple(mk.DecouplingControl(joint.muscles, LOAD, mk.PolePlacement(30.0)) for joint in leg.joints)
     control = CoupledControl(controllers, TimedReference(EXAMPLE["references"]()), (2e5,), leg=leg)
     measurement = LegMeasurement(tuple(map(jnp.asarray, ANGLES)), tuple(map(jnp.asarray, (3e5,) * 7)), jnp.zeros(()))
     planned = (3.0, -4.0, 5.0)
-    loaded = control._loaded(measurement, tuple(map(jnp.asarray, RATES)), tuple(map(jnp.asarray, planned)))
+    loads = control._loads(measurement, tuple(map(jnp.asarray, RATES)), tuple(map(jnp.asarray, planned)))
     made = joint_equations(leg, ANGLES, RATES, 9.81)
     alone = dataclasses.replace(leg, biarticular=())
     rectus_torque = np.subtract(leg.torques(ANGLES, (3e5,) * 7), alone.torques(ANGLES, (3e5,) * 6))
     damping = np.array([joint.damping for joint in leg.joints])
     needed = np.array(made.matrix) @ planned + np.array(made.bias) + damping * RATES - rectus_torque
     found = [
-        one.load.required_torque(*motion)  # type: ignore[attr-defined]
-        for one, motion in zip(loaded.controllers, zip(ANGLES, RATES, planned, strict=True), strict=True)
+        one.required_torque(*motion)
+        for one, motion in zip(loads, zip(ANGLES, RATES, planned, strict=True), strict=True)
     ]
     np.testing.assert_allclose(np.array(found, float), needed, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg() -> None:
+    plant, delay, period = EXAMPLE["plant"](), 8 * ms, 1 * ms
+    each = tuple(
+        DelayCompensation(joint.muscles, LOAD, valve=plant.valve, controller=inner, command_delay=delay)
+        for joint in plant.leg.joints
+        for inner in [mk.DecouplingControl(joint.muscles, LOAD, mk.PolePlacement(30.0), valve=plant.valve)]
+    )
+    control = CoupledControl(each, TimedReference(EXAMPLE["references"]()), leg=plant.leg).with_period(period)
+    state = plant.begin(LegStart(ANGLES, (3e5, 2e5) * 3, clearance=0.5))
+    state = state._replace(velocity=state.velocity._replace(angles=tuple(map(jnp.asarray, RATES))))
+    commands = (3e5, 2.2e5, 2.9e5, 2e5, 3e5, 2.1e5)
+    end = plant.advance(state, commands, delay, 64).posture.angles
+    begun = plant.rate(state).velocity.angles
+    measurement = LegMeasurement(state.posture.angles, state.pressures, jnp.zeros(()))
+    zero = tuple(map(jnp.zeros_like, begun))
+    loads, at_rest_loads = control._loads(measurement, RATES, begun), control._loads(measurement, zero, zero)
+    for i, joint in enumerate(plant.leg.joints):
+        found = []
+        for load in (loads[i], at_rest_loads[i]):
+            one = dataclasses.replace(control.controllers[i], load=load)  # type: ignore[type-var]
+            pair = slice(2 * i, 2 * i + 2)
+            estimates = one.init_estimates(Measurement(ANGLES[i], state.pressures[pair]))
+            estimates = estimates._replace(motion=estimates.motion._replace(velocity=RATES[i], disturbance=0.0))
+            predicted = one._predicted(joint.muscles, estimates, (commands[pair],) * 9, period)
+            found.append(abs(float(predicted.angle - end[i])))
+        assert found[0] < 0.01 * abs(float(end[i]) - ANGLES[i])
+        assert found[0] < found[1] / 5
+
+
+@pytest.mark.slow
+def test_commands_that_arrive_late_are_predicted() -> None:
+    plant = dataclasses.replace(EXAMPLE["plant"](), command_delay=16 * ms)
+    prompt = EXAMPLE["controllers"](plant)["decoupling of the leg"]
+    late = tuple(
+        DelayCompensation(one.model, one.load, valve=one.valve, controller=one, command_delay=16 * ms)
+        for one in prompt.controllers
+    )
+    unaware, aware = (EXAMPLE["errors"](plant, one) for one in (prompt, dataclasses.replace(prompt, controllers=late)))
+    assert aware["side"][0] < unaware["side"][0] / 2
+    for joint in ("hip", "knee"):  # which need slower gains to be free of oscillations
+        assert aware[joint][0] < unaware[joint][0]
 
 
 def test_controllers_without_a_model_of_the_load_are_refused() -> None:

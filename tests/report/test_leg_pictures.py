@@ -121,9 +121,10 @@ def test_the_player_is_self_contained_and_has_the_run(landing):
     data = json.loads(re.search(r'"leg", (\{.*\})\);', html)[1])
     assert len(data["runs"]) == html.count("<canvas") == 2
     first, rows = data["runs"][0], np.array(data["runs"][0]["rows"]) / data["scale"]
-    ends = 4 * sum(one["parts"] for one in first["muscles"])
-    assert rows.shape == (100, 2 * first["points"] + ends + 3 * len(first["muscles"]) + 2)
-    np.testing.assert_allclose(rows[:, 2:4], np.stack([run["x"], run["z"]], -1), atol=6e-5)
+    ends = 6 * sum(one["parts"] for one in first["muscles"])
+    assert rows.shape == (100, 3 * first["points"] + ends + 3 * len(first["muscles"]) + 3)
+    np.testing.assert_allclose(rows[:, 3:6], np.stack([run[name] for name in ("x", "y", "z")], -1), atol=6e-5)
+    assert 'class="turn"' not in html
     force = rows[:, -1] * first["weights"] * float(plant.leg.total_mass * plant.gravity)
     np.testing.assert_allclose(force, run["ground_up"], atol=0.02)
 
@@ -141,8 +142,32 @@ def test_the_player_draws_in_a_browser(landing, tmp_path):
     page.write_text(
         f"<!DOCTYPE html><meta charset=utf-8><body>{leg_player({'one': landing})}<script>{move}{count}</script>"
     )
-    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--dump-dom"]
-    shown = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=60).stdout
-    orange, time, unit = re.search(r"<title>(\d+) (\d+) (ms)</title>", shown).groups()
+    orange, time, unit = re.search(r"(\d+) (\d+) (ms)", titled(page, tmp_path)).groups()
     assert int(orange) > 200
     assert (time, unit) == ("50", "ms")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_a_leg_in_space_can_be_turned(tmp_path):
+    player = leg_player({"one": landing_of(LEG["plant_of"]("floating", side=True))})
+    wide = (
+        "const c = document.querySelector('canvas'), v = document.querySelector('.turn'), found = [];"
+        "for (const angle of [0, 90, -90]) { v.value = angle; v.dispatchEvent(new Event('input'));"
+        "const p = c.getContext('2d').getImageData(0, 0, c.width, c.height).data, at = [];"
+        "for (let k = 0; k < p.length; k += 4) if (p[k] > 180 && p[k + 2] < 60) at.push(k / 4 % c.width);"
+        "found.push(at.reduce((a, b) => a + b) / at.length - c.width / 2); }"
+        "document.title = found.map(Math.round).join(' ');"
+    )
+    page = tmp_path / "page.html"
+    page.write_text(f"<!DOCTYPE html><meta charset=utf-8><body>{player}<script>{wide}</script>")
+    side, behind, front = map(int, titled(page, tmp_path).split())
+    assert behind == pytest.approx(-front, abs=2)  # mirrored
+    assert abs(side - behind) > 3
+
+
+def titled(page, folder):
+    """Title of a page after its scripts."""
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}", "--dump-dom"]
+    shown = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=60).stdout
+    return re.search(r"<title>(.*)</title>", shown)[1]

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.columns import Label
-from mckibben.control import Controller, DecouplingControl, Reference
+from mckibben.control import Controller, DecouplingControl, DelayCompensation, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
+from mckibben.control.delay import DelayState
 from mckibben.errors import RangeError
 from mckibben.joint import GeneralLoad, Measurement
 from mckibben.leg.dynamics import joint_equations
@@ -301,6 +302,9 @@ class CoupledControl(JointwiseControl):
     references after the lag of their feedback, and the torques of the biarticular muscles at their measured pressures.
     The observers of the joints see what is left. Stiffness setpoints are those of a joint's own pair.
 
+    Where commands arrive late, each controller is in a `DelayCompensation`: its observer and its prediction have the
+    load at the measured angles, and the controller the load of the motion that it expects when its commands arrive.
+
     Parameters
     ----------
     controllers, reference, biarticular
@@ -328,13 +332,13 @@ class CoupledControl(JointwiseControl):
                 value=len(self.controllers),
                 remedy="give one for each joint, from the trunk down",
             )
-        for joint, one in zip(self.leg.joints, self.controllers, strict=True):
+        for joint, one in zip(self.leg.joints, map(_undelayed, self.controllers), strict=True):
             if not isinstance(one, DecouplingControl):
                 raise RangeError(
                     f"{joint.name}: a {type(one).__name__} has no torque to add others to",
                     field="controllers",
                     value=type(one).__name__,
-                    remedy="give a DecouplingControl, or use JointwiseControl",
+                    remedy="give a DecouplingControl, alone or in a DelayCompensation, or use JointwiseControl",
                 )
             if joint.locked is not None:
                 remedy = "use JointwiseControl"
@@ -342,34 +346,56 @@ class CoupledControl(JointwiseControl):
 
     def init(self, measurement: LegMeasurement) -> Any:
         zero = tuple(map(jnp.zeros_like, measurement.angles))
-        return JointwiseControl.init(self._loaded(measurement, zero, zero), measurement)
+        loads = self._loads(measurement, zero, zero)
+        return JointwiseControl.init(self._with_loads(loads, loads), measurement)
 
     def step(
         self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
     ) -> tuple[Any, tuple[Array, ...]]:
-        estimates = [one.estimates for one in state[1]]
-        rates = tuple(one.motion.velocity for one in estimates)
-        lags = [one.feedback.lag for one in self.controllers]  # type: ignore[attr-defined]
-        planned = tuple(
-            one.reference.acceleration_after(lag + period, period) for one, lag in zip(estimates, lags, strict=True)
-        )
-        return JointwiseControl.step(self._loaded(measurement, rates, planned), state, time, measurement, period)
+        def loads(at: LegMeasurement, states: Sequence[Any], lags: Sequence[ArrayLike]) -> list[GeneralLoad]:
+            each = [one.estimates for one in states]
+            planned = [
+                one.reference.acceleration_after(lag + period, period) for one, lag in zip(each, lags, strict=True)
+            ]
+            return self._loads(at, [one.motion.velocity for one in each], planned)
 
-    def _loaded(
-        self, measurement: LegMeasurement, rates: Sequence[Array], planned: Sequence[Array]
-    ) -> JointwiseControl:
-        """The controller with the loads of a motion, and accelerations [rad/s^2] of the others' references."""
-        angles = measurement.angles
+        lags = [one.feedback.lag for one in map(_undelayed, self.controllers)]  # type: ignore[attr-defined]
+        inner = [one.inner if isinstance(one, DelayState) else one for one in state[1]]
+        if not any(isinstance(one, DelayState) for one in state[1]):
+            prompt = loads(measurement, state[1], lags)
+            return JointwiseControl.step(self._with_loads(prompt, prompt), state, time, measurement, period)
+        motions = [one.estimates.motion for one in inner]
+        expected = measurement._replace(angles=tuple(one.angle + period * one.velocity for one in motions))
+        late = self._with_loads(loads(measurement, state[1], [0.0] * len(lags)), loads(expected, inner, lags))
+        return JointwiseControl.step(late, state, time, measurement, period)
+
+    def _loads(self, at: LegMeasurement, rates: Sequence[Array], planned: Sequence[Array]) -> list[GeneralLoad]:
+        """Loads of the joints in a motion, for accelerations [rad/s^2] of the others' references."""
+        angles = at.angles
         made = joint_equations(self.leg, angles, rates, self.gravity)
         others = list(made.bias)
         units = self.leg.routed_muscles(angles)
-        for unit, pressure in list(zip(units, measurement.pressures, strict=True))[2 * len(angles) :]:
+        for unit, pressure in list(zip(units, at.pressures, strict=True))[2 * len(angles) :]:
             tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
             for joint, slope in unit.slopes.items():
                 others[joint] = others[joint] + tension * slope
-        controllers = []
-        for i, (joint, one) in enumerate(zip(self.leg.joints, self.controllers, strict=True)):
+        loads = []
+        for i, joint in enumerate(self.leg.joints):
             torque = others[i] + sum(made.matrix[i][k] * planned[k] for k in range(len(angles)) if k != i)
             load = GeneralLoad(made.matrix[i][i], -torque, joint.damping, angles[i] + jnp.pi / 2)  # type: ignore
-            controllers.append(dataclasses.replace(one, load=load))  # its gravity acts at a right angle: the torque
+            loads.append(load)  # its gravity acts at a right angle: the torque
+        return loads
+
+    def _with_loads(self, outer: Sequence[GeneralLoad], inner: Sequence[GeneralLoad]) -> JointwiseControl:
+        """The controller with loads of its joints: of their predictions, and of the controllers themselves."""
+        controllers = []
+        for one, now, expected in zip(self.controllers, outer, inner, strict=True):
+            within = dataclasses.replace(_undelayed(one), load=expected)  # type: ignore[call-arg]
+            late = isinstance(one, DelayCompensation)
+            controllers.append(dataclasses.replace(one, load=now, controller=within) if late else within)
         return dataclasses.replace(self, controllers=tuple(controllers))
+
+
+def _undelayed(controller: Controller) -> Controller:
+    """A controller without the compensation of its delay."""
+    return controller.controller if isinstance(controller, DelayCompensation) else controller

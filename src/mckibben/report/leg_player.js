@@ -7,7 +7,8 @@ const legPlayer = (function () {
 .leg-player .stages { display: flex; flex-wrap: wrap; gap: 1rem; }
 .leg-player canvas { flex: 1 1 16rem; min-width: 0; max-width: 34rem; width: 100%; height: 30rem; border: 1px solid ${LINE}; border-radius: 8px; }
 .leg-player .controls { display: flex; gap: .8rem; align-items: center; margin: .6rem 0; font-size: .88rem; max-width: 69rem; }
-.leg-player input { flex: 1; accent-color: #00568a; }
+.leg-player .controls > input { flex: 1; }
+.leg-player input { accent-color: #00568a; }
 .leg-player button, .leg-player select { font: inherit; padding: .3rem .8rem; border: 1px solid ${SOFT}; border-radius: 6px; background: #fff; color: ${INK}; }
 .leg-player button { min-width: 5rem; }
 .leg-player :focus-visible { outline: 2px solid #00568a; outline-offset: 2px; }`;
@@ -25,7 +26,7 @@ const legPlayer = (function () {
         return run.rows[low].map((one, k) => (one + part * (run.rows[high][k] - one)) / scale);
     }
 
-    function draw(canvas, run, time, all) {
+    function draw(canvas, run, time, all, turn) {
         const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
         if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
         if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
@@ -36,7 +37,9 @@ const legPlayer = (function () {
         pen.clearRect(0, 0, width, height);
         const row = frame(run, time, all.scale);
         let next = 0;
-        const take = () => row[next++], point = () => [px(take()), pz(take())];
+        const take = () => row[next++], space = () => [take(), take(), take()];
+        const seen = ([x, y, z]) => [x * Math.cos(turn) - y * Math.sin(turn), z]; // from the right, or turned
+        const put = (at) => { const [x, z] = seen(at); return [px(x), pz(z)]; }, point = () => put(space());
 
         function line(from, to, thick, colour, cap = "round") {
             pen.strokeStyle = colour; pen.lineWidth = thick; pen.lineCap = cap;
@@ -45,8 +48,10 @@ const legPlayer = (function () {
         function disc(at, radius, colour) {
             pen.fillStyle = colour; pen.beginPath(); pen.arc(...at, radius, 0, 2 * Math.PI); pen.fill();
         }
-        function muscle([from, to], length, diameter, filling) {
-            const far = Math.hypot(to[0] - from[0], to[1] - from[1]), half = length * size / 2, wide = WIDER * diameter * size / 2;
+        function muscle(ends, length, diameter, filling) {
+            const [from, to] = ends.map(put), far = Math.hypot(...ends[0].map((one, k) => one - ends[1][k]));
+            const shorter = Math.hypot(to[0] - from[0], to[1] - from[1]) / (far * size || 1);
+            const half = shorter * length * size / 2, wide = WIDER * diameter * size / 2;
             const [low, high] = all.colours, rgb = low.map((one, k) => Math.round(one + Math.min(filling, 1) * (high[k] - one)));
             pen.save();
             pen.translate((from[0] + to[0]) / 2, (from[1] + to[1]) / 2);
@@ -65,7 +70,6 @@ const legPlayer = (function () {
             pen.fillStyle = `rgb(${rgb})`; pen.fill();
             pen.lineWidth = 1; pen.strokeStyle = "rgba(28,32,36,.55)"; pen.stroke();
             pen.restore();
-            return far;
         }
         function arrow(at, force) {
             const to = [at[0] + force[0] * ARROW * size, at[1] - force[1] * ARROW * size];
@@ -90,12 +94,12 @@ const legPlayer = (function () {
         for (const at of points.slice(1, -1)) disc(at, 0.028 * size, AXLE);
         disc(points.at(-1), Math.max(run.foot * size, 2), INK);
         for (const one of run.muscles) {
-            const parts = Array.from({length: one.parts}, () => [point(), point()]);
-            for (const part of parts) line(...part, 1.6, AXLE, "butt");
+            const parts = Array.from({length: one.parts}, () => [space(), space()]);
+            for (const part of parts) line(...part.map(put), 1.6, AXLE, "butt");
             muscle(parts[one.place], take(), take(), take());
         }
-        const force = [take(), take()], foot = points.at(-1);
-        arrow([foot[0], Math.min(foot[1] + run.foot * size, pz(0))], force);
+        const force = space(), foot = points.at(-1);
+        arrow([foot[0], Math.min(foot[1] + run.foot * size, pz(0))], seen(force));
 
         pen.fillStyle = INK; pen.textAlign = "left"; pen.font = "600 15px system-ui, sans-serif";
         pen.fillText(run.title, 12, 22);
@@ -109,6 +113,7 @@ const legPlayer = (function () {
     return function (name, all) {
         const root = document.getElementById(name), canvases = [...root.querySelectorAll("canvas")];
         const button = root.querySelector("button"), slider = root.querySelector("input"), speed = root.querySelector("select");
+        const turn = root.querySelector(".turn");
         const end = Math.max(...all.runs.map((run) => run.times.at(-1)));
         root.appendChild(document.createElement("style")).textContent = STYLE;
         let time = 0, playing = false, before = 0;
@@ -116,7 +121,8 @@ const legPlayer = (function () {
             slider.value = 1000 * time / end;
             slider.setAttribute("aria-valuetext", `${(time / all.scale * 1e3).toFixed(0)} ms`);
             button.textContent = playing ? "Pause" : "Play";
-            canvases.forEach((canvas, k) => draw(canvas, all.runs[k], time, all));
+            const angle = turn ? turn.value * Math.PI / 180 : 0;
+            canvases.forEach((canvas, k) => draw(canvas, all.runs[k], time, all, angle));
         }
         function step(now) {
             if (!playing) return;
@@ -138,6 +144,7 @@ const legPlayer = (function () {
             playing = false;
             show();
         });
+        if (turn) turn.addEventListener("input", show);
         new ResizeObserver(show).observe(root);
         show();
     };
