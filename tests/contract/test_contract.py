@@ -42,7 +42,8 @@ from mckibben.study.rig.document import MountedMuscle
 from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
 
 for module in pkgutil.walk_packages(mckibben.__path__, "mckibben."):
-    if not module.name.startswith(("mckibben.cli", "mckibben.web", "mckibben.__main__", "mckibben.export.mjlab")):
+    absent = ("mckibben.cli", "mckibben.web", "mckibben.__main__", "mckibben.export.mjlab", "mckibben.export.newton")
+    if not module.name.startswith(absent):
         importlib.import_module(module.name)
 CLASSES = {
     kind.__name__: kind

@@ -1,6 +1,6 @@
 """Controllers and models for other programs.
 
-Modules that need another package: `casadi`, `gym`, `mjlab`, `mujoco`.
+Modules that need another package: `casadi`, `gym`, `mjlab`, `mujoco`, `newton`.
 """
 
 from mckibben.export.controller import ControllerModule, controller_module

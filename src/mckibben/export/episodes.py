@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,8 +14,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
+from mckibben.identification.storage import read_fit
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled_as_given, numeric
@@ -117,11 +121,26 @@ def conditions_of(suite: Suite) -> tuple[str, ...]:
     return (*varied, "sensors.seed=0..1000000") if noise else varied
 
 
+def example_of(
+    scenario: Scenario | Suite | str | os.PathLike[str], random_plant: Sequence[str]
+) -> tuple[Scenario, tuple[str, ...]]:
+    """Scenario, and the variations of its plant; a suite adds its conditions."""
+    if isinstance(scenario, Suite):
+        return scenario.example(), (*conditions_of(scenario), *random_plant)
+    return (scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)), tuple(random_plant)
+
+
 def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
-    """Plants of a scenario with varied parameters, such as ``load.mass2=+-50 %``; those without a start are dropped."""
+    """Plants of a scenario with varied parameters, such as ``load.mass2=+-50 %``; those without a start are dropped.
+
+    ``joint.muscle.law=fit`` draws the parameters of a fit from its uncertainty.
+    """
     table = {}
     if random_plant:
-        table = sample(parse_sweeps(random_plant, scenario), "random", count, seed)
+        fits = [one for one in random_plant if one.partition("=")[2].strip() == "fit"]
+        others = [one for one in random_plant if one not in fits]
+        table = sample(parse_sweeps(others, scenario), "random", count, seed) if others else {}
+        table |= _fit_draws(scenario, [one.partition("=")[0].strip() for one in fits], count, seed)
         valid = valid_rows(scenario, table)
         table = {name: column[valid] for name, column in table.items()}
     varied = batched(scenario, table) if table and len(next(iter(table.values()))) else scenario
@@ -146,6 +165,26 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
         raise ExportError("no plant has an equilibrium at the start", field="start", remedy="give another `start`")
     take = lambda tree: jax.tree.map(lambda one: np.asarray(one)[kept], tree)  # noqa: E731
     return Plants(take(varying), fixed, take(starts), len(kept))
+
+
+def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -> dict[str, Any]:
+    """Draws of the fits of laws by the addresses of their parameters; two laws of one fit have the same draws."""
+    joint, found = scenario.plant().joint, {}
+    known = {"joint.muscle.law": (joint.muscle1, joint.muscle2), "joint.muscle1.law": (joint.muscle1,),
+             "joint.muscle2.law": (joint.muscle2,)}  # fmt: skip
+    for law in laws:
+        files = {origin_of(one.law) for one in known.get(law, ())}
+        file = files.pop() if len(files) == 1 else ""
+        if not file.endswith(ENDINGS):
+            raise ExportError(
+                f"{law} is not a law that was read from the file of a fit",
+                field="random_plant",
+                value=f"{law}=fit",
+                remedy=f"give {', '.join(known)}, and the muscle the file of a fit",
+            )
+        draws = read_fit(Path(file)).draws(np.random.default_rng(seed), count)
+        found |= {f"{law}.{name}": values for name, values in draws.items()}
+    return found
 
 
 @compiled_as_given

@@ -24,7 +24,7 @@ from mckibben.export.episodes import (
     RewardTerms,
     Settings,
     SingleProgram,
-    conditions_of,
+    example_of,
     names_of,
     plants_of,
 )
@@ -51,10 +51,7 @@ class _Joint:
         plants: int,
         plants_seed: int,
     ) -> None:
-        if isinstance(scenario, Suite):
-            random_plant = (*conditions_of(scenario), *random_plant)
-            scenario = scenario.example()
-        self.scenario = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+        self.scenario, random_plant = example_of(scenario, random_plant)
         nominal = self.scenario.plant()
         if reward.air_price and not all(
             one.specimen.has_volume for one in (nominal.joint.muscle1, nominal.joint.muscle2)

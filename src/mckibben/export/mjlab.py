@@ -6,33 +6,29 @@ Needs mjlab 1.6, which is not an extra of mckibben, because it needs PyTorch and
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 from __future__ import annotations
 
-import importlib.util
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from hashlib import sha256
-from importlib import metadata
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
 import mujoco
 import numpy as np
-import torch
-from mjlab.actuator.actuator import TransmissionType
-from mjlab.actuator.xml_actuator import XmlActuator, XmlActuatorCfg
-from mjlab.entity import Entity, EntityArticulationInfoCfg, EntityCfg
 
 from mckibben.errors import ExportError
-from mckibben.export.episodes import conditions_of
-from mckibben.export.warp import drawn_parameters, warp_files
+from mckibben.export.episodes import example_of
+from mckibben.export.warp import check_version, drawn_parameters, loaded, warp_files
 from mckibben.scenario import Scenario
 from mckibben.study.benchmark.suite import Suite
 
+check_version("mjlab", "1.6", "1.7")  # of other versions, the imports fail
+import torch  # noqa: E402
+from mjlab.actuator.actuator import TransmissionType  # noqa: E402
+from mjlab.actuator.xml_actuator import XmlActuator, XmlActuatorCfg  # noqa: E402
+from mjlab.entity import Entity, EntityArticulationInfoCfg, EntityCfg  # noqa: E402
+
 _MUSCLES = "muscle1", "muscle2"  # actuators and tendons of the exported model
-_VERSIONS = (1, 6), (1, 7)  # of mjlab: from the first to below the second
 
 
 @dataclass(kw_only=True)
@@ -115,13 +111,10 @@ def muscle_entity(
     Raises
     ------
     ExportError
-        For parts that cannot be exported, for muscles without a tendon, and for versions of mjlab that do not fit.
+        For parts that cannot be exported, and for muscles without a tendon; importing this module with another version
+        of mjlab raises it, too.
     """
-    check_version(metadata.version("mjlab"))
-    if isinstance(scenario, Suite):
-        random_plant = (*conditions_of(scenario), *random_plant)
-        scenario = scenario.example()
-    scenario = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+    scenario, random_plant = example_of(scenario, random_plant)
     made = warp_files(scenario, "joint", Path())
     spec = mujoco.MjSpec.from_string(made.files["joint.xml"])
     if [one.name for one in spec.tendons] != list(_MUSCLES):
@@ -131,7 +124,7 @@ def muscle_entity(
             value=type(scenario.plant().joint.geometry).__name__,
             remedy="give both muscles a path between two points or over a pulley",
         )
-    module = _loaded(str(made.files["joint_warp.py"]))
+    module = loaded(str(made.files["joint_warp.py"]))
     parameters, others = drawn_parameters(scenario, random_plant, plants, seed, module.PARAMETERS)
     key = spec.keys[0]
     left_out = (*made.left_out, *(f"variation of {name}" for name in others))
@@ -150,24 +143,3 @@ def muscle_entity(
         init_state=EntityCfg.InitialStateCfg(joint_pos={"joint": key.qpos[0]}, joint_vel={"joint": key.qvel[0]}),
         articulation=EntityArticulationInfoCfg(actuators=(actuator,)),
     )
-
-
-def check_version(version: str) -> None:
-    """Raise an error for a version of mjlab that does not fit."""
-    if not _VERSIONS[0] <= tuple(map(int, version.split(".")[:2])) < _VERSIONS[1]:
-        remedy = "install a version from {} to below {}".format(*(".".join(map(str, one)) for one in _VERSIONS))
-        raise ExportError(f"mjlab is {version}", field="mjlab", value=version, remedy=remedy)
-
-
-@cache
-def _loaded(text: str) -> ModuleType:
-    """Module of a text; Warp reads its source while it is executed, and replaces a module of the same name."""
-    name = f"joint_warp_{sha256(text.encode()).hexdigest()[:16]}"
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.py"
-        path.write_text(text)
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    return module

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from hashlib import sha256
+from importlib import metadata
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +19,7 @@ import numpy as np
 import mckibben
 from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
+from mckibben.errors import ExportError
 from mckibben.export.controller_files import filled
 from mckibben.export.episodes import plants_of
 from mckibben.export.mjcf import COMMAND_DELAY, joint_model
@@ -37,18 +44,18 @@ def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState,
 
     The strength of each muscle is a parameter, also if it is not set.
     """
-    one, two = plant.joint.muscle1, plant.joint.muscle2
-    numbers = [1.0 if each.strength is None else each.strength for each in (one, two)]
-    plant = eqx.tree_at(
-        lambda plant: (plant.joint.muscle1.strength, plant.joint.muscle2.strength),
-        plant,
-        numbers,
-        is_leaf=lambda leaf: leaf is None,
-    )
-    model = joint_model(plant, name, timestep, start, plugin=False)
+    model = joint_model(with_strengths(plant), name, timestep, start, plugin=False)
     left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
     text = warp_muscles(model.module, model.muscles, title or name, float(plant.command_delay or 0.0), left_out)
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
+
+
+def with_strengths(plant: JointPlant) -> JointPlant:
+    """A plant whose muscles have their strength as a number."""
+    both = plant.joint.muscle1, plant.joint.muscle2
+    numbers = [1.0 if each.strength is None else each.strength for each in both]
+    strengths = lambda plant: [each.strength for each in (plant.joint.muscle1, plant.joint.muscle2)]  # noqa: E731
+    return eqx.tree_at(strengths, plant, numbers, is_leaf=lambda leaf: leaf is None)
 
 
 def drawn_parameters(
@@ -146,3 +153,29 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
 
 def _tuple(items: Iterable[str]) -> str:
     return f"({', '.join(items)},)"
+
+
+@cache
+def loaded(text: str) -> ModuleType:
+    """Module of a text; Warp reads its source while it is executed, and replaces a module of the same name."""
+    name = f"joint_warp_{sha256(text.encode()).hexdigest()[:16]}"
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.py"
+        path.write_text(text)
+        spec = spec_from_file_location(name, path)
+        assert spec is not None and spec.loader is not None
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+    return module
+
+
+def check_version(package: str, least: str, below: str) -> None:
+    """Raise an error for an installed version of a package that does not fit."""
+    version = metadata.version(package)
+    if not _numbers(least) <= _numbers(version) < _numbers(below):
+        remedy = f"install a version from {least} to below {below}"
+        raise ExportError(f"{package} is {version}", field=package, value=version, remedy=remedy)
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, version.split(".")[:2]))

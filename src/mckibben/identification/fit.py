@@ -187,6 +187,14 @@ class Fit:
         errors = np.array([self._errors(None)[0][name] for name in self.estimates])
         return np.nan_to_num(self.correlations * np.outer(errors, errors))
 
+    def draws(self, rng: np.random.Generator, count: int) -> dict[str, Floats]:
+        """Return draws of the parameters by name, from a normal distribution with the `robust_covariance`."""
+        covariance = self.robust_covariance
+        known = np.diag(covariance) > 0
+        draws = np.tile(np.array(list(self.estimates.values())), (count, 1))
+        draws[:, known] += rng.multivariate_normal(np.zeros(known.sum()), covariance[np.ix_(known, known)], count)
+        return dict(zip(self.estimates, draws.T, strict=True))
+
     def predict(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
         """Return the force [N] at contractions [-] and gauge pressures [Pa], never below 0; the arguments broadcast.
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.schema import ENDINGS, origin_of
-from mckibben.identification.fit import Fit
 from mckibben.identification.storage import read_fit
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import LegScenario
@@ -42,7 +41,9 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
         if file.endswith(ENDINGS):
             if file not in fits:
                 fit = read_fit(Path(file))
-                fits[file] = dataclasses.replace(fit.law, **_fit_draws(fit, rng, count))
+                draws = fit.draws(rng, spec.draws)
+                draws = {name: np.append(fit.estimates[name], values) for name, values in draws.items()}
+                fits[file] = dataclasses.replace(fit.law, **draws)
             muscle = eqx.tree_at(lambda x: x.law, muscle, fits[file])
         strength = factors(spec.strength) * (1.0 if muscle.strength is None else muscle.strength)
         return dataclasses.replace(muscle, strength=strength)
@@ -67,15 +68,6 @@ def with_mass(body: Any, factors: NDArray[np.float64]) -> Any:
     known = [name for name in names if getattr(body, name, None) is not None]
     scaled = [getattr(body, name) * factors for name in known]
     return eqx.tree_at(lambda x: [getattr(x, name) for name in known], body, scaled)
-
-
-def _fit_draws(fit: Fit, rng: np.random.Generator, count: int) -> dict[str, NDArray[np.float64]]:
-    """Draws of a fit's parameters by name, the first as identified; robust standard errors where the fit has them."""
-    covariance = fit.robust_covariance
-    known = np.diag(covariance) > 0
-    draws = np.tile(np.array(list(fit.estimates.values())), (count, 1))
-    draws[1:, known] += rng.multivariate_normal(np.zeros(known.sum()), covariance[np.ix_(known, known)], count - 1)
-    return dict(zip(fit.estimates, draws.T, strict=True))
 
 
 def take(tree: Any, index: NDArray[np.int64]) -> Any:
