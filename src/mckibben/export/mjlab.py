@@ -18,7 +18,7 @@ import numpy as np
 
 from mckibben.errors import ExportError
 from mckibben.export.episodes import example_of
-from mckibben.export.warp import check_version, drawn_parameters, loaded, warp_files
+from mckibben.export.warp import check_version, drawn_muscles, drawn_parameters, loaded, warp_files
 from mckibben.scenario import Scenario
 from mckibben.study.benchmark.suite import Suite
 
@@ -63,11 +63,8 @@ class MuscleActuator(XmlActuator):
     def initialize(self, mj_model: mujoco.MjModel, model: Any, data: Any, device: str) -> None:
         super().initialize(mj_model, model, data, device)
         prefix = mj_model.actuator(self._mjs_actuators[0].id).name.removesuffix(_MUSCLES[0])
-        parameters = dict(self.cfg.parameters)
-        longest = float(np.max(parameters.get("command_delay", 0.0)))
-        self.muscles = self.cfg.module.Muscles(mj_model, data.nworld, device, prefix, max(longest, 0.02))
-        for name, values in parameters.items():
-            self.muscles.set(name, np.resize(values, (data.nworld, *np.shape(values)[1:])))
+        kind, parameters = self.cfg.module.Muscles, self.cfg.parameters
+        self.muscles = drawn_muscles(kind, parameters, mj_model, data.nworld, device, prefix)
         self._act, self._start = data.act, torch.tensor(self.cfg.start, dtype=torch.float, device=device)
         actuators = [mj_model.actuator(one) for one in range(mj_model.nu)]
         actuators = [one for one in actuators if one.name.startswith(f"{prefix}muscle") and one.actnum[0]]

@@ -23,7 +23,7 @@ from mckibben.export.mjcf import (
     mass_point,
     muscle_module,
 )
-from mckibben.export.warp import check_version, drawn_parameters, loaded, warp_muscles, with_strengths
+from mckibben.export.warp import check_version, drawn_muscles, drawn_parameters, loaded, warp_muscles, with_strengths
 from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.study.benchmark.suite import Suite
@@ -92,11 +92,7 @@ class MuscleJoint:
                 self.actuators, self.first, self.rest = (0, 1), (0, 1), (2, second)
                 self.ranges, self.timestep = limits, timestep
 
-        longest = float(np.max(self.parameters.get("command_delay", 0.0)))
-        made = Alone(None, worlds, device, longest_delay=max(longest, 0.02))
-        for name, values in self.parameters.items():
-            made.set(name, np.resize(values, (worlds, *np.shape(values)[1:])))
-        return made
+        return drawn_muscles(Alone, self.parameters, None, worlds, device)
 
 
 class MuscleDrive(DriveBase):
@@ -186,10 +182,12 @@ class MuscleDrive(DriveBase):
         muscles.act_bias(None, now)
         wp.launch(_torque, dim=count, inputs=[now.actuator_force, forces], device=device)
         wp.copy(self._rate, now.act_dot)
-        inputs = [dt, now.actuator_velocity, now.actuator_length, now.act_dot, now.act]
-        wp.launch(_predict, dim=now.act.shape, inputs=inputs, device=device)
+        add = lambda factor, change, total: wp.launch(_add, total.shape, [factor, change, total], device=device)  # noqa: E731
+        add(dt, self._rate, now.act)
+        add(dt, now.actuator_velocity, now.actuator_length)
         muscles.act_dyn(None, now)
-        wp.launch(_correct, dim=now.act.shape, inputs=[dt, self._rate, now.act_dot, now.act], device=device)
+        add(dt / 2, now.act_dot, now.act)
+        add(-dt / 2, self._rate, now.act)
 
     def update_state(self, current_state: State, next_state: State) -> None:
         self._copy(self.muscles, next_state, next_state.act)
@@ -283,26 +281,6 @@ def _torque(force: wp.array2d(dtype=float), torque: wp.array(dtype=float)):
 
 
 @wp.kernel
-def _predict(
-    step: float,
-    velocity: wp.array2d(dtype=float),
-    length: wp.array2d(dtype=float),
-    rate: wp.array2d(dtype=float),
-    act: wp.array2d(dtype=float),
-):
+def _add(factor: float, change: wp.array2d(dtype=float), total: wp.array2d(dtype=float)):
     world, column = wp.tid()
-    act[world, column] = act[world, column] + step * rate[world, column]
-    if column < 2:
-        length[world, column] = length[world, column] + step * velocity[world, column]
-
-
-@wp.kernel
-def _correct(
-    step: float,
-    first: wp.array2d(dtype=float),
-    second: wp.array2d(dtype=float),
-    act: wp.array2d(dtype=float),
-):
-    # after the prediction with the first rate
-    world, column = wp.tid()
-    act[world, column] = act[world, column] + 0.5 * step * (second[world, column] - first[world, column])
+    total[world, column] = total[world, column] + factor * change[world, column]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from hashlib import sha256
 from importlib import metadata
@@ -71,6 +71,17 @@ def drawn_parameters(
     table = {name.removeprefix("plant."): values for name, values in table.items()}
     carried = {name for name in table if name in known or name == "command_delay"}
     return {name: table[name] for name in carried}, sorted(table.keys() - carried)
+
+
+def drawn_muscles(
+    kind: Callable[..., Any], parameters: Mapping[str, Any], model: Any, worlds: int, device: Any, prefix: str = ""
+) -> Any:
+    """`Muscles` of a module with drawn parameters, whose rows the worlds take in turn."""
+    longest = float(np.max(parameters.get("command_delay", 0.0)))
+    made = kind(model, worlds, device, prefix, max(longest, 0.02))
+    for name, values in parameters.items():
+        made.set(name, np.resize(values, (worlds, *np.shape(values)[1:])))
+    return made
 
 
 def warp_muscles(
