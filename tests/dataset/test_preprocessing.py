@@ -375,4 +375,4 @@ def test_reversals_are_those_of_a_loop_over_the_rows(seed):
         np.round(np.cumsum(random.normal(size=3000))),  # with ties
         random.normal(size=300),
     ):
-        assert list(preprocessing._runs(values)) == runs_row_by_row(values)
+        assert list(preprocessing.one_way_parts(values)) == runs_row_by_row(values)

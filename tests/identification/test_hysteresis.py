@@ -17,7 +17,7 @@ from mckibben.units import bar, mm, percent
 
 SPECIMEN, LAW = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")
 MUSCLE = Muscle(SPECIMEN, LAW)
-ABSENT = {"tension_growth": 0.0, "viscous": 0.0}
+ABSENT = dict.fromkeys(FRICTION, 0.0)
 PROTOCOL = IsobaricProtocol(pressures=np.arange(1, 7) * bar, step=2 * mm, repeats=2, samples=100)
 
 
@@ -103,8 +103,7 @@ def test_a_known_law_may_be_given(drifting):
     data, _ = drifting
     found = identify_hysteresis(LAW, data)
     assert found.law is LAW
-    names = ["half_width", "growth", "tension_growth", "viscous", "presliding_length"]
-    assert list(found.standard_errors) == names
+    assert list(found.standard_errors) == [name.removeprefix("log_") for name in (*FRICTION[:-1], "presliding_length")]
     assert found.friction.half_width == pytest.approx(10, rel=5e-3)
     assert found.muscle(SPECIMEN).friction is found.friction
 
@@ -228,6 +227,10 @@ def test_the_jacobian_is_that_of_small_changes(model):
         "growth": 1 / bar,
         "tension_growth": 0.01,
         "viscous": 500.0,
+        "viscous_growth": 20 / bar,
+        "viscous_length_growth": 1e3,
+        "rate_growth": 0.2,
+        "log_rate_speed": float(np.log(5e-3)),
         "log_presliding": float(np.log(1.3e-3)),
     }
     offsets = np.array([0.2, 0.4])

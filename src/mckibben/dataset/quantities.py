@@ -128,9 +128,9 @@ class ColumnConverter:
             for name, (index, column) in self.places.items()
             if column.unit and is_status(sheet.channels[index].label)
         ]
-        unread = [one for one in others if len(one.cells) == len(self.lines)]
-        invalid, states = invalid_rows(unread, sheet.unit)
-        self.suspect += [*states, *several_specimens(unread)]
+        not_read = [one for one in others if len(one.cells) == len(self.lines)]
+        invalid, states = invalid_rows(not_read, sheet.unit)
+        self.suspect += [*states, *several_specimens(not_read)]
         self.summaries = labelled_summaries(numeric)
         self.missing += [sheet.kind(mark, line=line) for line, mark in (invalid | self.summaries).items()]
         self.decimal, question = decimal_sign(numeric, others, sheet.delimiter, decimal)

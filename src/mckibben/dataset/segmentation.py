@@ -202,7 +202,7 @@ class Strokes(NamedTuple):
 
 
 _REST = 0.05  # of a part: less travel from the end of a stroke is rest
-_SHORTEST = 4  # parts of a stroke
+_FEWEST_PARTS = 4  # parts of a stroke
 
 
 def strokes(contraction: NDArray[np.float64], blocks: NDArray[np.int64], step: float) -> Strokes:
@@ -216,7 +216,7 @@ def strokes(contraction: NDArray[np.float64], blocks: NDArray[np.int64], step: f
         for part, word in one_way_parts(contraction[rows]):
             places = rows[part]
             values = contraction[places] * (-1.0 if word == "loading" else 1.0)
-            if values[-1] - values[0] < _SHORTEST * step:
+            if values[-1] - values[0] < _FEWEST_PARTS * step:
                 continue
             moving = np.arange(
                 np.flatnonzero(values <= values[0] + _REST * step)[-1],

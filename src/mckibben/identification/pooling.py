@@ -134,7 +134,8 @@ class PooledFit:
         """
         from scipy.special import stdtrit
 
-        force = forces(self.law, _active(np.asarray(contraction, float), length, self.dead_length), pressure)
+        active = _active(np.asarray(contraction, float), length, self.dead_length)
+        force = forces(self.law, active, np.asarray(pressure, float))
         half = float(stdtrit(len(self.left_out) - 1, 0.5 + level / 2)) * np.sqrt(
             (self.strength_scatter * force) ** 2 + self.scatter**2
         )
@@ -344,7 +345,7 @@ class _Pool:
         """Sum of squares [N^2] at the kept points, strengths with a mean of 1, and the law's force [N] everywhere."""
         kind = ExponentialLaw if self.law in SMOOTH_LAWS else self.law
         strengths, present = np.ones(len(self.parts)), np.unique(self.specimen[kept])
-        contraction = self.contraction(dead)
+        contraction, tension = self.contraction(dead), self.force
         for _ in range(_ROUNDS if form.strength else 1):
             problem = FitProblem.of(kind, self.dataset(dead, strengths, kept))
             found = solve(problem, grid_search(problem))

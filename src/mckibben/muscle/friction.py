@@ -262,7 +262,7 @@ class MaxwellSlip(Friction):
         half, rate = jnp.asarray(tension) / 2, jnp.asarray(rate)
         taut = half > _LEAST
         force = self._damping(jnp.asarray(length), jnp.asarray(pressure), jnp) * rate
-        if self.rate_growth is not None:
+        if self.rate_growth is not None and self.rate_speed is not None:
             force = force + self.rate_growth * self.half_width_at(tension, pressure) * jnp.tanh(rate / self.rate_speed)
         return jnp.where(taut, half * jnp.tanh(force / jnp.where(taut, half, 1.0)), 0.0)
 
