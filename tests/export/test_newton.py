@@ -140,7 +140,7 @@ def test_draws_of_a_fit_have_its_covariance_and_are_those_of_both_muscles():
     deviation = (draws - np.array(list(fit.estimates.values()))[:, None]) / scale[:, None]
     np.testing.assert_allclose(np.cov(deviation), fit.robust_covariance / np.outer(scale, scale), atol=0.1)
     np.testing.assert_allclose(np.mean(deviation, axis=1), 0, atol=0.1)
-    np.testing.assert_array_equal(joint.muscle1.law.decay, joint.muscle2.law.decay)
+    np.testing.assert_array_equal(joint.muscle1.law.decay, joint.muscle2.law.decay)  # type: ignore[attr-defined]
     for path, varied in ((KNEE[0], "joint.muscle.law=fit"), (FIT[0], "load.mass=fit")):
         with pytest.raises(ExportError) as caught:
             plants_of(mk.Scenario.read(path), [varied], 3, SEED)
@@ -153,7 +153,7 @@ def test_draws_of_a_fit_have_its_covariance_and_are_those_of_both_muscles():
 def test_other_versions_are_refused(package, version, monkeypatch):
     pytest.importorskip("warp", reason="the extra warp is not installed")
     monkeypatch.setattr(metadata, "version", lambda name: version)
-    monkeypatch.delitem(importlib.sys.modules, f"mckibben.export.{package}", raising=False)
+    monkeypatch.delitem(importlib.sys.modules, f"mckibben.export.{package}", raising=False)  # type: ignore[attr-defined]
     with pytest.raises(ExportError) as caught:
         importlib.import_module(f"mckibben.export.{package}")
     assert (caught.value.field, caught.value.value) == (package, version)
