@@ -31,7 +31,7 @@ from mckibben.cli.options import (
     report_reading,
     table,
 )
-from mckibben.errors import UnitError
+from mckibben.errors import ParameterError, UnitError
 from mckibben.storage.files import to_json
 from mckibben.units import bar, percent
 
@@ -99,6 +99,8 @@ def points(
     json: Json = False,
 ) -> None:
     """Extract points from a raw recording: steady plateaus, strokes, or pressure levels at a fixed length."""
+    if isometric and strokes:
+        raise ParameterError("--isometric and --strokes are different tests", remedy="give one of them")
     for file, endings in ((out, (".csv", ".nc")), (save_recipe, (".yaml", ".yml"))):
         if file is not None:
             check_new(file, *endings)

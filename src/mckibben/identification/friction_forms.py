@@ -63,9 +63,10 @@ class FrictionForm(enum.Enum):
     @property
     def follows_rate(self) -> bool:
         """Whether the friction depends on the rate of the length."""
-        return not {"viscous", "rate_growth"}.isdisjoint(self.free)
+        return not _OF_RATE.isdisjoint(self.free)
 
 
+_OF_RATE = frozenset({"viscous", "rate_growth"})  # parameters, of which a friction that follows the rate has one
 _FREE = {
     FrictionForm.COULOMB: ("half_width",),
     FrictionForm.CONSTANT: ("half_width", "log_presliding"),
@@ -103,10 +104,6 @@ class PathSolution:
     def at_bound(self) -> list[str]:
         """Free parameters at a bound."""
         return [n for n, out in zip(self.free, self.active, strict=False) if out and n != "log_presliding"]
-
-    def has(self, name: str) -> bool:
-        """Whether a parameter was free."""
-        return name in self.free
 
     def error(self, name: str) -> float:
         """Standard error of a parameter; NaN if it was not free."""
@@ -163,7 +160,7 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
         )
     known = uncertainty(found.jacobian, found.residuals, found.active)
     errors = known.standard_errors
-    if not {"viscous", "rate_growth"}.isdisjoint(free):  # fast strokes have errors of timing in common
+    if not _OF_RATE.isdisjoint(free):  # fast strokes have errors of timing in common
         robust = _errors(found.jacobian[:, ~found.active], found.residuals, model.paths.stroke(model.means)[model.used])
         variance = robust.variance(np.eye(int(np.count_nonzero(~found.active))))[0]
         errors = errors.copy()
@@ -399,7 +396,7 @@ def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) ->
         "rate": rate * np.abs(side),
         "direction": side,
     }
-    if found.has("viscous") or found.has("rate_growth"):
+    if not _OF_RATE.isdisjoint(found.free):
         quantities |= {
             "rate and pressure": quantities["rate"] * (means.pressure - model.reference_pressure),
             "rate and contraction": quantities["rate"] * (means.contraction - means.contraction[tension > 0].mean()),
@@ -427,7 +424,7 @@ def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) ->
         force = float(abs(amount[-1]) / np.linalg.norm(column) * size)
         if p_value < _LACK_LEVEL and force > _LEAST_LACK * scale:
             remedy = _REMEDIES[quantity]
-            if remedy and remedy.follows_rate and (found.has("viscous_growth") or found.has("rate_growth")):
+            if remedy and remedy.follows_rate and not {"viscous_growth", "rate_growth"}.isdisjoint(found.free):
                 remedy = None
             candidates.append((float(rest @ rest), LackOfFit(quantity, force, p_value, remedy)))
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -132,13 +131,9 @@ class PooledFit:
         The contraction [-] is that of the whole initial length [m]. The interval is that of Student's t with the number
         of specimens minus one; it has the scatter among specimens, and broadcasts as the force.
         """
-        from scipy.special import stdtrit
-
         active = _active(np.asarray(contraction, float), length, self.dead_length)
         force = forces(self.law, active, np.asarray(pressure, float))
-        half = float(stdtrit(len(self.left_out) - 1, 0.5 + level / 2)) * np.sqrt(
-            (self.strength_scatter * force) ** 2 + self.scatter**2
-        )
+        half = _half_width(force, self.strength_scatter, self.scatter, len(self.left_out), level)
         return force, force - half, force + half
 
     def report(self) -> str:
@@ -202,13 +197,14 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
         )
     pool = _Pool.of(law, datasets)
     forms = [PoolForm(dead, strength) for dead in (False, True)[: 1 + pool.several] for strength in (False, True)]
-    squares = {form: pool.left_out_lengths(form) for form in forms}
-    errors = {form: float(np.sqrt(np.nanmean(error**2))) for form, error in squares.items()}
+    corrections = {form: pool.corrections(form) for form in forms}
+    left_out_errors = {form: pool.left_out_lengths(form, dead) for form, (dead, _) in corrections.items()}
+    errors = {form: float(np.sqrt(np.nanmean(error**2))) for form, error in left_out_errors.items()}
     form = min(
         (form for form in forms if errors[form] <= _AS_GOOD * min(errors.values())),
         key=lambda form: (sum(form), errors[form]),
     )
-    dead, strengths = pool.corrections(form)
+    dead, strengths = corrections[form]
     everything = np.ones(len(pool.force), bool)
     rows, deads, ratios, rests, predicted = [], [], [], [], []
     for number, data in enumerate(pool.parts):
@@ -220,7 +216,7 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
         ratios.append(ratio - 1)
         rests.append(pool.force[own] - ratio * tension)
         predicted.append(tension)
-        rmse, inner = (float(np.sqrt(np.mean(e**2))) for e in (pool.force[own] - tension, squares[form][own]))
+        rmse, inner = (float(np.sqrt(np.mean(e**2))) for e in (pool.force[own] - tension, left_out_errors[form][own]))
         rows.append(
             (data.table.attrs["specimen"] or f"specimen {number + 1}", float(pool.lengths[number]), rmse, inner)
         )
@@ -228,20 +224,6 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
     strength_scatter = float(np.sqrt(np.mean(np.square(ratios))))
     scatter = float(np.sqrt(np.mean(np.concatenate(rests) ** 2)))
     error = float(np.sqrt((count - 1) / count * np.sum((np.array(deads) - np.mean(deads)) ** 2)))
-    answer = PooledFit(
-        pool.fit(dead, strengths, everything),
-        form,
-        {form.name: rmse for form, rmse in errors.items()},
-        dead,
-        error if form.dead_length else math.nan,
-        strengths,
-        (),
-        strength_scatter,
-        scatter,
-    )
-    from scipy.special import stdtrit
-
-    students = float(stdtrit(count - 1, 0.975))
     left_out = tuple(
         LeftOutSpecimen(
             name,
@@ -250,11 +232,28 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
             rmse,
             inner,
             1 + ratio,
-            float(np.mean(np.abs(ratio * tension + rest) <= students * np.hypot(strength_scatter * tension, scatter))),
+            float(np.mean(np.abs(ratio * tension + rest) <= _half_width(tension, strength_scatter, scatter, count))),
         )
         for (name, length, rmse, inner), ratio, rest, tension in zip(rows, ratios, rests, predicted, strict=True)
     )
-    return dataclasses.replace(answer, left_out=left_out)
+    return PooledFit(
+        pool.fit(dead, strengths, everything),
+        form,
+        {form.name: rmse for form, rmse in errors.items()},
+        dead,
+        error if form.dead_length else math.nan,
+        strengths,
+        left_out,
+        strength_scatter,
+        scatter,
+    )
+
+
+def _half_width(force: Floats, strength_scatter: float, scatter: float, count: int, level: float = 0.95) -> Floats:
+    """Half width [N] of the prediction interval of another specimen, from the scatter among a count of specimens."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(count - 1, 0.5 + level / 2)) * np.hypot(strength_scatter * force, scatter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,9 +329,9 @@ class _Pool:
         )
         return float(found.x), self._solved(form, float(found.x), kept)[1]
 
-    def left_out_lengths(self, form: PoolForm) -> Floats:
-        """Errors [N] at each point as all other lengths predict it, for corrections of all points; shape (points,)."""
-        dead, errors = self.corrections(form)[0], np.full(len(self.force), np.nan)
+    def left_out_lengths(self, form: PoolForm, dead: float) -> Floats:
+        """Errors [N] at each point as all other lengths predict it, for the dead length of all; shape (points,)."""
+        errors = np.full(len(self.force), np.nan)
         for block in np.unique(self.block):
             rest = self.block != block
             if len(np.unique(self.specimen[rest])) < len(self.parts):

@@ -10,7 +10,7 @@ import equinox as eqx
 
 from mckibben import catalog
 from mckibben.component.schema import replaced
-from mckibben.joint import MusclePath, PairedPaths
+from mckibben.joint import Cam, MusclePath, PairedPaths, Pulley, TwoBonePath
 from mckibben.muscle import MaxwellSlip, Muscle, NoFriction
 from mckibben.scenario import Scenario
 from mckibben.units import mm
@@ -82,7 +82,11 @@ def _friction() -> Choice:
 def _path(number: int) -> Choice:
     """Path of one muscle; that of the other one becomes a pulley if the joint has no separate paths."""
     key = f"path{number}"
-    names = {"pulley": "pulleys", "cam": "cams", "between two bones": "between two bones"}
+    kinds = {
+        "pulley": ("pulleys", Pulley),
+        "cam": ("cams", Cam),
+        "between two bones": ("between two bones", TwoBonePath),
+    }
 
     def made(scenario: Scenario, kind: str, number: int) -> MusclePath:
         joint = joint_of(JointDesign(kind=kind), getattr(scenario.joint, f"muscle{number}"))
@@ -92,14 +96,14 @@ def _path(number: int) -> Choice:
         geometry = scenario.joint.geometry
         if not isinstance(geometry, PairedPaths):
             geometry = PairedPaths(*(made(scenario, "pulleys", one) for one in (1, 2)))
-        geometry = replaced(geometry, {key: made(scenario, names[name], number)})
+        geometry = replaced(geometry, {key: made(scenario, kinds[name][0], number)})
         return scenario.replace(joint=replaced(scenario.joint, {"geometry": geometry}))
 
     def chosen(scenario: Scenario) -> str | None:
-        path = type(getattr(scenario.joint.geometry, key, None)).__name__
-        return {"Pulley": "pulley", "Cam": "cam", "TwoBonePath": "between two bones"}.get(path)
+        path = type(getattr(scenario.joint.geometry, key, None))
+        return next((name for name, (_, kind) in kinds.items() if path is kind), None)
 
-    return Choice(tuple(names), choose, chosen)
+    return Choice(tuple(kinds), choose, chosen)
 
 
 def _valves() -> dict[str, str]:

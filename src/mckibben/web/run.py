@@ -96,12 +96,10 @@ class _Page:
                     ("angle", list(SIGNALS), self.choose_angle),
                     ("stiffness", list(SIGNALS), self.choose_stiffness),
                 ):
-                    made = ui.select(options, label=label, on_change=self.chosen(label, choose)).props("dense")
-                    self.selects[label] = made.classes("w-full").mark(label)
+                    self.select(label, options, self.chosen(label, choose))
             with panel(), _section("Plant").mark("plant"):
                 for label, choice in CHOICES.items():
-                    made = ui.select(list(choice.options), label=label, on_change=self.part(label)).props("dense")
-                    self.selects[label] = made.classes("w-full").mark(label)
+                    self.select(label, list(choice.options), self.part(label))
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel("Scenario"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
@@ -138,6 +136,13 @@ class _Page:
                     self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
+
+    def select(
+        self, label: str, options: list[str], changed: Callable[[events.ValueChangeEventArguments], None]
+    ) -> None:
+        """A select with a label."""
+        made = ui.select(options, label=label, on_change=changed).props("dense")
+        self.selects[label] = made.classes("w-full").mark(label)
 
     def begin(self) -> None:
         """Run the joint of another page, or the first scenario."""
@@ -178,7 +183,7 @@ class _Page:
                     with panel():
                         show_warnings(state.notes)
             if state.scenario is not None and not state.jobs.busy:
-                for label, kind in self.running(state.scenario).items():
+                for label, kind in state.options.items():
                     self.selects[label].value = kind
             for shown in (self.angle, self.results, self.form):
                 shown.classes(**{"remove" if state.error is None else "add": "stale"})
@@ -189,14 +194,14 @@ class _Page:
         """Change the scenario and run it; rebuild the fields if its structure changed."""
         state, folder = self.state, self.folder
 
-        def run(progress: Callable[[str, float], None]) -> tuple[Scenario, Kept, list[str]]:
+        def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], Kept, list[str]]:
             scenario = make()
             progress("run", 0.1)  # unless another has been requested since
-            return scenario, *compute(scenario, folder)
+            return scenario, _options(scenario), *compute(scenario, folder)
 
-        def done(found: tuple[Scenario, Kept, list[str]], heard: list[str]) -> None:
-            scenario, state.current, remarks = found
-            state.scenario, state.text, state.error = scenario, state.current.text, None
+        def done(found: tuple[Scenario, dict[str, str | None], Kept, list[str]], heard: list[str]) -> None:
+            state.scenario, state.options, state.current, remarks = found
+            state.text, state.error = state.current.text, None
             state.notes = [*remarks, *heard]
             state.form += form
 
@@ -251,8 +256,7 @@ class _Page:
         """The handler of a select, which shows the kind that runs."""
 
         def changed(event: events.ValueChangeEventArguments) -> None:
-            scenario = self.state.scenario
-            if event.value and (scenario is None or event.value != self.running(scenario)[label]):
+            if event.value and event.value != self.state.options.get(label):
                 choose(event)
 
         return changed
@@ -265,11 +269,6 @@ class _Page:
                 self.change(lambda: CHOICES[label].choose(scenario, event.value))
 
         return self.chosen(label, choose)
-
-    @staticmethod
-    def running(scenario: Scenario) -> dict[str, str | None]:
-        """Options of a scenario by the label of their select; None if the page does not offer its part."""
-        return chosen_kinds(scenario) | {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
 
     def section(self, section: str, *place: str) -> None:
         """Run the scenario with a new section."""
@@ -358,6 +357,11 @@ class _Page:
         with self.numbers:
             rows = [_row(one) for one in (dataclasses.replace(now, name="now"), *overlays)]
             table(("run", "angle RMSE [°]", "stiffness RMSE [N·m/rad]", "coupling [°]", "air [L]", "outcome"), rows)
+
+
+def _options(scenario: Scenario) -> dict[str, str | None]:
+    """Options of a scenario by the label of their select; None if the page does not offer its part."""
+    return chosen_kinds(scenario) | {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
 
 
 def _section(title: str, *, opened: bool = False) -> ui.expansion:

@@ -91,9 +91,12 @@ class Kept:
 
 @dataclass
 class Workbench:
-    """State of the page; `joint` is a scenario section to be adopted, `waiting` a scenario to be run."""
+    """State of the page; `options` are those of its selects, `joint` is a scenario section to be adopted, `waiting` a
+    scenario to be run.
+    """
 
     scenario: Scenario | None = None
+    options: dict[str, str | None] = field(default_factory=dict)
     text: str = START
     current: Kept | None = None
     kept: list[Kept] = field(default_factory=list)
