@@ -71,6 +71,8 @@ class Described:
     """Name of the class of a section that names none, on the base that a field is declared with."""
     aliases: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Keys in files that give several fields one value."""
+    together: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Groups of optional fields of which all are given or none; a study varies them where they are given."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """Replacements of former keys of files, by key, for error messages."""
 
@@ -166,6 +168,11 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
         for part in value if isinstance(value, tuple) else (value,):
             if isinstance(part, Component) and (inner := units_of_part(field_hints(kind).get(name)) or units):
                 yield from _errors(part, inner)
+    for group in getattr(kind, "together", ()):
+        missing = [name for name in group if getattr(instance, name) is None]
+        if 0 < len(missing) < len(group):
+            message = f"{owner}: {missing[0]} is missing, which {' and '.join({*group} - {*missing})} needs"
+            yield RangeError(message, field=missing[0], remedy="give all of them, or none")
 
 
 def units_of_part(hint: Any) -> Units:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from numbers import Real
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,6 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
-from mckibben.errors import RangeError
 from mckibben.numerics.batching import compute_once
 from mckibben.numerics.elementary import floating
 from mckibben.units import BoundedInt, Force, Length, Pressure, Quantity, Speed
@@ -205,6 +204,7 @@ class MaxwellSlip(Friction):
     """
 
     short_name = "maxwell_slip"
+    together: ClassVar = (("viscous_length_growth", "reference_length"), ("rate_growth", "rate_speed"))
 
     half_width: FrictionForce
     presliding_length: Presliding
@@ -219,17 +219,6 @@ class MaxwellSlip(Friction):
     rate_growth: RateGrowth | None = eqx.field(default=None, kw_only=True)
     rate_speed: Speed | None = eqx.field(default=None, kw_only=True)
     elements: Elements = eqx.field(default=6, kw_only=True, static=True)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        for pair in (("viscous_length_growth", "reference_length"), ("rate_growth", "rate_speed")):
-            missing = [name for name in pair if getattr(self, name) is None]
-            if len(missing) == 1:
-                raise RangeError(
-                    f"MaxwellSlip: {' and '.join(pair)} go together, and {missing[0]} is missing",
-                    field=missing[0],
-                    remedy="give both, or neither",
-                )
 
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         tension, pressure = jnp.asarray(tension), jnp.asarray(pressure)

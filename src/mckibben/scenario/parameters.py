@@ -99,6 +99,8 @@ def _walk(
             )
         elif declared_fields(kind)[key].metadata.get("static") and mark is not None:
             found.refused[here] = _COMPILED, _IN_FILE
+        elif mark is not None and value is None and (group := next((g for g in kind.together if key in g), ())):
+            found.refused[here] = f"it needs {' and '.join({*group} - {key})}", "give both in the file"
         elif mark is not None:
             called = name if kind is Constant else here
             found.add(called, inner, mark, _nominal(key, value), listed=listed)
