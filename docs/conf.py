@@ -49,7 +49,7 @@ default_role = "py:obj"  # names in docstrings; non-public ones stay plain text
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
 myst_url_schemes = ("http", "https", "mailto")
-suppress_warnings = ["config.cache"]  # the functions below
+suppress_warnings = ["config.cache", "ref.python"]  # the functions below; names of attributes that several classes have
 
 autosummary_generate = True
 autodoc_typehints = "none"  # the docstrings give types, shapes and units
