@@ -342,6 +342,7 @@ def _rank(data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, 
 
 def _show(ranking: Ranking) -> None:
     from mckibben.identification import shows_hysteresis
+    from mckibben.identification.fit import left_out
     from mckibben.identification.ranking import EXTRAPOLATION
 
     specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
@@ -362,8 +363,8 @@ def _show(ranking: Ranking) -> None:
     headers = ("law", "parameters", "RMSE [N]", *blocks, "AICc difference", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
-    for one in ranking.outliers:
-        echo(f"left out, as it contradicts the points around it: {one}")
+    for text in left_out(ranking.outliers):
+        echo(text)
     if shows_hysteresis(ranking.points):
         law = _short(ranking.best)
         echo(f"loading and unloading differ; laws are ranked without friction: fit it with --law {law}")

@@ -69,6 +69,9 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
     "zero_length": Annotated[
         str, Option(metavar="LENGTH", help="Length of the muscle at displacement 0 (default: the initial length).")
     ],
+    "from_name": Annotated[
+        str, Option(metavar="PATTERN", help="Numbers in the names of files, such as 'L{length_mm}' for L190.csv.")
+    ],
     "slack_force": Annotated[
         str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
     ],
@@ -146,6 +149,7 @@ def reads_files(*without: str) -> Callable[[Callable[..., None]], Callable[..., 
 
 def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: bool, **options: Any) -> Reading:
     """The recipe of --recipe with the options that were given."""
+    from mckibben.dataset.file_names import check_pattern
     from mckibben.dataset.reading import check_reading
     from mckibben.dataset.recipe import Recipe
 
@@ -155,6 +159,7 @@ def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: boo
     }
     columns = parse_columns(column) or {}
     sign = given["force_sign"]
+    check_pattern(given["from_name"])
     check_reading(1 if sign is None else sign, given["decimal"], given["displacement"])
     found = Recipe.read(recipe) if recipe else Recipe()
     asked = {_quantity(name) for name in columns.values()}

@@ -59,8 +59,8 @@ def points(
     ] = "",
     count: Annotated[int, Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
     pressure_tolerance: Annotated[
-        str, Option(metavar="PRESSURE", help="Tolerance of a plateau, or of --strokes.")
-    ] = "2 kPa",
+        str, Option(metavar="PRESSURE", help="Tolerance of a plateau (default 2 kPa), or of --strokes (10 kPa).")
+    ] = "",
     contraction_tolerance: Annotated[
         str,
         Option(
@@ -89,29 +89,26 @@ def points(
     how = reading.recipe
     held = how.contraction if isometric else None
     reader = how.model_copy(update={"contraction": None}) if isometric else how
-    between = parse_optional_quantity("--gap", gap, "s")
-    tolerance = parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1")
+    given = {
+        "gap": parse_optional_quantity("--gap", gap, "s"),
+        "contraction_tolerance": parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1"),
+        "pressure_tolerance": parse_optional_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
+    }
+    tolerances = {name: one for name, one in given.items() if one is not None}
     steady = {
-        "pressure_tolerance": parse_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
         "force_tolerance": parse_optional_quantity("--force-tolerance", force_tolerance, "N"),
         "dwell": parse_quantity("--dwell", dwell, "s"),
         "settle": parse_quantity("--settle", settle, "s"),
     }
     read = reader.recording(recording, on_corrupt=reading.on_corrupt)
     if isometric:
-        found = read.isometric(
-            pressures,
-            count=count,
-            contraction=held,
-            contraction_tolerance=0.005 if tolerance is None else tolerance,
-            gap=between,
-        )
+        tolerances.pop("pressure_tolerance", None)
+        found = read.isometric(pressures, count=count, contraction=held, **tolerances)
     elif strokes:
-        found = read.strokes(
-            step=0.002 if tolerance is None else tolerance, pressure_tolerance=steady["pressure_tolerance"], gap=between
-        )
+        step = tolerances.pop("contraction_tolerance", None)
+        found = read.strokes(**({} if step is None else {"step": step}), **tolerances)
     else:
-        found = read.plateaus(contraction_tolerance=0.001 if tolerance is None else tolerance, gap=between, **steady)  # type: ignore[arg-type]
+        found = read.plateaus(**tolerances, **steady)  # type: ignore[arg-type]
     if out is not None:
         write = found.dataset.to_netcdf if out.suffix.lower() == ".nc" else found.dataset.to_csv
         write(out)

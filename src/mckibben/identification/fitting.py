@@ -10,7 +10,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of, off_levels
+from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of, left_out, off_levels
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
@@ -125,7 +125,7 @@ def identify(
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
         warnings.append(f"{text}: the domain is the range of the measured pressures")
     warnings += _friction_warnings(points, residuals, grouping)
-    warnings += [f"left out, as it contradicts the points around it: {one}" for one in outliers]
+    warnings += left_out(outliers)
     warnings += regression.warnings
     warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
     lopo, reason = _leave_one_pressure_out(regression)
