@@ -265,11 +265,11 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
             if grouping is Grouping.STROKE
             else "the standard errors are not valid"
         )
-        remedy = (
-            "; identify the friction with identify_hysteresis (command line: --hysteresis)"
-            if column == "direction" and "friction" not in points.table.attrs
-            else ""
-        )
+        remedy = ""
+        if column == "direction" and "friction" not in points.table.attrs:
+            remedy = "; identify the friction with identify_hysteresis (command line: --hysteresis)"
+        elif column == "phase":
+            remedy = "; to identify the friction, record strokes in both directions at constant pressures as well"
         warnings.append(
             f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "
             f"independent from point to point, so {consequence}{remedy}"
