@@ -1,11 +1,14 @@
 """Calls that a new user tries: those that forward, and wrong ones, whose errors name the call that is meant."""
 
+import re
+
 import numpy as np
 import pytest
 
 import mckibben as mk
 from mckibben.control import PolePlacement
-from mckibben.errors import DomainWarning, McKibbenError, McKibbenWarning, closest
+from mckibben.dataset import Recording
+from mckibben.errors import DomainWarning, McKibbenError, McKibbenWarning, ScenarioError, closest
 from mckibben.report.style import NotebookFigure
 from mckibben.study.benchmark import Suite
 from mckibben.study.tune import Method
@@ -15,6 +18,7 @@ from mckibben.units import bar, deg
 SCENARIO = mk.Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
 DATA = mk.catalog.dataset("dmsp-10-250-martens2017")
 LAW = mk.catalog.law("lei-mas-10-180n")
+SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": np.linspace(0, 90, 9)}
 
 
 @pytest.mark.parametrize(
@@ -34,6 +38,8 @@ LAW = mk.catalog.law("lei-mas-10-180n")
         (lambda: mk.catalog.specimen("MAS10"), "MAS-10-180N-AA-MC-O"),
         (lambda: mk.catalog.law("Lei"), "lei-mas-10-180n"),
         (lambda: mk.catalog.law("x"), "sarosi-dmsp-10"),
+        (lambda: mk.linearize("joint.yaml"), "Scenario.read"),  # type: ignore[arg-type]
+        (lambda: Recording.of(**SAMPLES).isometric(contraction="10 %"), "SI units"),  # type: ignore[arg-type]
     ],
 )
 def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
@@ -50,12 +56,25 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (SCENARIO, "simulat", "simulate"),
         (mk, "envelope", "scenario.envelope()"),
         (mk, "ExponentialLw", "ExponentialLaw"),
+        (DATA, "identify", "mk.identify"),
+        (DATA, "contractions", "contraction"),
+        (mk.identify(mk.ExponentialLaw, DATA), "force", "predict(contraction, pressure)"),
+        (SCENARIO.simulate(), "rmse", 'metrics["angle_rmse"]'),
+        (SCENARIO.simulate(), "angle", 'result["angle"]'),
     ],
 )
 def test_an_unknown_name_has_a_suggestion(of, name, meant):
-    with pytest.raises(AttributeError, match=meant.replace("(", r"\(").replace(")", r"\)")):
+    with pytest.raises(AttributeError, match=re.escape(meant)):
         getattr(of, name)
     assert not hasattr(SCENARIO, "nothing_like_it") and not hasattr(mk, "nothing_like_it")
+
+
+def test_a_scenario_of_a_path_names_the_reader():
+    with pytest.raises(TypeError, match=re.escape("Scenario.read('joint.yaml')")):
+        mk.Scenario("joint.yaml")  # type: ignore[call-arg]
+    with pytest.raises(ScenarioError) as caught:
+        mk.Scenario.parse(SCENARIO.dumps() + "\nsupply: 5 bar\n")
+    assert caught.value.problems[0].remedy == "it is a key of valve"
 
 
 def test_the_catalog_completes_its_entries():
@@ -73,6 +92,8 @@ def test_impossible_numbers_warn_in_direct_calls_of_a_law():
     assert said[0].filename == __file__
     with pytest.warns(McKibbenWarning, match="3 Pa"):
         LAW.force(0.1, 3)
+    with pytest.warns(DomainWarning, match="vacuum"):
+        LAW.force(0.1, -2 * bar)
     LAW.force(np.array([-0.05, 0.3]), np.array([0.0, 6 * bar]))  # outside the domain of the data, but possible
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Number
 
@@ -56,6 +56,16 @@ def closest(name: str, known: Sequence[str]) -> str:
     plain = _plain(name)
     begun = [one for one in known if len(plain) > 2 and _plain(one).startswith(plain)]
     return next(iter([*close, *begun]), "")
+
+
+def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
+    """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
+    known = [one for one in dir(type(owner)) if not one.startswith("_")]
+    found = meant.get(name) or ("" if name.startswith("_") else closest(name, known))
+    hint = f"; did you mean {found}?" if found else ""
+    kind = type(owner).__name__
+    article = "an" if kind[0] in "AEIOU" else "a"
+    return AttributeError(f"{article} {kind} has no {name!r}{hint}", name=name, obj=owner)
 
 
 def _plain(name: str) -> str:

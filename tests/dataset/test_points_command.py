@@ -8,8 +8,8 @@ import typer
 from typer.testing import CliRunner
 
 from mckibben.cli.points import _levels, points
-from mckibben.dataset import read_dataset
-from mckibben.errors import DatasetError, RangeError, UnitError
+from mckibben.dataset import read_dataset, read_recording
+from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
 from mckibben.units import bar
 
 APP = typer.Typer()
@@ -147,3 +147,49 @@ def test_a_shorter_dwell_is_suggested(run):
     write("rig.csv", LEVEL)
     error = run("rig.csv", *COLUMN, "--dwell", "10 s", error=RangeError)
     assert "--dwell '5 s'" in error
+
+
+def test_files_at_several_lengths_are_read_with_the_lengths_in_their_names(run):
+    for length, gain in ((200, 1.0), (190, 0.6)):
+        write(f"L{length}mm.csv", gain * RAMP)
+    given = ("L200mm.csv", "L190mm.csv", "--isometric", "--levels", "1, 2, 3 bar", "--initial-length", "200 mm")
+    run(*given, "--column", "Druck [bar]=pressure_bar", "--from-name", "L{length_mm}", "--save-recipe", "how.yaml")
+    assert "from_name" in Path("how.yaml").read_text(encoding="utf-8")
+    run(*given, "--column", "Druck [bar]=pressure_bar", "--recipe", "how.yaml", "--out", "points.csv")
+    table = read_dataset("points.csv").table
+    np.testing.assert_allclose(np.unique(table["contraction"]), [0.0, 0.05], atol=1e-12)
+    assert set(table["repeat"].values) == {0}
+    run(*given, "--column", "Druck [bar]=pressure_bar", error=RangeError)
+    run(*given, "--column", "Druck [bar]=pressure_bar", "--from-name", "M{length_mm}", error=DatasetError)
+    for pattern in ("L", "L{length}", "L{nothing_mm}"):
+        run(*given, "--column", "Druck [bar]=pressure_bar", "--from-name", pattern, error=RangeError)
+
+
+def test_one_contraction_for_files_of_different_lengths_is_doubted(run):
+    write("a.csv", RAMP)
+    Path("b.csv").write_text(
+        "Time (s),Druck [bar],Force (N)\n"
+        + "".join(f"{t:.2f},{p:.3f},{15 * p:.2f}\n" for t, p in zip(TIME, RAMP, strict=True)),
+        encoding="utf-8",
+    )
+    read = read_recording(["a.csv", "b.csv"], columns={"Druck [bar]": "pressure_bar"})
+    with pytest.warns(McKibbenWarning, match="length"):
+        read.isometric(contraction=0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_recording(["a.csv", "a.csv"], columns={"Druck [bar]": "pressure_bar"}).isometric(contraction=0.1)
+    with pytest.raises(RangeError):
+        read.isometric(contraction="10 %")
+
+
+def test_strokes_have_the_tolerance_of_python(run):
+    time = np.arange(0, 40, 0.02)
+    travel = 10 * np.abs((time / 10) % 2 - 1)
+    pressure = 2 + 0.05 * np.sin(time)
+    rows = [f"{t:.2f},{p:.4f},{x:.3f},{100 - 5 * x:.2f}\n" for t, p, x in zip(time, pressure, travel, strict=True)]
+    Path("strokes.csv").write_text("time_s,pressure_bar,contraction_percent,force_N\n" + "".join(rows))
+    found = json.loads(run("strokes.csv", "--strokes", "--json"))
+    assert found["samples"] == dict(read_recording("strokes.csv").strokes().counts)
+    assert not found["notes"]
+    text = run("strokes.csv", "--strokes", "--pressure-tolerance", "1 kPa", error=RangeError)
+    assert "varies by more than 1 kPa" in text

@@ -477,7 +477,7 @@ def test_a_number_that_cannot_be_is_refused_at_its_field(wrong):
             await until(lambda: state(design.JointDesign).dimensions["radius"] == 40)
             assert not field.error
             await user.open("/identify")
-            field = the(user, ui.input, "length")
+            field = the(user, ui.input, "initial_length")
             for text, refused in (("-5 lb", True), ("-180 mm", True), ("nan mm", True), ("180 mm", False), ("", False)):
                 field.set_value(text)
                 assert bool(field.error) == refused

@@ -10,27 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from typer import Argument, Option
 
 from mckibben.cli.options import (
-    Column,
     Data,
-    Decimal,
-    Displacement,
     Force,
-    ForceSign,
-    InitialLength,
     Json,
     Out,
-    RecipeFile,
-    SkipCorrupt,
-    SlackForce,
-    ZeroLength,
+    Reading,
     echo,
     keeping,
     notify,
     on_command_line,
     parse_positive,
     progress,
-    read_data,
-    recipe_of,
+    reads_files,
     results_folder,
     show_results,
     table,
@@ -49,6 +40,7 @@ _ALL, _LEVEL = "all", 0.95
 _EFFECTIVE = "fit-effective.yaml"  # of a law at the pressures above its threshold
 
 
+@reads_files("contraction", "sample_rate", "specimen")
 def identify(
     data: Data,
     law: Annotated[
@@ -78,15 +70,8 @@ def identify(
         str, Option(metavar="LENGTH", help="Initial length of a specimen that --pool predicts: force and muscle.yaml.")
     ] = "",
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with the friction.")] = False,
-    initial_length: InitialLength = "",
-    displacement: Displacement = "",
-    zero_length: ZeroLength = "",
-    slack_force: SlackForce = "",
-    force_sign: ForceSign = None,
-    column: Column = None,
-    skip_corrupt: SkipCorrupt = False,
-    decimal: Decimal = "",
-    recipe: RecipeFile = None,
+    *,
+    reading: Reading,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -121,7 +106,6 @@ def identify(
     )
     if any(inner) and not out:
         raise ParameterError("--diameter and --fill apply to muscle.yaml", remedy="add --out DIR")
-    how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
     if pool or for_length:
         others = (profile, bootstrap, hysteresis, threshold, *inner, law_type is None or not pool)
         if any(other is not None and other is not False and other != 0 for other in others):
@@ -130,14 +114,14 @@ def identify(
                 remedy="give --pool, --law, --for-length, --level and --out alone",
             )
         assert law_type is not None
-        each = [read_data([one], how, skip_corrupt=skip_corrupt) for one in data]
+        each = [reading.data([one]) for one in data]
         length = parse_positive("--for-length", for_length, "m") if for_length else None
         _pool(law_type, each, length, level, json, out)
         return
-    points = read_data(data, how, skip_corrupt=skip_corrupt)
+    points = reading.data(data)
     inner.check(points.table.attrs.get("initial_length"))
     if law_type is None:
-        _rank(data, points, how, inner, json, out)
+        _rank(data, points, reading.recipe, inner, json, out)
         return
     from mckibben.identification import identify_threshold, identify_with_friction, shows_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
@@ -176,7 +160,7 @@ def identify(
                 (out / other).unlink(missing_ok=True)
             fit.to_yaml(out / fit_name)
             kept = _keep_muscle(out, data, points, fit, inner, found.friction, threshold_fit)
-            how.to_yaml(out / "recipe.yaml")
+            reading.recipe.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             drawn = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
@@ -290,21 +274,15 @@ def _friction_form(text: str) -> FrictionForm:
         ) from None
 
 
+@reads_files("contraction", "sample_rate", "specimen")
 def validate(
     law: Annotated[
         str, Argument(metavar="LAW", help="A file of a fit or a muscle, a law from the catalog, or 'chou'.")
     ],
     data: Data,
     specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
-    initial_length: InitialLength = "",
-    displacement: Displacement = "",
-    zero_length: ZeroLength = "",
-    slack_force: SlackForce = "",
-    force_sign: ForceSign = None,
-    column: Column = None,
-    skip_corrupt: SkipCorrupt = False,
-    decimal: Decimal = "",
-    recipe: RecipeFile = None,
+    *,
+    reading: Reading,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -314,8 +292,7 @@ def validate(
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
-    how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
-    points = read_data(data, how, skip_corrupt=skip_corrupt)
+    points = reading.data(data)
     from mckibben.identification import validate as run
 
     validation = run({Path(law).name if Path(law).is_absolute() else law: known}, points)
@@ -365,6 +342,7 @@ def _rank(data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, 
 
 def _show(ranking: Ranking) -> None:
     from mckibben.identification import shows_hysteresis
+    from mckibben.identification.fit import left_out
     from mckibben.identification.ranking import EXTRAPOLATION
 
     specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
@@ -385,8 +363,8 @@ def _show(ranking: Ranking) -> None:
     headers = ("law", "parameters", "RMSE [N]", *blocks, "AICc difference", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
-    for one in ranking.outliers:
-        echo(f"left out, as it contradicts the points around it: {one}")
+    for text in left_out(ranking.outliers):
+        echo(text)
     if shows_hysteresis(ranking.points):
         law = _short(ranking.best)
         echo(f"loading and unloading differ; laws are ranked without friction: fit it with --law {law}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 import re
 import sys
@@ -9,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 from typer import Argument, Option
@@ -20,6 +22,7 @@ from mckibben.units import parse_range, quantity
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
+    from mckibben.dataset.quantities import OnCorrupt
     from mckibben.scenario import RunSettings
 
 Document = TypeVar("Document", bound="RunSettings")
@@ -29,32 +32,6 @@ Out = Annotated[Path | None, Option("--out", metavar="DIR", help="Write results,
 Data = Annotated[
     list[str], Argument(metavar="DATA...", help="Data files of one test, or the name of a dataset in the catalog.")
 ]
-InitialLength = Annotated[
-    str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', if the file has lengths.")
-]
-Displacement = Annotated[
-    str,
-    Option(metavar="shortening|lengthening", help="Direction of positive displacements, if the file has them."),
-]
-ZeroLength = Annotated[
-    str, Option(metavar="LENGTH", help="Length of the muscle at displacement 0 (default: the initial length).")
-]
-RecipeFile = Annotated[
-    Path | None,
-    Option(
-        "--recipe",
-        metavar="FILE",
-        help="Read by the recipe of an earlier file; options on the command line take precedence.",
-    ),
-]
-SlackForce = Annotated[
-    str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
-]
-ForceSign = Annotated[int | None, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")]
-Column = Annotated[
-    list[str] | None, Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable.")
-]
-
 
 Accuracy = Annotated[
     str,
@@ -77,50 +54,119 @@ Extrapolate = Annotated[
     bool,
     Option("--extrapolate", help="Apply the force laws at all pressures of their specimens, also where not measured."),
 ]
-FixedContraction = Annotated[str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")]
-SampleRate = Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")]
-Decimal = Annotated[
-    str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
-]
-SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows without numbers, and report them.")]
 
 
-def recipe_of(
-    file: Path | None,
-    column: list[str] | None,
-    initial_length: str,
-    displacement: str,
-    zero_length: str,
-    slack_force: str,
-    force_sign: int | None,
-    decimal: str,
-    *,
-    contraction: str = "",
-    sample_rate: str = "",
-    specimen: str = "",
-) -> Recipe:
+_OF_READING: Mapping[str, Any] = {  # names as in a recipe
+    "contraction": Annotated[str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")],
+    "sample_rate": Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")],
+    "initial_length": Annotated[
+        str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', if the file has lengths.")
+    ],
+    "displacement": Annotated[
+        str,
+        Option(metavar="shortening|lengthening", help="Direction of positive displacements, if the file has them."),
+    ],
+    "zero_length": Annotated[
+        str, Option(metavar="LENGTH", help="Length of the muscle at displacement 0 (default: the initial length).")
+    ],
+    "from_name": Annotated[
+        str, Option(metavar="PATTERN", help="Numbers in the names of files, such as 'L{length_mm}' for L190.csv.")
+    ],
+    "slack_force": Annotated[
+        str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
+    ],
+    "force_sign": Annotated[
+        int | None, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")
+    ],
+    "specimen": Annotated[str, Option(metavar="NAME", help="Name of the specimen.")],
+    "column": Annotated[
+        list[str] | None,
+        Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable."),
+    ],
+    "skip_corrupt": Annotated[bool, Option("--skip-corrupt", help="Skip rows without numbers, and report them.")],
+    "decimal": Annotated[
+        str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
+    ],
+    "recipe": Annotated[
+        Path | None,
+        Option(
+            metavar="FILE", help="Read by the recipe of an earlier file; options on the command line take precedence."
+        ),
+    ],
+}
+_UNITS = {
+    "initial_length": "m",
+    "zero_length": "m",
+    "slack_force": "N",
+    "contraction": "1",
+    "sample_rate": "Hz",
+}
+_UNSET = {"force_sign": None, "column": None, "skip_corrupt": False, "recipe": None}
+
+
+class Reading(NamedTuple):
+    """How a command reads files: the recipe, with the options that were given, and the treatment of corrupt rows."""
+
+    recipe: Recipe
+    on_corrupt: OnCorrupt
+
+    def data(self, names: list[str]) -> IsobaricDataset:
+        """Data files or a dataset from the catalog; reading and preprocessing are reported on standard error."""
+        from mckibben.study.inputs import data_named
+
+        found = data_named(names, self.recipe, skip_corrupt=self.on_corrupt == "report")
+        report_reading(found.table.attrs)
+        for note in found.table.attrs.get("preprocessing", "").splitlines():
+            echo(f"found in the data: {note}", err=True)
+        return found
+
+
+def reads_files(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Replace a command's keyword `reading`, a `Reading`, by the options that read files, except some."""
+    options = {name: one for name, one in _OF_READING.items() if name not in without}
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(command)
+        def with_reading(**given: Any) -> None:
+            command(reading=_reading(**{name: given.pop(name) for name in options}), **given)
+
+        signature = inspect.signature(command, eval_str=True)
+        shown: list[inspect.Parameter] = []
+        for one in signature.parameters.values():
+            kind = inspect.Parameter.KEYWORD_ONLY
+            if one.name != "reading":
+                shown.append(one.replace(kind=kind))
+                continue
+            shown += [
+                inspect.Parameter(name, kind, annotation=option, default=_UNSET.get(name, ""))
+                for name, option in options.items()
+            ]
+        with_reading.__signature__ = signature.replace(parameters=shown)  # type: ignore[attr-defined]
+        return with_reading
+
+    return decorate
+
+
+def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: bool, **options: Any) -> Reading:
     """The recipe of --recipe with the options that were given."""
+    from mckibben.dataset.file_names import check_pattern
     from mckibben.dataset.reading import check_reading
     from mckibben.dataset.recipe import Recipe
 
-    given = {
-        "initial_length": parse_optional_quantity("--initial-length", initial_length, "m"),
-        "displacement": displacement,
-        "zero_length": parse_optional_quantity("--zero-length", zero_length, "m"),
-        "slack_force": parse_optional_quantity("--slack-force", slack_force, "N"),
-        "force_sign": force_sign,
-        "decimal": decimal,
-        "contraction": parse_optional_quantity("--contraction", contraction, "1"),
-        "sample_rate": parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
-        "specimen": specimen,
+    given: dict[str, Any] = {
+        name: parse_quantity(f"--{name.replace('_', '-')}", one, _UNITS[name]) if name in _UNITS and one else one
+        for name, one in options.items()
     }
     columns = parse_columns(column) or {}
-    check_reading(1 if force_sign is None else force_sign, decimal, displacement)
-    recipe = Recipe.read(file) if file else Recipe()
+    sign = given["force_sign"]
+    check_pattern(given["from_name"])
+    check_reading(1 if sign is None else sign, given["decimal"], given["displacement"])
+    found = Recipe.read(recipe) if recipe else Recipe()
     asked = {_quantity(name) for name in columns.values()}
-    kept = {header: name for header, name in (recipe.columns or {}).items() if _quantity(name) not in asked}
+    kept = {header: name for header, name in (found.columns or {}).items() if _quantity(name) not in asked}
     given["columns"] = kept | columns or None
-    return recipe.model_copy(update={name: one for name, one in given.items() if one not in (None, "")})
+    found = found.model_copy(update={name: one for name, one in given.items() if one not in (None, "")})
+    return Reading(found, "report" if skip_corrupt else "raise")
 
 
 def _quantity(name: str) -> str:
@@ -129,17 +175,6 @@ def _quantity(name: str) -> str:
 
     column = parse_header(name)
     return column.quantity if column else name
-
-
-def read_data(data: list[str], recipe: Recipe, *, skip_corrupt: bool = False) -> IsobaricDataset:
-    """Read data files or a dataset from the catalog; report reading and preprocessing on standard error."""
-    from mckibben.study.inputs import data_named
-
-    found = data_named(data, recipe, skip_corrupt=skip_corrupt)
-    report_reading(found.table.attrs)
-    for note in found.table.attrs.get("preprocessing", "").splitlines():
-        echo(f"found in the data: {note}", err=True)
-    return found
 
 
 def report_reading(attributes: Mapping[str, Any]) -> None:

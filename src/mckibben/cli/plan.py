@@ -9,20 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Exit, Option
 
 from mckibben.cli.options import (
-    Column,
     Data,
-    Decimal,
-    Displacement,
     Extrapolate,
     Force,
-    ForceSign,
-    InitialLength,
     Json,
     Out,
-    RecipeFile,
-    SkipCorrupt,
-    SlackForce,
-    ZeroLength,
+    Reading,
     check_choice,
     echo,
     job_progress,
@@ -32,8 +24,7 @@ from mckibben.cli.options import (
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
-    read_data,
-    recipe_of,
+    reads_files,
     results_folder,
     table,
 )
@@ -53,6 +44,7 @@ if TYPE_CHECKING:
 _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloading": ("unloading",)}
 
 
+@reads_files("contraction", "sample_rate", "specimen")
 def plan(
     data: Data,
     law: Annotated[str, Option(help="Kind of law; 'mckibben laws' lists them.")] = "exponential",
@@ -87,15 +79,8 @@ def plan(
     specimen: Annotated[
         str, Option(metavar="NAME", help="Specimen, or its file (default: the one named in the data).")
     ] = "",
-    initial_length: InitialLength = "",
-    displacement: Displacement = "",
-    zero_length: ZeroLength = "",
-    slack_force: SlackForce = "",
-    force_sign: ForceSign = None,
-    skip_corrupt: SkipCorrupt = False,
-    decimal: Decimal = "",
-    column: Column = None,
-    recipe: RecipeFile = None,
+    *,
+    reading: Reading,
     json: Json = False,
     out: Out = None,
     force: Force = False,
@@ -112,8 +97,7 @@ def plan(
     known = specimen_named(specimen) if specimen else None
     quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
-    how = recipe_of(recipe, column, initial_length, displacement, zero_length, slack_force, force_sign, decimal)
-    read = read_data(data, how, skip_corrupt=skip_corrupt)
+    read = reading.data(data)
     in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
     muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
     length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)

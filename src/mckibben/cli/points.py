@@ -9,25 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from mckibben.cli.options import (
-    Column,
-    Decimal,
-    Displacement,
-    FixedContraction,
-    ForceSign,
-    InitialLength,
     Json,
-    RecipeFile,
-    SampleRate,
-    SkipCorrupt,
-    SlackForce,
-    ZeroLength,
+    Reading,
     check_new,
     echo,
     notify,
     on_command_line,
     parse_optional_quantity,
     parse_quantity,
-    recipe_of,
+    reads_files,
     report_reading,
     table,
 )
@@ -52,6 +42,7 @@ _COLUMNS = {
 _LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 
 
+@reads_files()
 def points(
     recording: Annotated[
         list[Path], Argument(metavar="RECORDING...", help="CSV, .xlsx, .mat, .tdms, .lvm or .nc, over time.")
@@ -67,10 +58,9 @@ def points(
         str, Option(metavar="'1, 2, 3 bar'", help="Levels of --isometric (default: evenly spaced).")
     ] = "",
     count: Annotated[int, Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
-    contraction: FixedContraction = "",
     pressure_tolerance: Annotated[
-        str, Option(metavar="PRESSURE", help="Tolerance of a plateau, or of --strokes.")
-    ] = "2 kPa",
+        str, Option(metavar="PRESSURE", help="Tolerance of a plateau (default 2 kPa), or of --strokes (10 kPa).")
+    ] = "",
     contraction_tolerance: Annotated[
         str,
         Option(
@@ -82,17 +72,8 @@ def points(
     dwell: Annotated[str, Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
     settle: Annotated[str, Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
     gap: Annotated[str, Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals).")] = "",
-    sample_rate: SampleRate = "",
-    initial_length: InitialLength = "",
-    displacement: Displacement = "",
-    zero_length: ZeroLength = "",
-    slack_force: SlackForce = "",
-    force_sign: ForceSign = None,
-    specimen: Annotated[str, Option(metavar="NAME", help="Name of the specimen.")] = "",
-    column: Column = None,
-    skip_corrupt: SkipCorrupt = False,
-    decimal: Decimal = "",
-    recipe: RecipeFile = None,
+    *,
+    reading: Reading,
     save_recipe: Annotated[
         Path | None, Option(metavar="FILE", help="New file: the options by which the recording was read.")
     ] = None,
@@ -105,44 +86,29 @@ def points(
         if file is not None:
             check_new(file, *endings)
     pressures = _levels(levels)
-    how = recipe_of(
-        recipe,
-        column,
-        initial_length,
-        displacement,
-        zero_length,
-        slack_force,
-        force_sign,
-        decimal,
-        contraction=contraction,
-        sample_rate=sample_rate,
-        specimen=specimen,
-    )
+    how = reading.recipe
     held = how.contraction if isometric else None
     reader = how.model_copy(update={"contraction": None}) if isometric else how
-    between = parse_optional_quantity("--gap", gap, "s")
-    tolerance = parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1")
+    given = {
+        "gap": parse_optional_quantity("--gap", gap, "s"),
+        "contraction_tolerance": parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1"),
+        "pressure_tolerance": parse_optional_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
+    }
+    tolerances = {name: one for name, one in given.items() if one is not None}
     steady = {
-        "pressure_tolerance": parse_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
         "force_tolerance": parse_optional_quantity("--force-tolerance", force_tolerance, "N"),
         "dwell": parse_quantity("--dwell", dwell, "s"),
         "settle": parse_quantity("--settle", settle, "s"),
     }
-    read = reader.recording(recording, on_corrupt="report" if skip_corrupt else "raise")
+    read = reader.recording(recording, on_corrupt=reading.on_corrupt)
     if isometric:
-        found = read.isometric(
-            pressures,
-            count=count,
-            contraction=held,
-            contraction_tolerance=0.005 if tolerance is None else tolerance,
-            gap=between,
-        )
+        tolerances.pop("pressure_tolerance", None)
+        found = read.isometric(pressures, count=count, contraction=held, **tolerances)
     elif strokes:
-        found = read.strokes(
-            step=0.002 if tolerance is None else tolerance, pressure_tolerance=steady["pressure_tolerance"], gap=between
-        )
+        step = tolerances.pop("contraction_tolerance", None)
+        found = read.strokes(**({} if step is None else {"step": step}), **tolerances)
     else:
-        found = read.plateaus(contraction_tolerance=0.001 if tolerance is None else tolerance, gap=between, **steady)  # type: ignore[arg-type]
+        found = read.plateaus(**tolerances, **steady)  # type: ignore[arg-type]
     if out is not None:
         write = found.dataset.to_netcdf if out.suffix.lower() == ".nc" else found.dataset.to_csv
         write(out)

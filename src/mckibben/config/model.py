@@ -45,7 +45,10 @@ class DocumentModel(ConfigModel):
     kind: ClassVar[str] = "scenario"
     examples: ClassVar[str] = "examples/"
 
-    def __init__(self, /, **fields: Any) -> None:
+    def __init__(self, /, *given: object, **fields: Any) -> None:
+        if given:
+            name = type(self).__name__
+            raise TypeError(f"{name} takes its fields by name; to read a file, write {name}.read({given[0]!r:.60})")
         try:
             super().__init__(**fields)
         except ValidationError as error:
@@ -368,7 +371,8 @@ class _Diagnosis:
         keys = _keys_of(around)
         free = [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
         found = closest(key, free)
-        return found, suggest(key, [found] if found else keys)
+        inside = [name for name in keys if not found and key in _keys_of(self.model_at((*place[:-1], name)))]
+        return found, f"it is a key of {inside[0]}" if inside else suggest(key, [found] if found else keys)
 
     def model_at(self, place: Place) -> type[BaseModel] | None:
         """The model that validates a place."""

@@ -337,6 +337,8 @@ def find_columns(
             others = f" (or {names('length')}), or displacement_mm"
             wanted = names(name) + (others if name == "contraction" else "")
             remedy = f"name it {wanted}, or assign it by {_BY_NAME}"
+            if name == "contraction":
+                remedy += "; if file names give it, read it with from_name (command line: --from-name 'L{length_mm}')"
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
     layout.suspect += [
         f"{name!r} may be the {quantity} as well; read is {header[layout.places[quantity][0]]!r}"

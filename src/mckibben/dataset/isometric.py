@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.points import SampleAccount
 from mckibben.dataset.segmentation import steady_segments
-from mckibben.errors import RangeError
-from mckibben.units import bar
+from mckibben.errors import McKibbenWarning, RangeError
+from mckibben.units import bar, show
 
 LEAST = 3  # samples of a point
 FASTEST = 2.0  # s for the range of the pressure: a lag of 50 ms between sensor and muscle is 2.5 % of it
@@ -19,31 +21,44 @@ REVERSAL = 20  # parts of the range of the pressure
 _NAMED = 8  # pressures listed in a message
 _SMOOTHED = 2000  # maximum number of means used to find the reversals of the pressure
 BAND = 40  # parts of the range of the levels
+_UNLIKE = 0.1  # of the largest force
 
 
-def fixed_contraction(table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount) -> float:
-    """Contraction of the test [-]."""
+def held_contraction(
+    table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount
+) -> NDArray[np.float64]:
+    """Contraction [-] of each sample: one for all, or one between two gaps, as of files of several lengths."""
     if "contraction" not in table:
         if contraction is None:
-            raise RangeError("the contraction is unknown", remedy="give contraction=..., at which the muscle was held")
-        return float(contraction)
+            remedy = (
+                "give contraction (command line: --contraction '10 %'), at which the muscle was held; if file names "
+                "give the lengths, read them with from_name (command line: --from-name 'L{length_mm}')"
+            )
+            raise RangeError("the contraction is unknown", remedy=remedy)
+        return np.full(table.sizes["sample"], float(contraction))
     values = table["contraction"].to_numpy()
-    held = float(np.median(values))
-    if contraction is not None and not abs(contraction - held) <= tolerance:
+    middle = float(np.median(values))
+    medians = np.array([np.median(part) for part in np.split(values, np.flatnonzero(account.broken))])
+    if (np.abs(medians - middle) <= tolerance).all():
+        medians[:] = middle
+    wrong = medians if contraction is None else medians[~(np.abs(medians - contraction) <= tolerance)]
+    if contraction is not None and len(wrong):
+        held = float(wrong[0])
         raise RangeError(
             f"the recording was made at contraction {held:.4g}, not {contraction:g}",
             value=contraction,
             lower=held - tolerance,
             upper=held + tolerance,
         )
-    moved = np.abs(values - held) > tolerance
+    found = medians[np.cumsum(account.broken)]
+    moved = np.abs(values - found) > tolerance
     if 2 * int(moved.sum()) > len(values):
         raise RangeError(
             f"the length was not fixed: contraction {values.min():.4g} to {values.max():.4g}",
             remedy="use plateaus, or cut the recording to a part of constant length",
         )
     account.assign_reason(moved, "at another length")
-    return held if contraction is None else float(contraction)
+    return found if contraction is None else np.full(len(values), float(contraction))
 
 
 def pressure_levels(pressure: NDArray[np.float64], levels: ArrayLike | None, count: int) -> NDArray[np.float64]:
@@ -68,6 +83,17 @@ class Phases(NamedTuple):
     of: NDArray[np.int64]
     rising: NDArray[np.bool_]
     repeat: NDArray[np.int64]
+
+    def at_contraction(self, held: NDArray[np.float64]) -> tuple[Phases, NDArray[np.float64]]:
+        """Phases with repeats counted at each contraction, given by sample; and the contraction by phase."""
+        numbers, first = np.unique(self.of, return_index=True)
+        by_phase = held[first[numbers >= 0]]
+        seen: Counter[tuple[float, bool]] = Counter()
+        repeat = []
+        for key in zip(by_phase.tolist(), self.rising.tolist(), strict=True):
+            repeat.append(seen[key])
+            seen[key] += 1
+        return self._replace(repeat=np.array(repeat, np.int64)), by_phase
 
 
 def split_phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: float) -> Phases:
@@ -149,6 +175,24 @@ def named_cells(where: NDArray[np.bool_], levels: NDArray[np.float64], phases: P
         more = f" and {len(numbers) - 2} more" if len(numbers) > 2 else ""
         parts.append(f"{levels[level] / bar:.4g} bar by {', '.join(names)}{more}")
     return "; ".join(parts) + ("; ..." if np.count_nonzero(where.any(axis=0)) > _NAMED else "")
+
+
+def warn_of_lengths(force: NDArray[np.float64], held: NDArray[np.float64], rising: NDArray[np.bool_]) -> None:
+    """Warn if forces, shape (phases, levels), of phases of one kind differ much at one contraction."""
+    largest = np.nanmax(force, initial=0.0)
+    for up in (True, False):
+        for contraction in np.unique(held):
+            same = force[(held == contraction) & (rising == up)]
+            same = same[:, np.isfinite(same).all(axis=0)]
+            if same.size and (apart := float(np.ptp(same, axis=0).mean())) > _UNLIKE * largest:
+                what = f"{'fillings' if up else 'ventings'} at a contraction of {show(float(contraction), '%')}"
+                warnings.warn(
+                    f"{what} differ by {show(apart, 'N')} on average: the length may have changed; if file names give "
+                    "it, read it with from_name (command line: --from-name 'L{length_mm}')",
+                    McKibbenWarning,
+                    stacklevel=3,
+                )
+                return
 
 
 class Lines(NamedTuple):

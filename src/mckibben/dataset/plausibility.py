@@ -42,6 +42,7 @@ _FINE = 1000  # steps of the resolution up to the largest force, where even two 
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
+_ZERO = "zero_length (command line: --zero-length) of displacements"
 _UNIT = "check the unit: arrays are in SI; for a file, give it by columns={...} (command line: --column 'HEADER=NAME')"
 
 
@@ -106,7 +107,7 @@ def _contractions(
     if low < _STRETCHED:
         text = f"contractions begin at {low / percent:.3g} %, but a muscle can be stretched by about 3 % only"
         yield (
-            Problem(text, field="contraction", remedy=f"{_LENGTH}, and the sign (positive = shorter)"),
+            Problem(text, field="contraction", remedy=f"{_LENGTH}, the sign (positive = shorter), and {_ZERO}"),
             low < _OVERSTRETCHED,
         )
     elif low > _FIRST:

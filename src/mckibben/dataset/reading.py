@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_number
 from mckibben.dataset.consistency import contradictions
+from mckibben.dataset.file_names import add_from_name, check_pattern
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_points
@@ -43,6 +44,7 @@ def read_dataset(
     force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
     decimal: Decimal = "",
+    from_name: str = "",
 ) -> IsobaricDataset:
     """Read the points of isobaric tests from a file, or from several files of one test.
 
@@ -87,6 +89,9 @@ def read_dataset(
     decimal
         Decimal sign of texts, "." or ",". Default: of the first number that determines it; if there is none, a number
         such as 1.234 is an error, which gives both readings.
+    from_name
+        Pattern of the files' names, with a name above in braces for each number: ``"L{length_mm}mm"`` reads a length of
+        190 mm from ``Muscle_L190mm.csv``, for all rows of that file.
 
     Raises
     ------
@@ -103,6 +108,7 @@ def read_dataset(
     """
     lengths = {"initial_length": initial_length, "zero_length": zero_length}
     check_reading(force_sign, decimal, displacement, on_corrupt, slack_force=slack_force, **lengths)
+    check_pattern(from_name)
     read = []
     for one in _paths(path):
         found = _read_points(
@@ -114,6 +120,7 @@ def read_dataset(
             force_sign=force_sign,
             on_corrupt=on_corrupt,
             decimal=decimal,
+            from_name=from_name,
             **lengths,
         )
         read.append(found)
@@ -141,13 +148,14 @@ def _read_points(
     force_sign: int,
     on_corrupt: OnCorrupt,
     decimal: str,
+    from_name: str,
 ) -> tuple[IsobaricDataset, bool, bool]:
     """Points of a file as they are; whether this program wrote it, and whether its slack force is known."""
     if path.suffix.lower() == ".nc":
         given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-        return _from_netcdf(IsobaricDataset, path, columns, force_sign, given), True, True
+        return _from_netcdf(IsobaricDataset, path, columns or from_name, force_sign, given), True, True
     file = ColumnConverter(
-        read_table(path, columns, decimal),
+        add_from_name(read_table(path, columns, decimal), path, from_name),
         columns,
         initial_length,
         _NEEDED,
@@ -315,12 +323,11 @@ def check_reading(
         raise RangeError(f"force_sign is {force_sign!r}", field="force_sign", value=force_sign, remedy=remedy)
 
 
-def _from_netcdf(
-    kind: type[Kind], path: Path, columns: Mapping[str, str] | None, force_sign: int, given: Mapping[str, Any]
-) -> Kind:
+def _from_netcdf(kind: type[Kind], path: Path, named: object, force_sign: int, given: Mapping[str, Any]) -> Kind:
     """Dataset or recording of a NetCDF file, with the given sign and attributes."""
-    if columns:
-        raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
+    if named:
+        problem = Problem("columns cannot be renamed in NetCDF", remedy="leave columns and from_name out")
+        raise DatasetError(str(path), [problem])
     if problems := impossible_settings(given["initial_length"], given["slack_force"]):
         raise DatasetError(str(path), problems)
     found = kind.from_netcdf(path)
@@ -349,6 +356,7 @@ def read_recording(
     force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
     decimal: Decimal = "",
+    from_name: str = "",
 ) -> Recording:
     """Read a raw recording from a file of any format of `read_dataset`, with its columns and arguments.
 
@@ -363,7 +371,7 @@ def read_recording(
         Contraction of the test [-], if the file has neither contractions nor lengths.
     sample_rate
         Sample rate [Hz] of a file without times.
-    on_corrupt, decimal
+    on_corrupt, decimal, from_name
         As for `read_dataset`. Omitted samples leave a gap in time.
 
     Raises
@@ -374,7 +382,9 @@ def read_recording(
     numbers = {"contraction": contraction, "sample_rate": sample_rate, "slack_force": slack_force}
     numbers |= {"initial_length": initial_length, "zero_length": zero_length}
     check_reading(force_sign, decimal, displacement, on_corrupt, **numbers)
+    check_pattern(from_name)
     arguments = {"columns": columns, "displacement": displacement, "specimen": specimen, "force_sign": force_sign}
+    arguments["from_name"] = from_name
     parts = []
     for one in _paths(path):
         found = _read_samples(one, on_corrupt=on_corrupt, decimal=decimal, **arguments, **numbers)  # type: ignore[arg-type]
@@ -396,18 +406,19 @@ def _read_samples(
     force_sign: int,
     on_corrupt: OnCorrupt,
     decimal: Decimal,
+    from_name: str,
 ) -> Recording:
     """Recording of one file."""
     if path.suffix.lower() == ".nc":
         given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-        found = _from_netcdf(Recording, path, columns, force_sign, given)
+        found = _from_netcdf(Recording, path, columns or from_name, force_sign, given)
         if contraction is None:
             return found
         if "contraction" in found.table:
             raise DatasetError(str(path), [Problem(_OWN_CONTRACTION, remedy="leave contraction out")])
         return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    sheet = read_table(path, mapping, decimal)
+    sheet = add_from_name(read_table(path, mapping, decimal), path, from_name)
     file = ColumnConverter(
         sheet,
         mapping,

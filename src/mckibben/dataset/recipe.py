@@ -55,6 +55,7 @@ class Recipe(DocumentModel):
     force_sign: Annotated[int, BoundedInt(-1, 1), AfterValidator(_check_sign)] | None = None
     decimal: Annotated[str, OneOf((".", ","))] | None = None
     specimen: str | None = None
+    from_name: str | None = None
 
     @classmethod
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:

@@ -8,26 +8,27 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.component.checks import check_positive
+from mckibben.component.checks import check_number, check_positive
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.isometric import (
     BAND,
     FASTEST,
     LEAST,
     REVERSAL,
-    fixed_contraction,
+    held_contraction,
     lines_through,
     named_cells,
     pressure_levels,
     refuse_staircase,
     split_phases,
+    warn_of_lengths,
 )
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, checked, extracted_points
 from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments, strokes
 from mckibben.errors import DatasetError, RangeError
-from mckibben.units import bar, kPa, percent
+from mckibben.units import bar, kPa, percent, show
 
 _FEW_USED = 0.1  # of the samples
 _LEAST = 20  # samples of a constant pressure
@@ -322,6 +323,11 @@ class Recording(MeasuredTable):
         if "set_pressure" in self.table:
             level = self.table["set_pressure"].to_numpy()
         found = strokes(self.contraction, blocks, step)
+        if 2 * np.count_nonzero(blocks < 0) > len(blocks):
+            account.notes.append(
+                f"the pressure varies by more than {show(pressure_tolerance, 'kPa')} in most samples: allow more by "
+                "pressure_tolerance (command line: --pressure-tolerance)"
+            )
         if not (found.loading.any() and not found.loading.all()):
             raise RangeError(
                 f"no strokes in both directions at constant pressure\n  {account.describe('at rest')}",
@@ -375,7 +381,7 @@ class Recording(MeasuredTable):
         levels, count
             Pressures [Pa]. Default: `count` evenly spaced pressures inside the range of the recording.
         contraction
-            Contraction of the test [-]. Default: the recorded one.
+            Contraction of the test [-]. Default: the recorded one; between gaps, as in several files, it may differ.
         contraction_tolerance
             Largest deviation of a recorded contraction from its median [-]; samples beyond are left out.
         band
@@ -404,11 +410,12 @@ class Recording(MeasuredTable):
         if reversal is not None:
             check_positive("isometric", "Pa", reversal=reversal)
         check_positive("isometric", contraction_tolerance=contraction_tolerance)
+        check_number("isometric", contraction=contraction)
         time, pressure, force = self.time, self.pressure, self.force
         if not len(time):
             raise RangeError("the recording has no samples")
         account = SampleAccount(self.table, gap)
-        held = fixed_contraction(self.table, contraction, contraction_tolerance, account)
+        of_sample = held_contraction(self.table, contraction, contraction_tolerance, account)
         usable = account.of < 0
         wanted = pressure_levels(pressure[usable], levels, count)
         spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
@@ -425,7 +432,7 @@ class Recording(MeasuredTable):
         span = float(np.ptp(pressure[usable])) if usable.any() else 0.0
         if reversal is None:
             reversal = max(10 * kPa, span / REVERSAL)
-        phases = split_phases(pressure, account.broken, reversal)
+        phases, held = split_phases(pressure, account.broken, reversal).at_contraction(of_sample)
         interval = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else np.inf
         refuse_staircase(pressure, phases, interval)
         account.assign_reason(phases.of < 0, "at rest or turning")
@@ -455,6 +462,8 @@ class Recording(MeasuredTable):
                 f"no level is passed\n  {account.describe('between levels')}",
                 remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
             )
+        kept = np.where(passed & ~fast, sums.force, np.nan).reshape(-1, len(wanted))
+        warn_of_lengths(kept, held, phases.rising)
         phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
         found = extracted_points(
             self.table,
@@ -462,7 +471,7 @@ class Recording(MeasuredTable):
             "between levels",
             sums.samples[index],
             pressure=level_of,
-            contraction=np.full(len(index), held),
+            contraction=held[phase_of],
             force=sums.force[index],
             phase=np.where(phases.rising, "filling", "venting")[phase_of],
             repeat=phases.repeat[phase_of],

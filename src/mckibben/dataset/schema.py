@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 import xarray as xr
@@ -19,7 +19,7 @@ from mckibben.dataset.formats import probe
 from mckibben.dataset.netcdf import NUMERIC, write_variables
 from mckibben.dataset.netcdf_check import check_netcdf
 from mckibben.dataset.sheet import unreadable
-from mckibben.errors import DatasetError, FileError, Problem
+from mckibben.errors import DatasetError, FileError, Problem, no_attribute
 from mckibben.storage.files import atomic_write, check_seal, sealed
 
 VACUUM = -101325.0
@@ -271,6 +271,10 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
         raise DatasetError(str(path), error.problems) from None
 
 
+_MEANT = dict.fromkeys(("fit", "identify"), "mk.identify(mk.ExponentialLaw, data)")
+"""What is meant by some attributes that a dataset does not have."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredTable:
     """Base of datasets: a table of measured points or samples that fits its schema.
@@ -287,6 +291,11 @@ class MeasuredTable:
     """Name in errors."""
 
     table: xr.Dataset
+
+    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_attribute(self, name, _MEANT)
 
     def __post_init__(self) -> None:
         table, problems = normalize(self.table, self.schema)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
-from mckibben.errors import DomainWarning, IdentificationError, printable
+from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable
 from mckibben.identification.intervals import (
     ForceIntervals,
     Interval,
@@ -88,6 +88,26 @@ class Outlier:
     def __str__(self) -> str:
         where = f"{show(self.pressure, 'bar', 4)} and {self.contraction / percent:.4g} %"
         return f"row {self.row}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
+
+
+_LISTED, _LISTED_ROWS = 3, 12
+_MEANT = {
+    "force": "predict(contraction, pressure)",
+    "simulate": "Scenario.simulate(), with the fit's file as the law of a muscle",
+    "summary": "report()",
+    "parameters": "estimates",
+}
+"""What is meant by some attributes that a fit does not have."""
+
+
+def left_out(outliers: Sequence[Outlier]) -> list[str]:
+    """Warnings of points that an identification leaves out: the first few, and the rows of the others."""
+    shown, more = outliers[:_LISTED], [str(one.row) for one in outliers[_LISTED:]]
+    found = [f"left out, as it contradicts the points around it: {one}" for one in shown]
+    if more:
+        rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
+        found.append(f"left out, as they contradict the points around them: {len(more)} more, rows {rows}")
+    return found
 
 
 def domain_of(points: IsobaricDataset) -> Domain:
@@ -169,6 +189,11 @@ class Fit:
     robust: RobustErrors | None = None
     regression: Regression | None = None
     outliers: tuple[Outlier, ...] = ()
+
+    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_attribute(self, name, _MEANT)
 
     @property
     def estimates(self) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of, off_levels
+from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of, left_out, off_levels
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
@@ -125,7 +125,7 @@ def identify(
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
         warnings.append(f"{text}: the domain is the range of the measured pressures")
     warnings += _friction_warnings(points, residuals, grouping)
-    warnings += [f"left out, as it contradicts the points around it: {one}" for one in outliers]
+    warnings += left_out(outliers)
     warnings += regression.warnings
     warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
     lopo, reason = _leave_one_pressure_out(regression)
@@ -265,11 +265,11 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
             if grouping is Grouping.STROKE
             else "the standard errors are not valid"
         )
-        remedy = (
-            "; identify the friction with identify_hysteresis (command line: --hysteresis)"
-            if column == "direction" and "friction" not in points.table.attrs
-            else ""
-        )
+        remedy = ""
+        if column == "direction" and "friction" not in points.table.attrs:
+            remedy = "; identify the friction with identify_hysteresis (command line: --hysteresis)"
+        elif column == "phase":
+            remedy = "; to identify the friction, record strokes in both directions at constant pressures as well"
         warnings.append(
             f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "
             f"independent from point to point, so {consequence}{remedy}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import DatasetSummary, Fit, domain_of
+from mckibben.identification.fit import DatasetSummary, Fit, domain_of, left_out
 from mckibben.identification.fitting import identify
 from mckibben.identification.friction_forms import (
     FormComparison,
@@ -279,7 +279,7 @@ def identify_hysteresis(
             model = dataclasses.replace(model, template=identify(law_type, corrected).law)
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
-    warnings = [f"left out, as it contradicts the points around it: {one}" for one in outliers]
+    warnings = left_out(outliers)
     for name in _shapes_at_bound(model.template) & set(of_law):
         of_law = _without(of_law, name)
         warnings.append(f"{name} is held at the bound of its range: the law is probably misspecified")

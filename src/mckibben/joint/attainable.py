@@ -143,7 +143,8 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
         f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",
         remedy="leave the stiffness out: with a return spring the angle determines it"
         if any(joint.springs)
-        else "choose a stiffness inside, or change the lengths of the geometry or muscles",
+        else "choose a stiffness inside, or change the lengths of the geometry or muscles; `mckibben envelope` names "
+        "what limits it",
         **attainable,
     )
 

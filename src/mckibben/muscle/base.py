@@ -19,7 +19,7 @@ from mckibben.component.extensions import is_foreign
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, quoted
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
-from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm, percent
+from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm, percent, show
 
 # No `from __future__ import annotations` here: equinox does not recognise an AbstractVar written as text.
 
@@ -135,6 +135,9 @@ def check_point(contraction: ArrayLike, pressure: ArrayLike) -> None:
         text = (
             f"a contraction of {wrong[0] / percent:.4g} % is impossible: contractions are ratios, such as 10 * percent"
         )
+        warnings.warn(text, DomainWarning, stacklevel=user_level())
+    if (lowest := pressures.min(initial=0.0)) < -atm:
+        text = f"a gauge pressure of {show(float(lowest), 'bar')} is impossible: it is below a vacuum"
         warnings.warn(text, DomainWarning, stacklevel=user_level())
     if ZERO_PRESSURE < (highest := pressures.max(initial=0.0)) < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"

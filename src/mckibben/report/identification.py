@@ -226,7 +226,13 @@ def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
 def _points(axes: Axes, points: IsobaricDataset, value: NDArray[np.float64]) -> None:
     for direction, mask in by_direction(points):
         look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"})
-        axes.plot(points.contraction[mask] / percent, value[mask], linestyle="", markersize=2.6, zorder=4, **look)
+        x = points.contraction[mask] / percent
+        axes.plot(x, value[mask], linestyle="", markersize=_size(points), zorder=4, **look)
+
+
+def _size(points: IsobaricDataset) -> float:
+    """Size of markers, smaller for many points, which would hide curves and bands."""
+    return max(0.8, 2.6 * min(1.0, (600 / max(1, len(points))) ** 0.5))
 
 
 _CONTRACTION = "contraction [%]"
@@ -273,7 +279,7 @@ def _forces(axes: Axes, means: IsobaricDataset, found: HysteresisFit) -> None:
     force, model = means.force - found.offset, found.tension + found.friction_force
     loading = means.table["direction"].to_numpy() == "loading"
     for side, look in ((loading, LOADING), (~loading, UNLOADING)):
-        axes.plot(means.contraction[side] / percent, force[side], linestyle="none", markersize=2, **look)
+        axes.plot(means.contraction[side] / percent, force[side], linestyle="none", markersize=_size(means), **look)
     for rows in _passes(means):
         axes.plot(means.contraction[rows] / percent, model[rows], **_MODEL)
     handles = [
@@ -295,7 +301,7 @@ def _loop(axes: Axes, means: IsobaricDataset, found: HysteresisFit, level: float
     loading = means.table["direction"].to_numpy() == "loading"
     measured = found.residuals + found.friction_force
     for side, look in ((here & loading, LOADING), (here & ~loading, UNLOADING)):
-        axes.plot(means.contraction[side] / percent, measured[side], linestyle="none", markersize=2.5, **look)
+        axes.plot(means.contraction[side] / percent, measured[side], linestyle="none", markersize=_size(means), **look)
     for rows in _passes(means):
         if here[rows].any():
             rows = rows[here[rows]]

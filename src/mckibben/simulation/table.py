@@ -15,7 +15,7 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.columns import attributes, labels_of
-from mckibben.errors import SimulationError
+from mckibben.errors import SimulationError, no_attribute
 from mckibben.notebook import html_table
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.metrics import Metrics
@@ -120,8 +120,11 @@ class RunResult(abc.ABC):
         return name in self.columns
 
     def __getattr__(self, name: str) -> Any:
-        hint = f'; the column is result["{name}"]' if name in self.__dict__.get("columns", ()) else ""
-        raise AttributeError(f"a {type(self).__name__} has no attribute {name!r}{hint}", name=name, obj=self)
+        metrics, columns = labels_of(self.kind), self.__dict__.get("columns", ())
+        meant = {one: f'result.metrics["{one}"]' for one in metrics} | {one: f'result["{one}"]' for one in columns}
+        if name not in meant and not name.startswith("_") and (metric := f"angle_{name}") in metrics:
+            meant[name] = meant[metric]
+        raise no_attribute(self, name, meant)
 
     def _ipython_key_completions_(self) -> list[str]:
         return ["time", *self.columns]

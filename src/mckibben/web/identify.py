@@ -8,15 +8,16 @@ import tempfile
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from nicegui import events, ui
 
 from mckibben import catalog
 from mckibben.component.schema import read_component
-from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import DatasetError, McKibbenError, ParameterError, printable
 from mckibben.identification import Fit, FitWithFriction, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
@@ -44,9 +45,37 @@ from mckibben.web.session import Jobs, session
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_CURVES = 12
+_LENGTHS = {
+    "initial length, such as 180 mm": "initial_length",
+    "zero length: at displacement 0, if another": "zero_length",
+}
+_DISPLACEMENTS = {"": "no displacement", "shortening": "shortens", "lengthening": "lengthens"}
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _LENGTH: Quantity = Length.__metadata__[0]  # type: ignore[attr-defined]
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
+
+
+@dataclass
+class ReadingFields:
+    """How a file is read, as texts of the fields of the page."""
+
+    initial_length: str = ""
+    displacement: str = ""
+    zero_length: str = ""
+    negative: bool = False
+    columns: str = ""
+
+    def clear(self) -> None:
+        """Empty all fields, to which those of an open page are bound."""
+        self.__init__()
+
+    def recipe(self) -> Recipe:
+        """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
+        texts = {name: getattr(self, name).strip() for name in ("initial_length", "displacement", "zero_length")}
+        given: dict[str, Any] = {name: text for name, text in texts.items() if text}
+        given |= {"columns": names} if (names := column_names(self.columns)) else {}
+        given |= {"force_sign": -1} if self.negative else {}
+        return Recipe(**given)
 
 
 @dataclass
@@ -57,8 +86,7 @@ class IdentificationState:
     source: Path | None = None
     data: IsobaricDataset | None = None
     law: str = "ExponentialLaw"
-    initial_length: str = ""
-    columns: str = ""
+    reading: ReadingFields = field(default_factory=ReadingFields)
     found: FitWithFriction | None = None
     ranking: Ranking | None = None
     muscle: Muscle | None = None
@@ -94,11 +122,10 @@ def _refused_length(text: str | None) -> str | None:
     return None
 
 
-def read(path: Path, initial_length: str, columns: str) -> IsobaricDataset:
-    """The points of a file, with initial length and columns as text; errors name the file without its folder."""
-    length = _LENGTH.read(initial_length) if initial_length.strip() else None
+def read(path: Path, fields: ReadingFields) -> IsobaricDataset:
+    """The points of a file, read as the fields say; errors name the file without its folder."""
     try:
-        return read_dataset(path, columns=column_names(columns), initial_length=length)
+        return fields.recipe().dataset(path)
     except DatasetError as error:
         raise DatasetError(path.name, error.problems) from None
 
@@ -140,13 +167,18 @@ class _Page:
                     example = "pressure_bar,contraction_percent,force_N\n1,0,120\n..."
                     self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
                     ui.button("Read", on_click=self.paste).props("flat no-caps")
-                with ui.expansion("initial length and columns").props("dense").classes("w-full"):
-                    ui.input("initial length, such as 180 mm", validation=_refused_length).props("dense").classes(
+                with ui.expansion("how the file is read").props("dense").classes("w-full") as self.options:
+                    for label, name in _LENGTHS.items():
+                        ui.input(label, validation=_refused_length).props("dense").classes("w-full").mark(
+                            name
+                        ).bind_value(state.reading, name)
+                    ui.select(_DISPLACEMENTS, label="displacement: positive if the muscle").props("dense").classes(
                         "w-full"
-                    ).mark("length").bind_value(state, "initial_length")
+                    ).mark("displacement").bind_value(state.reading, "displacement")
+                    ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")
                     ui.textarea("columns, one per line: HEADER = pressure_bar").props("dense autogrow").classes(
                         "w-full mono"
-                    ).bind_value(state, "columns")
+                    ).bind_value(state.reading, "columns")
                     ui.button("Read again", on_click=self.read).props("flat no-caps")
             with panel("Force law"):
                 ui.select(sorted(law_types()), label="law").props("dense").classes("w-full").bind_value(
@@ -207,10 +239,10 @@ class _Page:
             with suppress(OSError):
                 old.unlink()
         state.name, state.source = name, source
-        length, columns = state.initial_length, state.columns
+        fields = replace(state.reading)
 
         def load() -> IsobaricDataset:
-            return catalog.dataset(name) if source is None else read(source, length, columns)
+            return catalog.dataset(name) if source is None else read(source, fields)
 
         state.data = state.found = state.ranking = state.error = None
 
@@ -220,7 +252,7 @@ class _Page:
         self.job = state.jobs.start(lambda _: load(), done, self.fail)
 
     def read(self) -> None:
-        """Read the same file again, with other columns or another length."""
+        """Read the same file again, with other fields."""
         if self.state.name:
             self.take(self.state.name, self.state.source)
 
@@ -267,6 +299,7 @@ class _Page:
         """Show everything known."""
         state = self.state
         if state.error is not None:
+            self.options.value |= state.data is None
             with panel(state.name):
                 show_error(state.error)
         if state.data is None:
@@ -383,11 +416,13 @@ class _Page:
             made.columns[-1]["align"] = "left"
 
     def download(self) -> None:
-        """Offer fit.yaml and, if the length is known, muscle.yaml for download."""
+        """Offer fit.yaml, the recipe of the file and, if the length is known, muscle.yaml for download."""
         kept = io.BytesIO()
         with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED) as folder:
             for name in ("muscle.yaml", "fit.yaml") if self.state.muscle is not None else ("fit.yaml",):
                 folder.writestr(name, (self.folder / name).read_bytes())
+            with suppress(McKibbenError):  # fields that were changed since
+                folder.writestr("recipe.yaml", self.state.reading.recipe().dumps())
         ui.download.content(kept.getvalue(), "muscle.zip")
 
     def design(self) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import re
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -27,11 +28,13 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
+_ELSEWHERE = re.compile(r" \(command line: [^)]*\)")  # remedies name arguments, as fields do, and options
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 _STYLE = """
 body { background: #f6f7f9; color: #1b2126; }
 .q-header { background: #ffffff; color: #1b2126; border-bottom: 1px solid #dfe3e8; }
-.panel { background: #ffffff; border: 1px solid #dfe3e8; border-radius: 8px; padding: 16px; }
+.panel { background: #ffffff; border: 1px solid #dfe3e8; border-radius: 8px; padding: 16px; max-width: 100%; }
+.panel > * { max-width: 100%; }
 .nicegui-content { padding: 16px; max-width: 1280px; margin: 0 auto; }
 .columns { display: grid; grid-template-columns: 320px minmax(0, 1fr); gap: 16px; width: 100%; align-items: start; }
 .pair { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 16px; width: 100%; }
@@ -63,6 +66,7 @@ body { background: #f6f7f9; color: #1b2126; }
   .nicegui-content { padding: 10px; }
   .panel { padding: 12px; }
   .q-table td, .q-table th { padding: 4px 4px; font-size: 12px; overflow-wrap: anywhere; }
+  .q-table td.text-right { overflow-wrap: normal; }
 }
 """
 
@@ -130,7 +134,7 @@ def show_error(error: McKibbenError) -> None:
             "" if one.line is None else one.line,
             printable(one.field, 80),
             printable(one.message, 400),
-            printable(one.remedy, 400),
+            printable(_ELSEWHERE.sub("", one.remedy), 400),
         )
         for one in error.problems[:100]
     ]
@@ -144,7 +148,7 @@ def _message(message: str, remedy: str) -> None:
         for line in printable(message, 4000).splitlines():
             ui.label(line)
         if remedy:
-            ui.label(printable(remedy, 1000)).classes("quiet")
+            ui.label(printable(_ELSEWHERE.sub("", remedy), 1000)).classes("quiet")
 
 
 def notify_if_replaced(jobs: Jobs, number: int) -> int:

@@ -119,7 +119,8 @@ def adopt(project: Project, folder: Path, bench: Workbench, identification: Iden
     if project.points is not None:
         identification.name, identification.data, identification.source = POINTS, project.points, folder / POINTS
         identification.found = identification.ranking = identification.error = None
-        identification.notes, identification.columns, identification.initial_length = [], "", ""
+        identification.notes = []
+        identification.reading.clear()
     if project.muscle is not None:
         identification.muscle = project.muscle
     identification.jobs.version += 1

@@ -1,0 +1,32 @@
+"""Fields of the page of muscles by which a file is read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui")
+
+from mckibben.dataset import Recipe
+from mckibben.errors import DatasetError
+from mckibben.web import identify
+
+
+def test_displacements_are_read_as_the_fields_say(tmp_path):
+    lines = [
+        f"{p};{0.1 * (3 - p) - 20 * p * (0.2 - e) / 0.2:.3f};{37 - 220 * e:.2f}"
+        for p in (1, 2, 3)
+        for e in np.arange(0, 0.2, 0.02)
+    ]
+    path = tmp_path / "weg.csv"
+    path.write_text("\n".join(["Druck [bar];Kraft [N];Weg [mm]", *lines]), encoding="utf-8")
+    fields = identify.ReadingFields("220 mm", "lengthening", "183 mm", negative=True)
+    with pytest.raises(DatasetError) as caught:
+        identify.read(path, identify.ReadingFields())
+    assert {problem.field for problem in caught.value.problems} == {"Weg [mm]", "initial_length"}
+    read = identify.read(path, fields)
+    np.testing.assert_allclose(np.unique(read.contraction.round(4)), np.arange(0, 0.2, 0.02), atol=1e-4)
+    assert read.force.max() > 0
+    assert Recipe.parse(fields.recipe().dumps()) == fields.recipe()
+    fields.clear()
+    assert fields == identify.ReadingFields()
