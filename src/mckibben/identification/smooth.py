@@ -36,9 +36,10 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.identification.fit import domain_of, unphysical
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
+from mckibben.identification.monotone import monotone
 from mckibben.identification.regression import RESOLUTION, contraction_blocks, pressure_blocks
 from mckibben.identification.uncertainty import CONDITION_LIMIT, Bools, Floats, condition_number
-from mckibben.muscle import ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
+from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
 from mckibben.muscle.smooth import DEGREE
 
@@ -166,6 +167,7 @@ class Deviations:
     problem: FitProblem = field(repr=False)
     base: Solution = field(repr=False)
     prior: Prior = field(repr=False)
+    domain: Domain
 
     @classmethod
     def of(cls, kind: type[ForceLaw], points: IsobaricDataset, base: Solution) -> Deviations:
@@ -176,7 +178,7 @@ class Deviations:
             centre, half_width = _window(used.pressure)
             constants |= {"pressure_centre": centre, "pressure_half_width": half_width}
         prior = prior_of(kind, float(used.levels.max()))
-        return cls(replace(base.problem, law_type=kind, constants=constants), base, prior)
+        return cls(replace(base.problem, law_type=kind, constants=constants), base, prior, domain_of(used))
 
     @property
     def _inside(self) -> slice:
@@ -203,7 +205,8 @@ class Deviations:
                 return None
             found = supported
         rows = prior_rows(self.prior, np.exp(self.prior.scales(found)[0]))
-        return solve(replace(self.problem, prior=rows), self.base.position), found
+        solution = solve(replace(self.problem, prior=rows), self.base.position)
+        return (monotone(solution, self.domain) if solution.converged else None) or solution, found
 
     def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
         """Errors [N] at blocks left out of the kept points, each predicted by a fit to all others."""
