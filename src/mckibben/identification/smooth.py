@@ -9,6 +9,9 @@ The deviations have a Gaussian prior about zero, of scales that are estimated (`
 
 With the scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
 
+The force falls with contraction and rises with pressure (`mckibben.identification.monotone`), unless the points
+contradict that more than they do Eq. 2.
+
 A law is accepted if the deviations lower the corrected Akaike criterion (with effective parameters: few points support
 few), predict left-out pressures and left-out inner contractions better than Eq. 2, and are physical where Eq. 2 is. For
 each block left out, Eq. 2 is fitted anew and the scales and the deviations are estimated anew. Of the accepted laws,
@@ -206,7 +209,8 @@ class Deviations:
             found = supported
         rows = prior_rows(self.prior, np.exp(self.prior.scales(found)[0]))
         solution = solve(replace(self.problem, prior=rows), self.base.position)
-        return (monotone(solution, self.domain) if solution.converged else None) or solution, found
+        sloped = monotone(solution, self.domain) if solution.converged else None
+        return (sloped if sloped and sloped.aicc < self.base.aicc else solution), found  # else the points contradict it
 
     def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
         """Errors [N] at blocks left out of the kept points, each predicted by a fit to all others."""
