@@ -36,6 +36,7 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
 from mckibben.identification.fit import domain_of, unphysical
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
@@ -209,7 +210,10 @@ class Deviations:
             found = supported
         rows = prior_rows(self.prior, np.exp(self.prior.scales(found)[0]))
         solution = solve(replace(self.problem, prior=rows), self.base.position)
-        sloped = monotone(solution, self.domain) if solution.converged else None
+        try:
+            sloped = monotone(solution, self.domain) if solution.converged else None
+        except IdentificationError:  # coefficients that cancel are outside the range of the law
+            return None
         return (sloped if sloped and sloped.aicc < self.base.aicc else solution), found  # else the points contradict it
 
     def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
