@@ -221,7 +221,7 @@ def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, 
             f"(condition number {number:.1e})",
             value=number,
             upper=CONDITION_LIMIT,
-            remedy="measure at more pressures and contractions, pool specimens of one make (identify_pooled, --pool), or "
+            remedy="measure at more pressures and contractions, pool specimens (identify_pooled, --pool), or "
             "use a law with fewer parameters",
         )
     if not solution.converged:
