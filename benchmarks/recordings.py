@@ -16,7 +16,8 @@ pressure [kPa], time [s], 1 while filling and 2 while venting; no licence), each
 vented three times by pulses of a valve. Lengths are those of the authors' LoadAll10mmData_New.m; the files *_Offset.csv
 give the zeros of the sensors. "map": plateaus of 0.2 s while filling; those about 2, 3.5 and 5 bar are tested.
 "isometric": samples of 50 Hz, Test10 from Test8 and Test9. "transfer": the map of each muscle from six of its points
-and the maps of the others. `--tasks phases` compares the phases of plateaus with the authors' column.
+and the maps of the others. `--tasks phases` compares the phases of plateaus with the authors' column; `--tasks
+left-out` prints the table of left_out.py for the six maps, of Eq. 2, the smooth law and a plain Gaussian process.
 
 elbow: joint motion, see elbow.py; every third file is fitted, the others are tested.
 
@@ -32,6 +33,7 @@ import warnings
 from pathlib import Path
 
 import elbow
+import left_out
 import numpy as np
 from scipy.io import loadmat
 from scipy.optimize import least_squares
@@ -40,7 +42,7 @@ from mckibben.bench import BASELINES, DataBlock, Task, Training
 from mckibben.bench.baselines import GaussianProcess
 from mckibben.bench.submission import predictions
 from mckibben.calibration import calibrate_from_commands
-from mckibben.dataset import Recording
+from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
 from mckibben.units import bar, cm, kPa, ms
 
@@ -231,6 +233,14 @@ def main():
     warnings.simplefilter("ignore", McKibbenWarning)
     if options.tasks == "phases":
         print_phases(options.folder)
+        return
+    if options.tasks == "left-out":
+        maps = {f"{cut} cm": map_of(options.folder, cut).T for cut in LENGTHS}
+        sets = {
+            name: IsobaricDataset.of(contraction=eps, pressure=p, force=force, slack_force=SLACK)
+            for name, (eps, p, force) in maps.items()
+        }
+        left_out.print_table(sets, ["Exponential", "Smooth", left_out.PLAIN])
         return
     print("| task | method | RMSE [N or rad] | NRMSE | relative |\n|---|---|---|---|---|")
     if options.data == "pneu-sim":

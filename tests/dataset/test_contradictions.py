@@ -113,3 +113,14 @@ def test_sheets_with_times_of_their_own_are_not_read_row_by_row(tmp_path):
     with pytest.raises(DatasetError) as caught:
         read_dataset(tmp_path / "two.xlsx")
     assert any("time" in problem.message for problem in caught.value.problems)
+
+
+def test_a_temperature_that_moves_is_a_warning(put):
+    lines = ROWS.splitlines()
+    for rise, warned in ((0.5, 0), (2.0, 1)):
+        rows = "".join(f"{line},{20 + rise * i}\n" for i, line in enumerate(lines))
+        path = put(f"pressure_bar,force_N,contraction_%,temperature_degC\n{rows}")
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            read_dataset(path)
+        assert sum("'temperature_degC' moves by 8 K" in str(one.message) for one in heard) == warned

@@ -349,6 +349,7 @@ def find_columns(
     ]
     _same_length(sheet, layout)
     _same_clock(sheet, layout)
+    _one_temperature(sheet, layout)
     return layout
 
 
@@ -454,6 +455,24 @@ def _same_clock(sheet: RawTable, layout: Layout) -> None:
         layout.problems.append(sheet.kind(f"columns are from {shown}, which have their own times", remedy=remedy))
     else:
         layout.suspect.append(f"columns are from {shown}: their rows are taken to belong together")
+
+
+_WARMING = 5.0  # K
+
+
+def _one_temperature(sheet: RawTable, layout: Layout) -> None:
+    """Warn of a recorded temperature that moves: the rubber and the zero of a load cell move with it."""
+    for channel in sheet.channels:
+        if channel.name in layout.ignored and "temperatur" in channel.label.lower():
+            try:
+                values = np.asarray(channel.cells, float)
+            except ValueError:
+                continue
+            if (moved := float(np.nanmax(values, initial=-np.inf) - np.nanmin(values, initial=np.inf))) > _WARMING:
+                layout.suspect.append(
+                    f"{channel.name!r} moves by {moved:.2g} K: the rubber and the zero of the load cell move with it; "
+                    "let the muscle and the rig reach one temperature before the test"
+                )
 
 
 def _accepted(header: str = "") -> str:

@@ -28,7 +28,7 @@ from mckibben.identification.intervals import (
     t_quantile,
 )
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
+from mckibben.identification.uncertainty import Bools, Floats, Grouping, correlated_pairs
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import check_point
 from mckibben.notebook import draw, html_table
@@ -131,20 +131,27 @@ _ROUNDING = 1e-9  # of the largest force
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
     """First violation on a grid of a force that exists, falls with contraction and rises with pressure."""
-    box = law.domain if domain is None else domain
-    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
-    pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
-    force = forces(law, contraction[:, None], pressure)
-    rounding = _ROUNDING * float(np.nanmax(np.abs(force), initial=0.0))
-    for violation, wrong in (
-        ("it has no force", ~np.isfinite(force)),
-        ("its force rises with contraction", (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)),
-        ("its force falls with pressure", (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)),
-    ):
+    contraction, pressure = slope_grid(law.domain if domain is None else domain)
+    force = forces(law, contraction, pressure)
+    texts = ("it has no force", "its force rises with contraction", "its force falls with pressure")
+    for violation, wrong in zip(texts, (~np.isfinite(force), *wrong_slopes(force)), strict=True):
         if wrong.any():
             i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
-            return f"{violation} at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
+            return f"{violation} at {contraction[i, 0] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
     return ""
+
+
+def slope_grid(box: Domain) -> tuple[Floats, Floats]:
+    """Contraction, a column, and pressure [Pa], a row, at which slopes are checked."""
+    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
+    return contraction[:, None], np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
+
+
+def wrong_slopes(force: Floats) -> tuple[Bools, Bools]:
+    """Masks of intervals of the grid in which a force rises with contraction, and in which it falls with pressure."""
+    rounding = _ROUNDING * float(np.nanmax(np.abs(force), initial=0.0))
+    rises = (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)
+    return rises, (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -27,7 +27,7 @@ from mckibben.identification.uncertainty import (
     uncertainty,
     unidentifiable,
 )
-from mckibben.muscle import Domain, ExponentialLaw, ForceLaw
+from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, SmoothLaw
 from mckibben.units import percent, show
 
 _STRONG_CORRELATION = 0.999
@@ -150,7 +150,7 @@ def identify(
 
 def _laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
     """Law with deviations, and the simpler ones that may take its place."""
-    return SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
+    return SMOOTH_LAWS if law_type is SmoothLaw else SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
 
 
 def _smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
@@ -221,7 +221,8 @@ def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, 
             f"(condition number {number:.1e})",
             value=number,
             upper=CONDITION_LIMIT,
-            remedy="measure at more pressures and contractions, or use a law with fewer parameters",
+            remedy="measure at more pressures and contractions, pool specimens (identify_pooled, --pool), or "
+            "use a law with fewer parameters",
         )
     if not solution.converged:
         raise IdentificationError(

@@ -9,6 +9,9 @@ The deviations have a Gaussian prior about zero, of scales that are estimated (`
 
 With the scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
 
+The force falls with contraction and rises with pressure (`mckibben.identification.monotone`), unless the points
+contradict that more than they do Eq. 2.
+
 A law is accepted if the deviations lower the corrected Akaike criterion (with effective parameters: few points support
 few), predict left-out pressures and left-out inner contractions better than Eq. 2, and are physical where Eq. 2 is. For
 each block left out, Eq. 2 is fitted anew and the scales and the deviations are estimated anew. Of the accepted laws,
@@ -33,12 +36,14 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
 from mckibben.identification.fit import domain_of, unphysical
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
+from mckibben.identification.monotone import monotone
 from mckibben.identification.regression import RESOLUTION, contraction_blocks, pressure_blocks
 from mckibben.identification.uncertainty import CONDITION_LIMIT, Bools, Floats, condition_number
-from mckibben.muscle import ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
+from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
 from mckibben.muscle.smooth import DEGREE
 
@@ -166,6 +171,7 @@ class Deviations:
     problem: FitProblem = field(repr=False)
     base: Solution = field(repr=False)
     prior: Prior = field(repr=False)
+    domain: Domain
 
     @classmethod
     def of(cls, kind: type[ForceLaw], points: IsobaricDataset, base: Solution) -> Deviations:
@@ -176,7 +182,7 @@ class Deviations:
             centre, half_width = _window(used.pressure)
             constants |= {"pressure_centre": centre, "pressure_half_width": half_width}
         prior = prior_of(kind, float(used.levels.max()))
-        return cls(replace(base.problem, law_type=kind, constants=constants), base, prior)
+        return cls(replace(base.problem, law_type=kind, constants=constants), base, prior, domain_of(used))
 
     @property
     def _inside(self) -> slice:
@@ -203,7 +209,12 @@ class Deviations:
                 return None
             found = supported
         rows = prior_rows(self.prior, np.exp(self.prior.scales(found)[0]))
-        return solve(replace(self.problem, prior=rows), self.base.position), found
+        solution = solve(replace(self.problem, prior=rows), self.base.position)
+        try:
+            sloped = monotone(solution, self.domain) if solution.converged else None
+        except IdentificationError:  # coefficients that cancel are outside the range of the law
+            return None
+        return (sloped if sloped and sloped.aicc < self.base.aicc else solution), found  # else the points contradict it
 
     def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
         """Errors [N] at blocks left out of the kept points, each predicted by a fit to all others."""

@@ -1,0 +1,58 @@
+"""`monotone`: the closest law with the right slopes."""
+
+import numpy as np
+import pytest
+
+from mckibben.bench.foreign import ForeignMuscle
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification import identify
+from mckibben.identification.fit import domain_of, unphysical
+from mckibben.identification.least_squares import FitProblem, grid_search, solve
+from mckibben.identification.monotone import monotone
+from mckibben.muscle import ExponentialLaw, GaussianProcessLaw, SmoothLaw, forces
+from mckibben.units import bar
+
+CONTRACTION, PRESSURE = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.12, 7), np.linspace(1, 6, 6) * bar))
+
+
+def solved(force):
+    points = IsobaricDataset.of(pressure=PRESSURE, contraction=CONTRACTION, force=force)
+    problem = FitProblem.of(ExponentialLaw, points)
+    return solve(problem, grid_search(problem)), domain_of(points)
+
+
+def test_the_closest_force_that_does_not_rise_with_contraction_is_constant():
+    solution, domain = solved(20 * PRESSURE / bar + 100 * CONTRACTION)
+    found = monotone(solution, domain)
+    assert found is not None
+    law = found.problem.law(found.values)
+    assert "rises with contraction" in unphysical(solution.problem.law(solution.values), domain)
+    assert unphysical(law, domain) == ""
+    expected = 20 * PRESSURE / bar + 100 * CONTRACTION.mean()
+    np.testing.assert_allclose(forces(law, CONTRACTION, PRESSURE), expected, atol=0.02)
+    assert found.cost == pytest.approx(np.sum((100 * (CONTRACTION - CONTRACTION.mean())) ** 2), rel=0.01)
+
+
+def test_a_law_with_the_right_slopes_stays_as_it_is():
+    solution, domain = solved(
+        forces(ExponentialLaw(-40.0, 6e-4, -500.0, -3e-3, 30.0, 1e-4, decay=30.0), CONTRACTION, PRESSURE)
+    )
+    found = monotone(solution, domain)
+    assert found is not None
+    np.testing.assert_array_equal(found.values, solution.values)
+
+
+@pytest.mark.slow
+def test_a_muscle_at_four_lengths_whose_bladder_is_stiff():
+    """Between the lengths, and near the slack muscle, only the slopes tell the force."""
+    muscle = ForeignMuscle(contact=9e4, contact_slope=6e5)
+    eps, p = (a.ravel() for a in np.meshgrid([0.0, 0.04, 0.08, 0.12], np.linspace(0.5, 6, 20) * bar))
+    force = muscle.static_force(eps, p) + np.random.default_rng(0).normal(0, 0.5, p.size)
+    taut = force > 3
+    points = IsobaricDataset.of(pressure=p[taut], contraction=eps[taut], force=force[taut])
+    eq_2, fit = (identify(law, points) for law in (ExponentialLaw, SmoothLaw))
+    assert isinstance(fit.law, GaussianProcessLaw)
+    assert unphysical(fit.law) == ""
+    ours, theirs = fit.leave_one_pressure_out, eq_2.leave_one_pressure_out
+    assert ours is not None and theirs is not None
+    assert ours.rmse < 0.8 * theirs.rmse
