@@ -99,6 +99,8 @@ def points(
     json: Json = False,
 ) -> None:
     """Extract points from a raw recording: steady plateaus, strokes, or pressure levels at a fixed length."""
+    from mckibben.dataset.reading import check_dataset
+
     if isometric and strokes:
         raise ParameterError("--isometric and --strokes are different tests", remedy="give one of them")
     for file, endings in ((out, (".csv", ".nc")), (save_recipe, (".yaml", ".yml"))):
@@ -143,6 +145,7 @@ def points(
         )
     else:
         found = read.plateaus(contraction_tolerance=0.001 if tolerance is None else tolerance, gap=between, **steady)  # type: ignore[arg-type]
+    check_dataset(found.dataset, ", ".join(path.name for path in recording), only_warn=True)
     if out is not None:
         write = found.dataset.to_netcdf if out.suffix.lower() == ".nc" else found.dataset.to_csv
         write(out)
