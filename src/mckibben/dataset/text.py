@@ -468,8 +468,9 @@ def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: 
     names = header.rstrip("\r\n").split(separator)
     if names[-1] == "Comment":  # its cells are written only if there is a comment
         rows = "".join(_padded(line, len(names), separator) for line in rows.splitlines(keepends=True))
-    # leading blank lines preserve the line numbers
-    sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros, decimal=decimal)
+    text = "\n" * first + f"{header}\n{rows}"  # leading blank lines preserve the line numbers
+    del parts, fields, body, rows  # of a large text
+    sheet = read_text(text, source, known, zeros=zeros, decimal=decimal)
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
