@@ -262,9 +262,9 @@ def test_usual_values_do_not_mark_missing_ones(heard):
         ((0, 4, 0), 30.0, True),
         ((1, 1, 1), 30.0, True),
         ((3, 0, 0), 0.0, False),
-        ((0, 0, 0), 30.0, False),
+        ((0, 0, 0), 30.0, True),
     ],
-    ids=["two", "four", "one at each pressure", "no offset", "no slack point"],
+    ids=["two", "four", "one at each pressure", "no offset", "extrapolated to no pressure"],
 )
 def test_an_offset_that_few_slack_points_show_is_reported(tails, offset, reported, heard):
     rows = []

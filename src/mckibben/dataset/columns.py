@@ -45,9 +45,14 @@ _NAMES: Mapping[str, str] = {
             "pressure",
             (
                 "druck",
+                "überdruck",
+                "druk",
+                "tryck",
+                "ciśnienie",
                 "druck ist",
                 "istdruck",
                 "pression",
+                "pression relative",
                 "pressione",
                 "presión",
                 "presion",
@@ -57,11 +62,15 @@ _NAMES: Mapping[str, str] = {
                 "圧力",
             ),
         ),
+        ("force", ("kracht", "siła", "引張力")),
         ("force", ("kraft", "zugkraft", "standardkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
         (
             "contraction",
             (
                 "kontraktion",
+                "contractie",
+                "raccourcissement",
+                "skrócenie",
                 "verkürzung",
                 "verkuerzung",
                 "kürzung",
@@ -90,6 +99,12 @@ _SPELLED: Mapping[str, str] = {
     **dict.fromkeys(("-", "1"), "ratio"),
     **dict.fromkeys(("sec", "second", "seconds"), "s"),
     "milliseconds": "ms",
+    "pct": "percent",
+    "hpa": "mbar",
+    "kp": "kgf",
+    **dict.fromkeys(("n/mm2", "n/mm^2"), "MPa"),
+    **dict.fromkeys(("n/m2", "n/m^2"), "Pa"),
+    **dict.fromkeys(("kilopascal", "kilopascals"), "kPa"),
     "minutes": "min",
     **dict.fromkeys(("newton", "newtons"), "N"),
     **dict.fromkeys(("inch", "inches"), "in"),
@@ -182,7 +197,7 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
     """Candidate readings of a header: pairs of quantity and unit as spelled."""
     if len(header) > _LONGEST:
         return []
-    text = unicodedata.normalize("NFC", " ".join(header.split()).rstrip("_"))  # MATLAB writes Pressure_bar_
+    text = unicodedata.normalize("NFKC", " ".join(header.split()).rstrip("_"))  # MATLAB writes Pressure_bar_
     found: list[tuple[str, str]] = []
     text = _SCANNED.sub(r"\1", _SUFFIX.sub("", text))
     path, _, last = text.rpartition("/")
@@ -215,7 +230,7 @@ def _name(header: str) -> str:
 
 def _bare(unit: str) -> str:
     """Unit without brackets."""
-    text = unit.strip()
+    text = unicodedata.normalize("NFKC", unit).strip()
     for left, right in ("()", "[]"):
         if text.startswith(left) and text.endswith(right):
             text = text[1:-1].strip()

@@ -41,6 +41,9 @@ _ATMOSPHERE = (0.75 * bar, 1.6 * bar)  # pressure at which the force of a muscle
 _LOWEST_ABSOLUTE = 0.7 * bar  # of the atmosphere, at 3,000 m
 _TAUT, _UPPER = 0.15, 0.6  # of the largest force, and of the range of contractions: points whose force is compared
 _CERTAIN = 2.5  # standard errors
+_WITHOUT_PRESSURE = (0.05, 0.6)  # of the largest force: force at all contractions, extrapolated to no pressure
+_ALIKE = 1.5  # largest over least of these forces, if they are an offset
+_TOP, _MORE, _SHORTER = 0.97, 1.15, 0.1  # of the largest force; ratio of pressures; of the range of contractions
 _ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
 _PAIRS = 3  # of points per direction
@@ -58,8 +61,10 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)
     yield from _held_forces(dataset)
-    yield from _few_slack_points(dataset)
-    yield from list(_pressure_offset(dataset, levels)) or _absolute_pressure(dataset)
+    yield from _saturated(dataset)
+    slack = list(_few_slack_points(dataset))
+    yield from slack
+    yield from list(_pressure_offset(dataset, levels)) or _offsets(dataset, known=bool(slack))
     yield from _directions(dataset, levels)
 
 
@@ -109,25 +114,29 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
     vented = (pressure <= _LEVEL / 2 * pressure.max()) & (force > tolerance) & (contraction > _UNSTRETCHED)
     found = set(np.flatnonzero(vented).tolist())
     for part in [levels] if len(force) <= _MOST else [[rows] for rows in levels if len(rows) <= _MOST]:
-        found |= _against_others(contraction, force, part, tolerance)
-    found = sorted(found)
-    if found and len(found) <= _SHARE * len(force):
+        found |= _against_others(contraction, force, part)
+    single = len(found) <= _SHARE * len(force)
+    if found and (single or len(found) >= _AGAINST):
+        first = sorted(found)[:_NAMED]
         shown = ", ".join(
             f"{at + 1} ({pressure[at] / bar:.3g} bar, {contraction[at] / percent:.3g} %, {force[at]:.4g} N)"
-            for at in found[:_NAMED]
+            for at in first
         )
         more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
         yield (
-            f"force: {len(found)} of {len(force)} points contradict the others, which pull less at a larger "
-            f"contraction or less pressure: point {shown}{more}; check these rows, or leave them out"
+            f"force: {len(found)} of {len(force)} points contradict the others: the force should rise with the "
+            f"pressure and fall with the contraction, which it does not at point {shown}{more}; "
+            + ("check these rows, or leave them out" if single else "they may be of another muscle, unit or sensor")
         )
 
 
-def _against_others(contraction: Floats, force: Floats, levels: Sequence[Rows], tolerance: float) -> set[int]:
+def _against_others(contraction: Floats, force: Floats, levels: Sequence[Rows]) -> set[int]:
     """Fewest points without which the force falls with the contraction, and rises from level to level."""
     rows = np.concatenate(levels)
     level = np.repeat(np.arange(len(levels)), list(map(len, levels)))
-    loops = np.array([max(tolerance, _LOOP * _friction(contraction[each], force[each])) for each in levels])
+    largest = np.maximum.accumulate([np.quantile(force[each], 0.9) for each in levels])
+    loops = np.maximum(_TOLERANCE * np.minimum(largest, np.quantile(force, 0.9)), _NOISE * force.max())
+    loops = np.maximum(loops, [_LOOP * _friction(contraction[each], force[each]) for each in levels])
     eps, pull = contraction[rows], force[rows]
     less = (pull - pull[:, None]) / loops[level][:, None]  # twice the tolerance counts twice
     against = np.clip(less, 0, 2).astype(np.int64) * ((eps[:, None] <= eps + _SAME) & (level[:, None] >= level))
@@ -166,6 +175,23 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
         yield (
             f"force: {held.sum()} of {moved.sum()} forces repeat the row before, although the muscle moved: a channel "
             "with a lower rate may hold its last value; leave these rows out"
+        )
+
+
+def _saturated(dataset: IsobaricDataset) -> Iterator[str]:
+    """Warning if the largest force is reached at a larger contraction and much less pressure, too."""
+    contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
+    top = np.flatnonzero(force >= _TOP * force.max())
+    if not _PAIRS <= len(top) <= _MOST:
+        return
+    weaker = pressure[top] > _MORE * pressure[top, None]
+    weaker &= contraction[top, None] > contraction[top] + _SHORTER * np.ptp(contraction)
+    if weaker.any():
+        at, other = (top[row] for row in np.argwhere(weaker)[0])
+        yield (
+            f"force: {len(top)} forces are about the largest, {force.max():.4g} N, even at "
+            f"{pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} % as at {pressure[other] / bar:.3g} bar "
+            f"and {contraction[other] / percent:.3g} %: the sensor or its amplifier may be saturated"
         )
 
 
@@ -228,8 +254,8 @@ def _pressure_offset(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterat
         )
 
 
-def _absolute_pressure(dataset: IsobaricDataset) -> Iterator[str]:
-    """Warning if forces near the initial length begin at about the pressure of the atmosphere.
+def _offsets(dataset: IsobaricDataset, *, known: bool) -> Iterator[str]:
+    """Warning if forces begin at about the pressure of the atmosphere, or, if not `known`, are not 0 without pressure.
 
     The force of a taut muscle is linear in the pressure: least squares with p (a + b eps + c eps^2) + d + e eps.
     """
@@ -240,12 +266,7 @@ def _absolute_pressure(dataset: IsobaricDataset) -> Iterator[str]:
     used = np.flatnonzero(used)[:: 1 + len(used) // _ENOUGH]
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
     terms = [p, np.ones(len(p)), eps, p * eps, p * eps**2][: 5 if stroke else 2]
-    if (
-        contraction.min() > _NEAR
-        or pressure.min() < _LOWEST_ABSOLUTE
-        or len(p) <= len(terms)
-        or len(np.unique(np.round(p / (_LEVEL * p.max())))) < 3
-    ):
+    if contraction.min() > _NEAR or len(p) <= len(terms) or len(np.unique(np.round(p / (_LEVEL * p.max())))) < 3:
         return
     design = np.stack(terms, axis=1)
     found = np.linalg.lstsq(design, force[used])[0]
@@ -254,14 +275,24 @@ def _absolute_pressure(dataset: IsobaricDataset) -> Iterator[str]:
         return
     begin = -start / slope
     residual = force[used] - design @ found
-    covariance = np.linalg.pinv(design.T @ design)[:2, :2] * (residual @ residual) / (len(p) - len(terms))
+    covariance = np.linalg.pinv(design.T @ design) * (residual @ residual) / (len(p) - len(terms))
     gradient = np.array([begin, 1.0]) / slope
-    error = np.sqrt(gradient @ covariance @ gradient)
+    error = np.sqrt(gradient @ covariance[:2, :2] @ gradient)
     low, high = _ATMOSPHERE
-    if low <= begin * bar <= high and begin > _CERTAIN * error:
+    if pressure.min() >= _LOWEST_ABSOLUTE and low <= begin * bar <= high and begin > _CERTAIN * error:
         yield (
             f"pressure: the force at the initial length begins at about {begin:.2g} bar; either the muscle needs this "
             "pressure before it pulls, or the pressures are absolute: they are read as gauge pressures"
+        )
+    ends = np.stack([np.ones(2), [0.0, eps.max()]])[: len(terms) - 1]  # of the contractions, without pressure
+    pulls = found[1:3] @ ends
+    errors = np.sqrt(np.einsum("ie,ij,je->e", ends, covariance[1:3, 1:3], ends))
+    low, high = _WITHOUT_PRESSURE
+    above = np.all(pulls > np.maximum(low * force.max(), _CERTAIN * errors))
+    if not known and above and pulls.max() < min(high * force.max(), _ALIKE * pulls.min()):
+        yield (
+            f"force: without pressure, a force of about {pulls.mean():.3g} N would remain at all contractions: "
+            "this may be the offset of the load cell, or of the pressures"
         )
 
 

@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, unreadable
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, not_applied, unreadable
 from mckibben.errors import DatasetError, Problem
 
 _HEADER = 60  # rows searched for a header
 _MOST_COLUMNS = 4096
 _LISTED = 10  # hidden rows in a warning
 _UNIT_FORMAT = re.compile(r'[0#.,]+ ?"\s*([^"]+)"')
+_PERCENT_FORMAT = re.compile(r"[0#.,]+ ?%")  # shows 0.05 as 5 %
+_NOTES = re.compile(r"xl/(?:comments/)?comments?[0-9]*\.xml")
+_NOTED = re.compile(rb'<(?:[a-z]+:)?comment\b[^<>]*\bref="([A-Z]{1,3}[0-9]{1,7})"')
 _HIDDEN = re.compile(rb'<(?:[a-z]+:)?(?:row|col)\b[^<>]*\bhidden="(?:1|true)"[^<>]*>')
 
 
@@ -42,13 +45,14 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             sheets: list[Any] = book.worksheets
             notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in sheets}
+            noted = _noted(archive)
         used: Any = book
         struck = {sheet.title: _struck(sheet) for sheet in sheets if any(font.strike for font in used._fonts)}
     except (DatasetError, MemoryError):
         raise
     except Exception as error:  # openpyxl raises almost any exception on a damaged file
         raise unreadable(path, "a workbook", error, "save it again, or as CSV") from error
-    sheet = RawTable(kind=RowProblem)
+    sheet = RawTable(kind=RowProblem, suspect=noted)
     found = {title: _table(rows, known, shown_units[title]) for title, rows in tables.items()}
     filled = {title: channels for title, channels in found.items() if channels}
     shown = [title for title in filled if title not in hidden]
@@ -73,6 +77,16 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     if not sheet.channels:
         raise DatasetError(str(path), [Problem("has no sheet with a header and rows")])
     return sheet
+
+
+def _noted(archive: zipfile.ZipFile) -> list[str]:
+    """Warning of notes at cells, which are not read; empty if there are none."""
+    found: list[str] = []
+    for name in filter(_NOTES.fullmatch, archive.namelist()):
+        with archive.open(name) as stream:
+            found += [cell.decode() for cell in _NOTED.findall(stream.read(2**20))]
+    shown = f"{', '.join(found[:_LISTED])}{' ...' if len(found) > _LISTED else ''}"
+    return [f"the notes at the cells {shown} are not read: they may mark invalid rows"] if found else []
 
 
 def _hidden(archive: zipfile.ZipFile, part: str) -> str:
@@ -123,7 +137,9 @@ def _shown_units(sheet: Any) -> dict[int, str]:
     found: dict[int, str] = {}
     for row in sheet.iter_rows(max_row=_HEADER):
         for index, cell in enumerate(row[:_MOST_COLUMNS]):
-            if isinstance(cell.value, (int, float)) and (match := _UNIT_FORMAT.fullmatch(cell.number_format)):
+            if isinstance(cell.value, (int, float)) and _PERCENT_FORMAT.fullmatch(cell.number_format):
+                found.setdefault(index, "ratio")
+            elif isinstance(cell.value, (int, float)) and (match := _UNIT_FORMAT.fullmatch(cell.number_format)):
                 found.setdefault(index, match[1] if is_unit(match[1]) else "")
     return found
 
@@ -260,4 +276,6 @@ def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float]) -> Non
     if isinstance(step, (int, float)) and np.isfinite(step) and step > 0:
         intervals.add(float(step))
     rows = range(1, len(cells) + 1)
-    sheet.channels.append(RawColumn(name, cells, rows, short=channel.name, unit=unit, notes=at_type_limit(values)))
+    others = {key: value for key, value in properties.items() if not key.startswith(("NI_", "wf_"))}
+    notes = at_type_limit(values) + not_applied(others)
+    sheet.channels.append(RawColumn(name, cells, rows, short=channel.name, unit=unit, notes=notes))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.child import MEMORY, limit_factor
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, unreadable
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, not_applied, unreadable
 from mckibben.errors import DatasetError, Problem
 
 _DEEPEST = 6  # nested structs
 _MOST = 4096  # columns of a file
 _WIDEST = 64  # columns of a matrix
+_UNITS = ("units", "unit", "unit_string")
 _TABLE = "is a MATLAB object (a table?), which only MATLAB can open"
 _TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 
@@ -66,6 +68,8 @@ def _checked(path: Path, sheet: RawTable) -> RawTable:
     if not sheet.channels and not sheet.problems:
         ignored = f"; it has {', '.join(sheet.ignored[:20])}" if sheet.ignored else ""
         raise DatasetError(str(path), [Problem(f"has no column of numbers{ignored}")])
+    scales = [name for name in sheet.ignored if not_applied({re.split(r"[./]", name)[-1]: None})]
+    sheet.suspect += [f"{name!r} is not a column, and is not applied to others" for name in scales]
     return sheet
 
 
@@ -162,11 +166,12 @@ def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
         except (TypeError, ValueError) as error:
             sheet.problems.append(Problem(f"its packing is not numeric: {error}", field=name))
             return
-        unit = "" if matlab else _text(node.attrs, "units") or _text(node.attrs, "unit")
+        units = [] if matlab else [name for name in node.attrs if name.lower() in _UNITS]
+        unit = _text(node.attrs, units[0]) if units else ""
         _columns(sheet, name, values.T if matlab else values, "." if matlab else "/", unit, notes, missing)
 
 
-_NOT_APPLIED = ("gain", "offset", "scale", "scaling", "factor", "slope", "intercept", "conversion", "multiplier")
+_APPLIED = ("scale_factor", "add_offset")
 
 
 def _unpacked(node: Any) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
@@ -190,7 +195,8 @@ def _unpacked(node: Any) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
     values = raw * (scale[0] if len(scale) else 1) + (offset[0] if len(offset) else 0)
     if missing.any():
         values = np.where(missing, np.nan, values)
-    notes = tuple(f"has the attribute {name!r}, which is not applied" for name in _NOT_APPLIED if name in attributes)
+    group = {name: value for name, value in node.parent.attrs.items() if name.lower() not in attributes}
+    notes = not_applied({name: value for name, value in (attributes | group).items() if name not in _APPLIED})
     return values, notes if values.dtype == raw.dtype else at_type_limit(raw[~missing]) + notes, missing
 
 

@@ -76,7 +76,9 @@ def check_points(
             *_forces(pressure, force, specimen),
             *_clipped("force", measured, 1.0, "N", pressure, contraction),
             *_clipped("pressure", pressure, bar, "bar"),
+            *_clipped("contraction", contraction, percent, "%"),
             *_zeros(pressure, contraction, force, measured),
+            *_weak_zeros(pressure, contraction, force),
             *_copies(pressure, contraction, force),
         ):
             if impossible:
@@ -216,6 +218,25 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Float
             f"{contraction[at] / percent:.3g} %, but {why}"
         )
         yield Problem(text, field="force", remedy="leave out points without a measurement"), False
+
+
+def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
+    """Message on contractions of exactly 0 with less force than half a stroke away, at no more pressure."""
+    zeros = np.flatnonzero(contraction == 0)
+    short = np.flatnonzero((contraction > 0) & (contraction >= contraction.max() / 2))
+    if not (zeros.size and short.size):
+        return
+    short = short[np.argsort(pressure[short], kind="stable")]
+    most = np.maximum.accumulate(np.append(-np.inf, force[short]))  # of shortened points up to a pressure
+    weak = zeros[force[zeros] < most[np.searchsorted(pressure[short], 1.01 * pressure[zeros], side="right")]]
+    weak = weak[force[weak] > _SMALL_FORCE * force.max()]
+    if weak.size:
+        at = weak[0]
+        text = (
+            f"{len(weak)} of {len(force)} contractions are 0 where the force is less than at half the stroke and no "
+            f"more pressure, first {force[at]:.4g} N at {pressure[at] / bar:.3g} bar"
+        )
+        yield Problem(text, field="contraction", remedy="check these points, and the sensor of the length"), False
 
 
 def _isolated_zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> NDArray[np.intp]:

@@ -8,7 +8,7 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -78,6 +78,24 @@ class RawTable:
     def unit(self) -> str:
         """Name of a line of this file."""
         return "line" if self.kind is Problem else "row"
+
+
+_NOT_APPLIED = re.compile(
+    r"scal|factor|gain|offset|slope|intercept|conver|multipl|sensitiv|calib|resol|coeff|excit|(?<![a-z])(?:lsb|tare)",
+    re.IGNORECASE,
+)
+NOT_APPLIED = re.compile(r"(?<![a-z])(?:gain|multipl|divid|uncalibrat|not calibrat|(?:scale|calibration) factor)", re.I)
+"""Words of a comment or description after which numbers may not be in the unit of their name."""
+
+
+def not_applied(attributes: Mapping[str, object]) -> tuple[str, ...]:
+    """Notes on attributes of a column that may scale its numbers, or say so."""
+    found = [
+        name
+        for name, value in attributes.items()
+        if _NOT_APPLIED.search(name) or (isinstance(value, str) and NOT_APPLIED.search(value[:_LONGEST_TEXT]))
+    ]
+    return tuple(f"has the attribute {name!r}, which is not applied" for name in found)
 
 
 def unreadable(path: Path, what: str, error: Exception, remedy: str = "save it again") -> DatasetError:

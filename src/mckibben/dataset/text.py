@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mckibben.dataset.columns import ABSOLUTE, SUBTRACT, is_unit
-from mckibben.dataset.sheet import COMMENTS, RawColumn, RawTable, numeric_bytes, parse_numbers
+from mckibben.dataset.sheet import COMMENTS, NOT_APPLIED, RawColumn, RawTable, numeric_bytes, parse_numbers
 from mckibben.errors import DatasetError, Problem
 
 _DELIMITERS = (",", ";", "\t", "|")
@@ -46,8 +46,8 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
             break
         named = stripped.lstrip("#% ") or named
         key, colon, value = stripped.lstrip("#%").partition(":")
-        if colon and key.strip() in COMMENTS:
-            comments[key.strip()] = (number, value.strip())
+        if colon and (name := key.strip().lower().replace(" ", "_")) in COMMENTS:
+            comments[name] = (number, value.strip())
     else:
         raise DatasetError(source, [Problem("is empty" if not number else "has no header and no rows")])
 
@@ -71,6 +71,8 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
         if ABSOLUTE.search(line) and _OF_PRESSURE.search(line):
             words = repr(line.strip()[:_SHOWN])
             sheet.suspect.append(f"line {at} says {words}: pressures are read as gauge pressures; {SUBTRACT}")
+        elif NOT_APPLIED.search(line):
+            sheet.suspect.append(f"line {at} says {line.strip()[:_SHOWN]!r}, which is not applied to the numbers")
     sheet.suspect += split_numbers(sheet, known)
     check_last_line(text, text.count("\n") + 1, zeros, sheet)
     if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
@@ -466,8 +468,9 @@ def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: 
     names = header.rstrip("\r\n").split(separator)
     if names[-1] == "Comment":  # its cells are written only if there is a comment
         rows = "".join(_padded(line, len(names), separator) for line in rows.splitlines(keepends=True))
-    # leading blank lines preserve the line numbers
-    sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros, decimal=decimal)
+    text = "\n" * first + f"{header}\n{rows}"  # leading blank lines preserve the line numbers
+    del parts, fields, body, rows  # of a large text
+    sheet = read_text(text, source, known, zeros=zeros, decimal=decimal)
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
