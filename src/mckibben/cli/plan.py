@@ -430,7 +430,7 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
             angles = f"{static.angle_min / deg:.4g} to {static.angle_max / deg:.4g} deg"
             table(f"{found.scenario.name}: static range {angles}", found.headers, found.rows())
         echo(found.verdict())
-        for remark in found.remarks():
+        for remark in numbers["remarks"]:
             echo(on_command_line(remark))
         for near in found.nearest:
             echo(f"nearest, {near.preserved.name.lower()} preserved: {near.describe()}")

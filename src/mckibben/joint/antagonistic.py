@@ -187,6 +187,10 @@ class AntagonisticJoint(Component):
     def tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return the tension [N] of each muscle, F1 and F2."""
         _warn_outside(self, angle, pressures)
+        return self._tensions(angle, pressures)
+
+    @compiled_alone
+    def _tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         pressure1, pressure2 = pressure_pair(pressures)
         path1, path2 = self.geometry.path_lengths(angle)
         return (

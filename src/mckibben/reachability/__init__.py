@@ -1,50 +1,5 @@
 """Reachability: static envelope, trackability, nearest feasible references and sizing of a joint."""
 
-from mckibben.reachability.envelope import Envelope, envelope, save_design, save_reference
-from mckibben.reachability.feasible import FeasibleReference, Preserved, nearest_references
-from mckibben.reachability.lengths import design_lengths
-from mckibben.reachability.requirement import Make, Requirement, catalog_makes, read_make
-from mckibben.reachability.selection import Candidate, Selection, size
-from mckibben.reachability.sizing import (
-    Design,
-    DesignTarget,
-    DesignVariable,
-    design,
-    parse_target,
-    parse_variable,
-)
-from mckibben.reachability.static import AttainableRange, StaticEnvelope, static_envelope
-from mckibben.reachability.trackability import StiffnessBands, Trackability, check_trackability
-from mckibben.reachability.trajectory import ReferenceTrajectory, reference_trajectory
+import lazy_loader
 
-__all__ = [
-    "AttainableRange",
-    "Candidate",
-    "Design",
-    "DesignTarget",
-    "DesignVariable",
-    "Envelope",
-    "FeasibleReference",
-    "Make",
-    "Preserved",
-    "ReferenceTrajectory",
-    "Requirement",
-    "Selection",
-    "StaticEnvelope",
-    "StiffnessBands",
-    "Trackability",
-    "catalog_makes",
-    "check_trackability",
-    "design",
-    "design_lengths",
-    "envelope",
-    "nearest_references",
-    "parse_target",
-    "parse_variable",
-    "read_make",
-    "reference_trajectory",
-    "save_design",
-    "save_reference",
-    "size",
-    "static_envelope",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # sizes alone need data and identification
