@@ -103,6 +103,7 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
         ("--weight", "20 kg", "--distance", "200 mm"),
         ("--weight=-0.5 kg", "--distance=-200 mm"),
         ("--plan",),
+        ("--angles", "-1..1 deg"),
     ],
 )
 @pytest.mark.slow
@@ -131,6 +132,16 @@ def test_a_calibrated_model_is_not_calibrated_again(cli, calibrated):
     found = cli("calibrate", str(calibrated / "scenario.yaml"), *WEIGHT, "--out", "x")
     assert found.code == 2
     assert "calibrated already" in found.err
+
+
+@pytest.mark.slow
+def test_valves_are_calibrated_with_a_calibrated_model(cli, calibrated, tmp_path):
+    scenario = calibrated / "scenario.yaml"
+    found = cli("calibrate", str(scenario), *VALVES, "--out", "after", "--json")
+    assert found.code == 0, found.err
+    before, after = (Scenario.read(one).controller for one in (scenario, tmp_path / "after" / "scenario.yaml"))
+    assert after.model == before.model
+    assert after.valve != before.valve
 
 
 def test_a_recording_from_a_csv_file(tmp_path):

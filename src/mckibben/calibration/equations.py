@@ -403,12 +403,17 @@ def linearised(problem: CalibrationProblem, z: Any, samples: JointSamples) -> tu
     return _errors(problem, z, samples), jax.jacfwd(lambda z: _errors(problem, z, samples))(z)
 
 
+def sliding_length(muscle: Any) -> float:
+    """Travel [m] after which the friction of a muscle does not depend on its unknown initial state."""
+    return _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
+
+
 def sliding_from(problem: CalibrationProblem, samples: JointSamples) -> int:
     """First sample at which the friction does not depend on its unknown initial state."""
     joint, first = problem.joint, 0
     for muscle, path in zip((joint.muscle1, joint.muscle2), joint.geometry.path_lengths(samples.angle), strict=True):
         travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
-        enough = travelled > _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
+        enough = travelled > sliding_length(muscle)
         if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:
             raise IdentificationError(
                 f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm in a recording",

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mckibben.calibration.equations import JointPrior, JointRecording
+from mckibben.calibration.equations import JointPrior, JointRecording, sliding_length
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
@@ -33,6 +33,7 @@ _FAST, _FAST_SHARE, _FASTEST = 1.0, 0.15, 1.0  # Hz; part of the amplitude; rad/
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
+_TRAVEL = 1.1  # swept travel relative to the least, as the joint lags behind the sweep
 _TOGETHER = 1000  # periods that a simulated joint computes at once
 _PRESSURES = ("pressure1", "pressure2")
 _HEAD = """\
@@ -70,9 +71,10 @@ class Sweeps:
 
         Angles are swept slowly, three times, with a smaller motion of 1 Hz, and the stiffness twice over 70 % of the
         range attainable at all angles, bare and with the weight (but not with a return spring). Raises `ParameterError`
-        if there is no such range.
+        if there is no such range, or the angles are too small to overcome the friction of the model.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
+        self._check_travel(first_model_of(scenario))
         low, high = self._attainable(scenario)
         if not low <= high:
             raise ParameterError(
@@ -102,13 +104,27 @@ class Sweeps:
             )
         return parts
 
+    def _check_travel(self, joint: AntagonisticJoint) -> None:
+        """Raise `ParameterError` if a muscle moves too little for its friction to be known (`sliding_from`)."""
+        ends = joint.geometry.path_lengths(jnp.array([self.lowest, self.highest]))
+        for muscle, path in zip((joint.muscle1, joint.muscle2), ends, strict=True):
+            travel, least = abs(float(path[1] - path[0])), _TRAVEL * sliding_length(muscle)
+            if travel < least:
+                raise ParameterError(
+                    f"the angles move a muscle by {show(travel, 'mm', 2)}, its friction needs {show(least, 'mm', 2)}",
+                    value=travel,
+                    lower=least,
+                    unit="m",
+                    remedy="give wider --angles; a model with a shorter presliding_length, if that is only a guess",
+                )
+
     def _weighted(self, load: Any, added_mass: float) -> Any:
         """Return a load with the weight."""
         return _general(load.with_weight(added_mass, self.distance))
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; reversed if empty."""
-        joint, load = model_of(scenario), load_of(scenario)
+        joint, load = first_model_of(scenario), load_of(scenario)
         angles = np.linspace(self.lowest, self.highest, _ANGLES)
         middle = joint.contractions((self.lowest + self.highest) / 2, (0.0, 0.0))
         muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
@@ -157,8 +173,13 @@ def _inner(controller: Controller) -> dict[str, Controller]:
 
 
 def model_of(scenario: Scenario) -> AntagonisticJoint:
-    """Return the controller's model of the joint, which a calibration corrects."""
-    model = field_of(scenario.control(), "model") or scenario.joint
+    """Return the controller's model of the joint, or the joint of the scenario."""
+    return field_of(scenario.control(), "model") or scenario.joint
+
+
+def first_model_of(scenario: Scenario) -> AntagonisticJoint:
+    """Return `model_of`, which a calibration corrects; `ParameterError` if one has corrected it already."""
+    model = model_of(scenario)
     if isinstance(model.geometry, ScaledArms) or model.muscle1.correction or model.muscle2.correction:
         raise ParameterError(
             "the controller's model has been calibrated already",
@@ -262,7 +283,7 @@ def read_joint_recording(
 
 def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
     """The prior with the fits behind the laws of the controller's model."""
-    model = model_of(scenario)
+    model = first_model_of(scenario)
     files = (origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2))
     first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
     return replace(prior, fits=(first, second))
@@ -272,7 +293,7 @@ def calibrate_scenario(
     scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
 ) -> JointCalibration:
     """Identify the controller's model of a scenario from recordings of measured or commanded pressures."""
-    joint, load = model_of(scenario), load_of(scenario)
+    joint, load = first_model_of(scenario), load_of(scenario)
     prior = with_fits(scenario, prior or JointPrior())
     if not any(one.commanded for one in recordings):
         return calibrate_joint(joint, load, recordings, prior)
@@ -291,7 +312,7 @@ def calibrate_scenario(
 
 def calibrated_model(scenario: Scenario, found: JointCalibration) -> AntagonisticJoint:
     """Return the controller's model with the estimates."""
-    model, joint, muscles = model_of(scenario), _numbers(found.joint), {}
+    model, joint, muscles = first_model_of(scenario), _numbers(found.joint), {}
     for name in ("muscle1", "muscle2"):
         before, after = getattr(model, name), getattr(joint, name)
         if isinstance(after.law, CorrectedLaw | CorrectedAffineLaw):
@@ -333,7 +354,7 @@ def expected(
     scenario: Scenario, sweeps: Sweeps, folder: str | os.PathLike[str], prior: JointPrior | None = None
 ) -> tuple[float, float]:
     """Standard deviation of the stiffness [N*m/rad] before and after an experiment simulated on the model itself."""
-    model, load = model_of(scenario), load_of(scenario)
+    model, load = first_model_of(scenario), load_of(scenario)
     recordings = run_sweeps(scenario.model_copy(update={"joint": model, "load": load}), sweeps, folder)
     prior = with_fits(scenario, prior or JointPrior())
     return deviations(calibrate_joint(model, load, recordings, prior), recordings)

@@ -226,13 +226,15 @@ def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
 
 
 def _tuned_scenarios(result: BenchmarkResult, out: Path) -> int:
-    """Write each tuned controller as a scenario with the plant of its model."""
+    """Write each tuned controller as a scenario with the plant of its model, also at equal air."""
     from mckibben.scenario import with_values
     from mckibben.study.benchmark.benchmark import filename
 
     kept = make_subfolder(out, "controllers")
     reference = next(iter(result.suite.references))
-    for name, values in result.tuned.items():
-        scenario = result.suite.scenario(name, reference)
-        (with_values(scenario, values) if values else scenario).to_yaml(kept / f"{filename(name)}.yaml")
+    at_air = result.at_air.tuned if result.at_air else {}
+    for suffix, tuned in (("", result.tuned), (", at equal air", at_air)):
+        for name, values in tuned.items():
+            scenario = result.suite.scenario(name, reference)
+            (with_values(scenario, values) if values else scenario).to_yaml(kept / f"{filename(name + suffix)}.yaml")
     return len(result.tuned)
