@@ -1,4 +1,4 @@
-"""The documented procedure on a lab that shares no code with the plants of the toolkit: identify, calibrate, compare, run.
+"""The documented procedure on a lab that shares no code with the plants of the toolkit.
 
     python benchmarks/foreign_lab.py regulator|spool|switching --out DIR [--runs 24] [--seed 11] [--only STEP]
 
