@@ -1,4 +1,4 @@
-"""The documented procedure on a lab that shares no equation with the toolkit: identify, calibrate, compare, run.
+"""The documented procedure on a lab that shares no code with the plants of the toolkit.
 
     python benchmarks/foreign_lab.py regulator|spool|switching --out DIR [--runs 24] [--seed 11] [--only STEP]
 
@@ -78,6 +78,7 @@ substeps: 12
 """
 STIFFNESS = {"13.5..16": "10..13", "14 N*m/rad": "11 N*m/rad", "16 N*m/rad": "13 N*m/rad", "15 N*m/rad": "12 N*m/rad"}
 LEFT_OUT = ("decoupling", "oracle")
+TRAINING = 8  # runs
 HELD, END = 2000, 500  # periods before a run, and of the error at its end
 
 
@@ -142,6 +143,7 @@ def suite_of(kind, folder):
         "controllers": {name: one for name, one in suite["controllers"].items() if name not in LEFT_OUT},
         "true_model": [],
     }
+    suite["tuning"]["runs"] = TRAINING
     (folder / "suite.yaml").write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
 
 

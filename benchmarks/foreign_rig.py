@@ -1,4 +1,4 @@
-"""A lab that shares no equation with the toolkit: joint, muscles, valves and air in plain arrays, as a joint rig.
+"""A lab in plain arrays that shares no code with the plants of the toolkit, as a joint rig.
 
 No class of the toolkit's plant, muscles, valves or sensors is used. Muscles: a force law after J. Sarosi, with a
 pressure threshold; LuGre friction; air with an energy balance and a warm wall, in a braid. Valves: ISO 6358 with other

@@ -81,6 +81,8 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
     at_air = numbers["at_air_of_first"]
     assert f"no more air than the tuned PID 3 ({metric('air_L', at_air['air_L'])} L" in found.out
     assert list(at_air["controllers"]) == ["PID 3"], "the other is not tuned"
+    scenario = Scenario.read(kept / "controllers" / "pid-3-at-equal-air.yaml")
+    assert scenario.control().position.kp == contest.at_air.tuned["PID 3"][KP]
 
     with xr.open_dataset(kept / "runs.nc") as runs:
         assert runs.sizes == {"controller": 2, "run": 16}
