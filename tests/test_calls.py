@@ -38,6 +38,7 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.catalog.specimen("MAS10"), "MAS-10-180N-AA-MC-O"),
         (lambda: mk.catalog.law("Lei"), "lei-mas-10-180n"),
         (lambda: mk.catalog.law("x"), "sarosi-dmsp-10"),
+        (lambda: mk.read_dataset("rig.csv", columns=["Druck"]), "pressure_bar"),  # type: ignore[arg-type]
         (lambda: mk.linearize("joint.yaml"), "Scenario.read"),  # type: ignore[arg-type]
         (lambda: Recording.of(**SAMPLES).isometric(contraction="10 %"), "SI units"),  # type: ignore[arg-type]
     ],
@@ -75,6 +76,11 @@ def test_a_scenario_of_a_path_names_the_reader():
     with pytest.raises(ScenarioError) as caught:
         mk.Scenario.parse(SCENARIO.dumps() + "\nsupply: 5 bar\n")
     assert caught.value.problems[0].remedy == "it is a key of valve"
+    with pytest.raises(ScenarioError) as caught:
+        mk.Scenario.read("examples/rig.csv")
+    assert "no keys" in caught.value.problems[0].message
+    with pytest.raises(McKibbenError, match="'gains'"):
+        SCENARIO.tune("gains")
 
 
 def test_the_catalog_completes_its_entries():

@@ -271,6 +271,7 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
 
 
 # what is expected, and the remedy, by pydantic's kind of error
+_BEGINNING = 40  # characters of a file that are shown
 _EXPECTED = {
     "model_type": ("keys and values are expected", ""),
     "dict_type": ("names and sections are expected", "give a mapping with one name per section"),
@@ -336,6 +337,8 @@ class _Diagnosis:
             expected, remedy = _EXPECTED[kind]
             message = f"{described(value)} is given where {expected}"
             keys = ", ".join(_keys_of(self.model_at(place)))
+            if not place and isinstance(value, str):  # of the whole file
+                message = f"has no keys, and begins with {value[:_BEGINNING]!r}: it is another kind of file"
             remedy = remedy or (f"give a mapping of {keys}" if keys else "give a mapping with the key `class`")
         elif kind == "too_long":
             message = f"has {context['actual_length']} items, more than {context['max_length']}"

@@ -109,11 +109,11 @@ def read_dataset(
     lengths = {"initial_length": initial_length, "zero_length": zero_length}
     check_reading(force_sign, decimal, displacement, on_corrupt, slack_force=slack_force, **lengths)
     check_pattern(from_name)
-    read = []
+    mapping, read = _mapping(columns), []
     for one in _paths(path):
         found = _read_points(
             one,
-            columns={str(header).strip(): str(name) for header, name in (columns or {}).items()},
+            columns=mapping,
             displacement=displacement,
             specimen=specimen,
             slack_force=slack_force,
@@ -168,6 +168,14 @@ def _read_points(
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
     slack_known = slack_force is not None or "slack_force" in file.sheet.comments
     return dataset, written_by_us(file.sheet.names, file.sheet.comments), slack_known
+
+
+def _mapping(columns: Mapping[str, str] | None) -> dict[str, str]:
+    """Names by header; raises a `RangeError` for anything but a mapping."""
+    if columns is not None and not isinstance(columns, Mapping):
+        remedy = "give names by header, such as {'Druck [bar]': 'pressure_bar'}"
+        raise RangeError(f"columns is {columns!r:.60}", field="columns", value=columns, remedy=remedy)
+    return {str(header).strip(): str(name) for header, name in (columns or {}).items()}
 
 
 def _paths(path: FilePaths) -> list[Path]:
@@ -383,8 +391,8 @@ def read_recording(
     numbers |= {"initial_length": initial_length, "zero_length": zero_length}
     check_reading(force_sign, decimal, displacement, on_corrupt, **numbers)
     check_pattern(from_name)
-    arguments = {"columns": columns, "displacement": displacement, "specimen": specimen, "force_sign": force_sign}
-    arguments["from_name"] = from_name
+    arguments: dict[str, Any] = {"columns": _mapping(columns), "displacement": displacement, "specimen": specimen}
+    arguments |= {"force_sign": force_sign, "from_name": from_name}
     parts = []
     for one in _paths(path):
         found = _read_samples(one, on_corrupt=on_corrupt, decimal=decimal, **arguments, **numbers)  # type: ignore[arg-type]
@@ -395,7 +403,7 @@ def read_recording(
 def _read_samples(
     path: Path,
     *,
-    columns: Mapping[str, str] | None,
+    columns: dict[str, str],
     initial_length: float | None,
     displacement: str,
     zero_length: float | None,
@@ -417,11 +425,10 @@ def _read_samples(
         if "contraction" in found.table:
             raise DatasetError(str(path), [Problem(_OWN_CONTRACTION, remedy="leave contraction out")])
         return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
-    mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    sheet = add_from_name(read_table(path, mapping, decimal), path, from_name)
+    sheet = add_from_name(read_table(path, columns, decimal), path, from_name)
     file = ColumnConverter(
         sheet,
-        mapping,
+        columns,
         initial_length,
         ("pressure", "force"),
         decimal,

@@ -269,11 +269,7 @@ class Recording(MeasuredTable):
             set_pressure=set_pressure,
             force_spread=spread,
         )
-        if self.table.attrs["slack_force"]:
-            return checked(points)
-        table, notes = without_offset(points.dataset.table)
-        found = replace(points, dataset=IsobaricDataset(with_notes(table, notes)), notes=(*points.notes, *notes))
-        return checked(found)
+        return _without_offset(points)
 
     def strokes(
         self,
@@ -479,4 +475,13 @@ class Recording(MeasuredTable):
             set_pressure=level_of,
             force_spread=sums.spread[index],
         )
-        return checked(found)
+        return _without_offset(found) if len(np.unique(held)) > 1 else checked(found)  # one may not show it
+
+
+def _without_offset(points: ExtractedPoints) -> ExtractedPoints:
+    """Points without the offset of the load cell, unless the slack force is known."""
+    if points.dataset.table.attrs["slack_force"]:
+        return checked(points)
+    table, notes = without_offset(points.dataset.table)
+    found = replace(points, dataset=IsobaricDataset(with_notes(table, notes)), notes=(*points.notes, *notes))
+    return checked(found)

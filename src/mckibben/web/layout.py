@@ -66,7 +66,7 @@ body { background: #f6f7f9; color: #1b2126; }
   .nicegui-content { padding: 10px; }
   .panel { padding: 12px; }
   .q-table td, .q-table th { padding: 4px 4px; font-size: 12px; overflow-wrap: anywhere; }
-  .q-table td.text-right { overflow-wrap: normal; }
+  .q-table .text-right, .q-table tr > :first-child { overflow-wrap: normal; }
 }
 """
 

@@ -196,7 +196,7 @@ class TuningResult:
 
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
-    over: Sequence[SweptParameter] | Sequence[str] | Mapping[str, Distribution] = (),
+    over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] = (),
     cost: Cost | str | None = None,
     *,
     method: Method = Method.GRADIENT,
@@ -218,7 +218,7 @@ def tune(
     scenarios
         Scenarios whose costs are combined; the search starts at the values of the first.
     over
-        Parameters and their ranges, `Uniform` or `LogUniform`, or texts as for `mckibben tune`.
+        Parameters and their ranges, `Uniform` or `LogUniform`, or texts (or one) as for `mckibben tune`.
     cost
         Cost of the runs, or its text.
     method
@@ -258,7 +258,7 @@ def tune(
         check_count(name, count, 1, 10**9)
     check_count("seed", seed, 0, _MAX_SEED)
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
-    swept: Any = list(over)
+    swept: Any = [over] if isinstance(over, str) else list(over)
     if isinstance(over, Mapping) and several:
         swept = sweep_parameters(several[0], over)
     elif several and all(isinstance(each, str) for each in swept):
