@@ -107,8 +107,9 @@ class SmoothLaw(_Deviations):
 
     The deviations and their first two derivatives vanish outside the window :math:`\varepsilon_m \pm h`, where the law
     is Eq. 2. `identify` sets the window to twice the range of the contractions measured, and estimates the size of the
-    deviations from the data (`mckibben.identification.smooth`): it returns a `SmoothAffineLaw` if the data do not
-    support a quadratic term, and an `ExponentialLaw` if they support no deviation.
+    deviations from the data (`mckibben.identification.smooth`): it returns a `GaussianProcessLaw` if that predicts
+    left-out points better, a `SmoothAffineLaw` if the data do not support a quadratic term, and an `ExponentialLaw` if
+    they support no deviation.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ class SmoothLaw(_Deviations):
     >>> from mckibben import catalog, identify
     >>> fit = identify(SmoothLaw, catalog.dataset("festo-tool-10mm"))
     >>> round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
-    (0.06, 0.15)
+    (0.06, 0.19)
     """
 
     short_name = "smooth"
