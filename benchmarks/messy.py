@@ -21,6 +21,7 @@ import messy_labs  # noqa: F401 - adds kinds
 import messy_loggers  # noqa: F401 - adds kinds
 import messy_machines  # noqa: F401 - adds kinds
 import messy_rows  # noqa: F401 - adds kinds
+import messy_sensors  # noqa: F401 - adds kinds
 import numpy as np
 from messy_kinds import KINDS, Points
 

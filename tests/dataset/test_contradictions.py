@@ -124,3 +124,71 @@ def test_a_temperature_that_moves_is_a_warning(put):
             warnings.simplefilter("always")
             read_dataset(path)
         assert sum("'temperature_degC' moves by 8 K" in str(one.message) for one in heard) == warned
+
+
+def muscle(pressure, contraction):
+    """Force [N] of a muscle at a pressure [bar] and a contraction [%]."""
+    return 60 * pressure * (1 - contraction / 28) ** 2
+
+
+GRID = [(p, c) for p in (1.0, 2.0, 3.0, 4.0) for c in (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)]
+
+
+def told(put, change):
+    """Warnings of a file whose rows (pressure, contraction, force) a function has changed."""
+    rows = np.array([(p, c, muscle(p, c)) for p, c in GRID])
+    change(rows)
+    table = "".join(f"{p:g},{c:g},{f:.2f}\n" for p, c, f in rows)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        read_dataset(put(f"pressure_bar,contraction_percent,force_N\n{table}"))
+    return [str(one.message) for one in said]
+
+
+def test_sound_points_are_not_reported(put):
+    assert told(put, lambda rows: None) == []
+
+
+def offset(rows):
+    rows[:, 2] += 50
+
+
+def later_in_kilonewtons(rows):
+    rows[12:, 2] /= 1000
+
+
+def stuck_pressure(rows):
+    rows[:, 0] = 2
+
+
+def lost_length(rows):
+    rows[10, 1] = 0
+
+
+def end_of_the_length_sensor(rows):
+    rows[:, 1] = np.minimum(rows[:, 1], 7)
+
+
+def saturated(rows):
+    rows[:, 2] = np.minimum(rows[:, 2], 120 + 0.1 * np.arange(len(rows)))
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (offset, "force"),
+        (later_in_kilonewtons, "force"),
+        (stuck_pressure, "force"),
+        (lost_length, "contraction"),
+        (end_of_the_length_sensor, "contraction"),
+        (saturated, "force"),
+    ],
+)
+def test_a_sensor_that_fails_is_reported(put, change, field):
+    assert any(f": {field}: " in one for one in told(put, change))
+
+
+@pytest.mark.parametrize("line", ["# amplifier gain: 10", "# multiply the forces by 2", "% uncalibrated"])
+def test_a_comment_on_a_scale_is_reported(put, line):
+    with pytest.warns(McKibbenWarning, match="line 1"):
+        read_dataset(put(f"{line}\npressure_bar,force_N,contraction_percent\n{ROWS}"))

@@ -5,7 +5,9 @@ import io
 from pathlib import Path
 
 import h5py
+import openpyxl
 import pytest
+from openpyxl.comments import Comment
 
 from mckibben.dataset import read_dataset
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
@@ -121,3 +123,46 @@ def test_a_header_in_a_comment_needs_a_name_for_each_column(put):
     ]
     with pytest.raises(DatasetError):
         read_dataset(put("# pressure_bar force_N\n" + rows))
+
+
+def test_scales_that_are_not_applied_are_reported(put):
+    def hdf5(change):
+        stream = io.BytesIO()
+        with h5py.File(stream, "w") as made:
+            made["pressure_bar"], made["contraction_percent"] = [2.0, 2, 3, 3, 3], [0.0, 5, 0, 5, 10]
+            made["force_N"] = [200.0, 150, 300, 240, 180]
+            change(made)
+        return put(stream.getvalue(), "a.h5")
+
+    def beside(file):
+        file["force_scale"] = 0.05
+
+    for change in (
+        lambda file: file["force_N"].attrs.update(sensitivity=0.05),
+        lambda file: file["force_N"].attrs.update(note="half bridge, multiply by 2"),
+        lambda file: file.attrs.update(force_scale=0.05),
+        beside,
+    ):
+        with pytest.warns(McKibbenWarning, match="not applied"):
+            read_dataset(hdf5(change))
+    read_dataset(hdf5(lambda file: file["force_N"].attrs.update(channel=3, date="2024-03-01")))
+
+
+def test_notes_at_cells_of_a_workbook_are_reported_and_shares_shown_in_percent_are_ratios(put):
+    book = openpyxl.Workbook()
+    sheet = book.worksheets[0]
+    sheet.append(["Pressure [bar]", "Contraction", "Force [N]"])
+    for row in ((2, 0, 200), (2, 0.05, 150), (3, 0, 300)):
+        sheet.append(row)
+    for row in (2, 3, 4):
+        sheet.cell(row, 2).number_format = "0.0%"
+
+    def content():
+        stream = io.BytesIO()
+        book.save(stream)
+        return stream.getvalue()
+
+    assert read_dataset(put(content(), "a.xlsx")).contraction.tolist() == [0, 0.05, 0]
+    sheet["C3"].comment = Comment("cable slipped", "AB")
+    with pytest.warns(McKibbenWarning, match="C3"):
+        read_dataset(put(content(), "b.xlsx"))

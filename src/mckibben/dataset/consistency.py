@@ -44,6 +44,8 @@ _CERTAIN = 2.5  # standard errors
 _WITHOUT_PRESSURE = (0.05, 0.6)  # of the largest force: force at all contractions, extrapolated to no pressure
 _ALIKE = 1.5  # largest over least of these forces, if they are an offset
 _TOP, _MORE, _SHORTER = 0.97, 1.15, 0.1  # of the largest force; ratio of pressures; of the range of contractions
+_UNEQUAL = 0.3  # of the force: more than friction and creep
+_MUCH_SHORTER = (0.25, 2.5 * percent)  # of the range of contractions, and contraction
 _ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
 _PAIRS = 3  # of points per direction
@@ -60,6 +62,7 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     levels = _levels(dataset.pressure)
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)
+    yield from _unequal_forces(dataset, levels)
     yield from _held_forces(dataset)
     yield from _saturated(dataset)
     slack = list(_few_slack_points(dataset))
@@ -178,14 +181,33 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
         )
 
 
+def _unequal_forces(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
+    """Warning if forces at the same pressure and contraction differ by more than friction and creep."""
+    contraction, force = dataset.contraction, dataset.force
+    groups: list[Rows] = []
+    for rows in levels:
+        order = rows[np.argsort(contraction[rows], kind="stable")]
+        parts = np.split(order, np.flatnonzero(np.diff(contraction[order]) > _SAME) + 1)
+        groups += [one for one in parts if len(one) > 1 and force[one].max() > _TAUT * force.max()]
+    apart = [one for one in groups if np.ptp(force[one]) > _UNEQUAL * force[one].max()]
+    if apart and len(apart) > len(groups) / 2:
+        at = apart[0]
+        yield (
+            f"force: {force[at].min():.4g} to {force[at].max():.4g} N at {dataset.pressure[at[0]] / bar:.3g} bar and "
+            f"{contraction[at[0]] / percent:.3g} %, and as different at {len(apart) - 1} of {len(groups) - 1} other "
+            "contractions: a sensor may be stuck, or the rows be of several muscles"
+        )
+
+
 def _saturated(dataset: IsobaricDataset) -> Iterator[str]:
-    """Warning if the largest force is reached at a larger contraction and much less pressure, too."""
+    """Warning if the largest force is reached at a much larger contraction, or one at much less pressure, too."""
     contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
     top = np.flatnonzero(force >= _TOP * force.max())
-    if not _PAIRS <= len(top) <= _MOST:
+    if len(top) > _MOST:
         return
-    weaker = pressure[top] > _MORE * pressure[top, None]
-    weaker &= contraction[top, None] > contraction[top] + _SHORTER * np.ptp(contraction)
+    shorter, stroke = contraction[top, None] - contraction[top], np.ptp(contraction)
+    weaker = (pressure[top] > _MORE * pressure[top, None]) & (shorter > _SHORTER * stroke)
+    weaker |= (pressure[top] >= pressure[top, None]) & (shorter > max(_MUCH_SHORTER[0] * stroke, _MUCH_SHORTER[1]))
     if weaker.any():
         at, other = (top[row] for row in np.argwhere(weaker)[0])
         yield (

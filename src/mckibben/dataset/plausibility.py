@@ -228,8 +228,8 @@ def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterato
         return
     short = short[np.argsort(pressure[short], kind="stable")]
     most = np.maximum.accumulate(np.append(-np.inf, force[short]))  # of shortened points up to a pressure
-    weak = zeros[force[zeros] < most[np.searchsorted(pressure[short], 1.01 * pressure[zeros], side="right")]]
-    weak = weak[force[weak] > _SMALL_FORCE * force.max()]
+    most = most[np.searchsorted(pressure[short], 1.01 * pressure[zeros], side="right")]
+    weak = zeros[force[zeros] < most - _NOISE * force.max()]
     if weak.size:
         at = weak[0]
         text = (

@@ -25,7 +25,8 @@ from mckibben.web.session import collect_warnings, end_sessions
 
 HOST = LOCAL[0]
 _SHUTDOWN = 2  # s for open requests
-_M_ARENA_MAX = -8  # of malloc.h
+_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # of malloc.h
+_MAPPED = 2**17  # bytes of an array with a mapping of its own
 _COLLECTED_AFTER = 1.0  # s after a page was left; those left in the meantime are freed with it
 _TAB_STORAGE = 60.0  # s that NiceGUI keeps its storage of a tab, which is empty; its default is 30 days
 
@@ -73,9 +74,13 @@ class _Collector:
 
 
 def _use_one_arena() -> None:
-    """Have glibc allocate in one arena: with one for each thread, the memory of pages that are gone is used less."""
+    """Have glibc allocate in one arena, as one for each thread uses the memory of pages that are gone less.
+
+    Arrays keep mappings of their own, which are returned when freed: by default, glibc stops that after the first.
+    """
     if mallopt := _libc("mallopt"):
         mallopt(_M_ARENA_MAX, 1)
+        mallopt(_M_MMAP_THRESHOLD, _MAPPED)
 
 
 def _libc(name: str) -> Callable[..., int] | None:

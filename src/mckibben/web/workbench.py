@@ -162,10 +162,14 @@ def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
 def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
     step = max(1, len(result["angle"]) // 1200)
     names = [*_COLUMNS, *({SMALL_MOTION} & set(result.columns))]
-    columns = {name: np.asarray(result[name])[::step] for name in names}
-    bounds = np.asarray(result["lowest_stiffness"])[::step], np.asarray(result["highest_stiffness"])[::step]
+
+    def shown(name: str) -> np.ndarray:
+        return np.asarray(result[name])[::step].copy()  # a view would keep all samples of the run
+
+    columns = {name: shown(name) for name in names}
+    bounds = shown("lowest_stiffness"), shown("highest_stiffness")
     joint = scenario.plant().joint
-    sizes = muscle_sizes(joint, [np.asarray(result[f"contraction{number}"])[::step] for number in (1, 2)])
+    sizes = muscle_sizes(joint, [shown(f"contraction{number}") for number in (1, 2)])
     text = scenario.dumps(folder=folder)
     return Kept(
         scenario.name,
