@@ -16,7 +16,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -30,6 +30,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
 from mckibben.muscle import Domain, ForceLaw, Parameter
 from mckibben.notebook import stop_check
+from mckibben.numerics.compiled import compiled
 
 
 def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
@@ -59,12 +60,14 @@ def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, p
     return np.asarray(_columns(law, values, contraction, pressure, names=tuple(names))).T
 
 
-@partial(jax.jit, static_argnames="names")
-def _columns(law: ForceLaw, values: Array, contraction: Array, pressure: Array, *, names: tuple[str, ...]) -> Array:
+@compiled
+def _columns(
+    law: ForceLaw, values: ArrayLike, contraction: ArrayLike, pressure: ArrayLike, *, names: tuple[str, ...]
+) -> Array:
     return _force_and_columns(lambda given: dataclasses.replace(law, **given), names, values, contraction, pressure)[1]
 
 
-@partial(jax.jit, static_argnames="law_type")
+@compiled
 def _columns_and_residuals(
     law_type: type[ForceLaw],
     values: ArrayLike,

@@ -130,7 +130,7 @@ def _array(value: ArrayLike) -> Any:
 def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array) -> float | Array:
     if isinstance(one, Real) and isinstance(other, Real):
         return pick(one, other)
-    module = jnp if isinstance(one, Array) or isinstance(other, Array) else np  # NumPy compiles nothing
+    module: Any = jnp if isinstance(one, Array) or isinstance(other, Array) else np  # NumPy compiles nothing
     return (module.maximum if pick is max else module.minimum)(one, other)
 
 
