@@ -38,8 +38,8 @@ def run(monkeypatch, tmp_path):
     return call
 
 
-def write(name: str, pressure: np.ndarray, lines: str = "", sign: int = 1) -> None:
-    rows = [f"{t:.2f},{p:.3f},{sign * (40 * p - 10):.2f}\n" for t, p in zip(TIME, pressure, strict=True)]
+def write(name: str, pressure: np.ndarray, lines: str = "", gain: float = 1) -> None:
+    rows = [f"{t:.2f},{p:.3f},{gain * (40 * p - 10):.2f}\n" for t, p in zip(TIME, pressure, strict=True)]
     Path(name).write_text("Time (s),Druck [bar],Force (N)\n" + "".join(rows) + lines)
 
 
@@ -61,7 +61,7 @@ def test_plateaus_become_a_file_that_is_read_as_points(run):
 
 def test_the_sign_of_a_load_cell_is_turned(run):
     write("rig.csv", LEVEL)
-    write("turned.csv", LEVEL, sign=-1)
+    write("turned.csv", LEVEL, gain=-1)
     Path("turned.csv").write_text(Path("turned.csv").read_text().replace("Force (N)", "Zug (N)"))
     turned_column = ("--column", "Zug (N)=force_N")
     run("rig.csv", *COLUMN, "--out", "as-is.csv")
@@ -151,7 +151,7 @@ def test_a_shorter_dwell_is_suggested(run):
 
 def test_files_at_several_lengths_are_read_with_the_lengths_in_their_names(run):
     for length, gain in ((200, 1.0), (190, 0.6)):
-        write(f"L{length}mm.csv", gain * RAMP)
+        write(f"L{length}mm.csv", RAMP, gain=gain)
     given = ("L200mm.csv", "L190mm.csv", "--isometric", "--levels", "1, 2, 3 bar", "--initial-length", "200 mm")
     run(*given, "--column", "Druck [bar]=pressure_bar", "--from-name", "L{length_mm}", "--save-recipe", "how.yaml")
     assert "from_name" in Path("how.yaml").read_text(encoding="utf-8")

@@ -102,7 +102,7 @@ def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):
 
 
 def test_samples_that_were_compressed_are_read_like_others(tmp_path):
-    force = np.random.default_rng(0).normal(50.0, 1.0, (6, 100))
+    force = np.random.default_rng(0).normal(np.linspace(60, 30, 6)[:, None], 1.0, (6, 100))
     data = IsobaricDataset.of(
         pressure=np.full(6, 1e5), contraction=np.linspace(0, 0.1, 6), force=force.mean(axis=1), force_samples=force
     )

@@ -22,6 +22,7 @@ _RISING = 0.7  # correlation of force and contraction at constant pressure
 _TOLERANCE = 0.25  # of the force that a tenth of the points exceed: more than friction and creep
 _NOISE = 0.05  # of the largest force
 _SAME = 0.1 * percent  # contraction
+_REPEATED = 0.01  # of the highest pressure: pressures of repeated points
 _LOOP = 2.0  # usual distances between loading and unloading
 _AGAINST = 3  # points that an outlier contradicts
 _SHARE = 0.1  # of the points: more are not single errors
@@ -62,7 +63,7 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     levels = _levels(dataset.pressure)
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)
-    yield from _unequal_forces(dataset, levels)
+    yield from _unequal_forces(dataset)
     yield from _held_forces(dataset)
     yield from _saturated(dataset)
     slack = list(_few_slack_points(dataset))
@@ -181,21 +182,20 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
         )
 
 
-def _unequal_forces(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
+def _unequal_forces(dataset: IsobaricDataset) -> Iterator[str]:
     """Warning if forces at the same pressure and contraction differ by more than friction and creep."""
-    contraction, force = dataset.contraction, dataset.force
-    groups: list[Rows] = []
-    for rows in levels:
-        order = rows[np.argsort(contraction[rows], kind="stable")]
-        parts = np.split(order, np.flatnonzero(np.diff(contraction[order]) > _SAME) + 1)
-        groups += [one for one in parts if len(one) > 1 and force[one].max() > _TAUT * force.max()]
+    contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
+    bins = np.stack([np.round(pressure / (_REPEATED * pressure.max())), np.round(contraction / _SAME)])
+    order = np.lexsort(bins)
+    groups = np.split(order, np.flatnonzero(np.any(np.diff(bins[:, order]), axis=0)) + 1)
+    groups = [one for one in groups if len(one) > 1 and force[one].max() > _TAUT * force.max()]
     apart = [one for one in groups if np.ptp(force[one]) > _UNEQUAL * force[one].max()]
-    if apart and len(apart) > len(groups) / 2:
+    if len(apart) >= _AGAINST and len(apart) > len(groups) / 2:
         at = apart[0]
         yield (
-            f"force: {force[at].min():.4g} to {force[at].max():.4g} N at {dataset.pressure[at[0]] / bar:.3g} bar and "
+            f"force: {force[at].min():.4g} to {force[at].max():.4g} N at {pressure[at[0]] / bar:.3g} bar and "
             f"{contraction[at[0]] / percent:.3g} %, and as different at {len(apart) - 1} of {len(groups) - 1} other "
-            "contractions: a sensor may be stuck, or the rows be of several muscles"
+            "places: a sensor may be stuck, or the rows be of several muscles"
         )
 
 
