@@ -44,6 +44,9 @@ def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
     assert issubclass(kind, PressureAffineLaw) == (kind is not SmoothLaw)
     assert any("Eq. 2 alone" in warning for warning in fit.warnings) == (kind is ExponentialLaw)
     assert fit.rmse == pytest.approx(0.3, rel=0.35)
+    regression = fit.require_regression()  # cross-validation fits the chosen law anew
+    assert regression.refit is not None
+    assert regression.refit(regression.points.pressure < 6 * bar).problem.law_type is kind
 
 
 def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():

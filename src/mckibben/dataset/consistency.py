@@ -189,13 +189,13 @@ def _unequal_forces(dataset: IsobaricDataset) -> Iterator[str]:
     order = np.lexsort(bins)
     groups = np.split(order, np.flatnonzero(np.any(np.diff(bins[:, order]), axis=0)) + 1)
     groups = [one for one in groups if len(one) > 1 and force[one].max() > _TAUT * force.max()]
-    apart = [one for one in groups if np.ptp(force[one]) > _UNEQUAL * force[one].max()]
+    apart = [one for one in groups if np.ptp(force[one]) > max(_UNEQUAL * force[one].max(), _TOLERANCE * force.max())]
     if len(apart) >= _AGAINST and len(apart) > len(groups) / 2:
         at = apart[0]
         yield (
             f"force: {force[at].min():.4g} to {force[at].max():.4g} N at {pressure[at[0]] / bar:.3g} bar and "
             f"{contraction[at[0]] / percent:.3g} %, and as different at {len(apart) - 1} of {len(groups) - 1} other "
-            "places: a sensor may be stuck, or the rows be of several muscles"
+            "places: a sensor may be stuck, or the rows may come from several muscles"
         )
 
 
@@ -203,7 +203,7 @@ def _saturated(dataset: IsobaricDataset) -> Iterator[str]:
     """Warning if the largest force is reached at a much larger contraction, or one at much less pressure, too."""
     contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
     top = np.flatnonzero(force >= _TOP * force.max())
-    if len(top) > _MOST:
+    if len(top) > _MOST or len(top) == len(force):  # one load for all
         return
     shorter, stroke = contraction[top, None] - contraction[top], np.ptp(contraction)
     weaker = (pressure[top] > _MORE * pressure[top, None]) & (shorter > _SHORTER * stroke)
@@ -211,8 +211,8 @@ def _saturated(dataset: IsobaricDataset) -> Iterator[str]:
     if weaker.any():
         at, other = (top[row] for row in np.argwhere(weaker)[0])
         yield (
-            f"force: {len(top)} forces are about the largest, {force.max():.4g} N, even at "
-            f"{pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} % as at {pressure[other] / bar:.3g} bar "
+            f"force: {len(top)} forces are within 3 % of the largest, {force.max():.4g} N, at points as different as "
+            f"{pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} %, and {pressure[other] / bar:.3g} bar "
             f"and {contraction[other] / percent:.3g} %: the sensor or its amplifier may be saturated"
         )
 
@@ -314,7 +314,7 @@ def _offsets(dataset: IsobaricDataset, *, known: bool) -> Iterator[str]:
     if not known and above and pulls.max() < min(high * force.max(), _ALIKE * pulls.min()):
         yield (
             f"force: without pressure, a force of about {pulls.mean():.3g} N would remain at all contractions: "
-            "this may be the offset of the load cell, or of the pressures"
+            "this may be an offset of the load cell or the pressures, or friction if all points are of one direction"
         )
 
 

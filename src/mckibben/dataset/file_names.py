@@ -32,11 +32,16 @@ def add_from_name(sheet: RawTable, path: Path, pattern: str) -> RawTable:
         return sheet
     names = _FIELD.findall(pattern)
     literal = _FIELD.split(pattern)[::2]
-    found = re.search(_NUMBER.join(map(re.escape, literal)), path.name)
-    if found is None:
-        raise DatasetError(str(path), [Problem(f"its name does not match {pattern!r}", remedy=_REMEDY)])
+    text = _NUMBER.join(map(re.escape, literal))
+    if not literal[0]:
+        text = text.replace("[-+]?", "", 1)  # a hyphen before the first number separates it from a word
+    found = {one.groups() for one in re.finditer(text, path.name)}
+    if len(found) != 1:
+        wrong = f"matches {pattern!r} in several places" if found else f"does not match {pattern!r}"
+        raise DatasetError(str(path), [Problem(f"its name {wrong}", remedy=_REMEDY)])
+    (numbers,) = found
     longest = max(sheet.channels, key=lambda one: len(one.cells))
-    for name, number in zip(names, found.groups(), strict=True):
+    for name, number in zip(names, numbers, strict=True):
         cells = np.full(len(longest.cells), float(number.replace(",", ".")))
         sheet.channels.append(RawColumn(f"file name: {name}", cells, longest.lines, short=name))
     return sheet

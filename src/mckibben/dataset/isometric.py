@@ -38,8 +38,10 @@ def held_contraction(
         return np.full(table.sizes["sample"], float(contraction))
     values = table["contraction"].to_numpy()
     middle = float(np.median(values))
-    medians = np.array([np.median(part) for part in np.split(values, np.flatnonzero(account.broken))])
-    if (np.abs(medians - middle) <= tolerance).all():
+    parts = np.split(values, np.flatnonzero(account.broken))
+    medians = np.array([np.median(part) for part in parts])
+    measured = any(np.ptp(part) for part in parts)  # not given
+    if measured and (np.abs(medians - middle) <= tolerance).all():
         medians[:] = middle
     wrong = medians if contraction is None else medians[~(np.abs(medians - contraction) <= tolerance)]
     if contraction is not None and len(wrong):

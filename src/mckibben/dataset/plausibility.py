@@ -221,8 +221,9 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Float
 
 
 def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Message on contractions of exactly 0 with less force than half a stroke away, at no more pressure."""
-    zeros = np.flatnonzero(contraction == 0)
+    """Message on contractions of 0 between shortened rows, whose force is less than half a stroke away."""
+    beside = np.minimum(np.append(contraction[1:], np.inf), np.append(np.inf, contraction[:-1]))
+    zeros = np.flatnonzero((contraction == 0) & (beside >= contraction.max() / 2))
     short = np.flatnonzero((contraction > 0) & (contraction >= contraction.max() / 2))
     if not (zeros.size and short.size):
         return
@@ -233,8 +234,8 @@ def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterato
     if weak.size:
         at = weak[0]
         text = (
-            f"{len(weak)} of {len(force)} contractions are 0 where the force is less than at half the stroke and no "
-            f"more pressure, first {force[at]:.4g} N at {pressure[at] / bar:.3g} bar"
+            f"{len(weak)} of {len(force)} contractions are 0 where the force is lower than at half the stroke and the "
+            f"same or a lower pressure, first {force[at]:.4g} N at {pressure[at] / bar:.3g} bar"
         )
         yield Problem(text, field="contraction", remedy="check these points, and the sensor of the length"), False
 

@@ -84,7 +84,10 @@ _NOT_APPLIED = re.compile(
     r"scal|factor|gain|offset|slope|intercept|conver|multipl|sensitiv|calib|resol|coeff|excit|(?<![a-z])(?:lsb|tare)",
     re.IGNORECASE,
 )
-NOT_APPLIED = re.compile(r"(?<![a-z])(?:gain|multipl|divid|uncalibrat|not calibrat|(?:scale|calibration) factor)", re.I)
+NOT_APPLIED = re.compile(
+    r"(?<![a-z])(?:gain\b|multipl(?:y|ied|ier)\b|divided? by|uncalibrat|not calibrat|(?:scale|calibration) factor)",
+    re.I,
+)
 """Words of a comment or description after which numbers may not be in the unit of their name."""
 
 
@@ -93,7 +96,8 @@ def not_applied(attributes: Mapping[str, object]) -> tuple[str, ...]:
     found = [
         name
         for name, value in attributes.items()
-        if _NOT_APPLIED.search(name) or (isinstance(value, str) and NOT_APPLIED.search(value[:_LONGEST_TEXT]))
+        if (_NOT_APPLIED.search(name) and "date" not in name.lower())
+        or (isinstance(value, str) and NOT_APPLIED.search(value[:_LONGEST_TEXT]))
     ]
     return tuple(f"has the attribute {name!r}, which is not applied" for name in found)
 

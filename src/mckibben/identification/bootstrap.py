@@ -21,6 +21,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.intervals import Interval, IntervalEstimate, check_level, law_forces, t_quantile
 from mckibben.identification.least_squares import FitProblem, Solution, project, solve
+from mckibben.identification.monotone import monotone
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
@@ -159,7 +160,8 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
         counts = generator.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
         found = _refit(regression.problem.weighted(counts[labels]), starts)
         if found.converged and condition_number(found.triangle[:, ~regression.at_bound]) < CONDITION_LIMIT:
-            draws.append(found.values)
+            sloped = monotone(found, fit.law.domain) if regression.problem.prior is not None else None
+            draws.append((sloped or found).values)
             continue
         failed += 1
         if failed > _MOST_FAILED * refits:

@@ -93,7 +93,8 @@ def identify(
     if smooth:
         eq2 = FitProblem.of(ExponentialLaw, points)
         start = solve(eq2, grid_search(eq2)).position
-        solution, simpler = fit_smooth(_laws_from(law_type), points, np.ones(len(points), bool), start)
+        kinds = SMOOTH_LAWS if law_type is SmoothLaw else _laws_from(law_type)
+        solution, simpler = fit_smooth(kinds, points, np.ones(len(points), bool), start)
         law_type = solution.problem.law_type
         refit = _smooth_refit(() if simpler else _laws_from(law_type), points, start)
     else:
@@ -149,8 +150,8 @@ def identify(
 
 
 def _laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
-    """Law with deviations, and the simpler ones that may take its place."""
-    return SMOOTH_LAWS if law_type is SmoothLaw else SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
+    """Law with deviations, and the simpler ones that may take its place in a refit."""
+    return SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
 
 
 def _smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:

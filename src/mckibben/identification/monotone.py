@@ -52,8 +52,8 @@ def monotone(solution: Solution, domain: Domain) -> Solution | None:
         # Least distance: with u = R s - Q^T r, minimise |u| such that the force rises by the margin.
         rows = np.linalg.solve(triangle.T, (rising / lengths).T)
         rows = np.vstack([rows, margin - rising @ first - target @ rows])
-        multipliers, _ = nnls(rows / np.linalg.norm(rows[:-1], axis=0), np.eye(linear + 1)[-1])
-        rest = rows / np.linalg.norm(rows[:-1], axis=0) @ multipliers - np.eye(linear + 1)[-1]
+        scaled = rows / np.linalg.norm(rows[:-1], axis=0)
+        rest = scaled @ nnls(scaled, np.eye(linear + 1)[-1])[0] - np.eye(linear + 1)[-1]
         if not rest[-1] < -_ROUNDING:
             return None
         step = np.linalg.solve(triangle, target - rest[:-1] / rest[-1]) / lengths
