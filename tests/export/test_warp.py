@@ -29,7 +29,7 @@ JOINTS = run_path(str(Path(__file__).parent / "conftest.py"))
 VALVES = run_path(str(Path(__file__).parents[1] / "actuator" / "test_actuator_contract.py"))["EXAMPLES"]
 LOAD = mk.KneeLoad(0.5, 0.5, 0.1, 0.2, 0.02, 0.015)
 LAGS = mk.FirstOrderValve(time_constant=0.02)
-STEP, PERIOD, PERIODS = 5e-4, 2e-3, 500  # 1 s
+STEP, PERIOD, PERIODS = 1e-3, 2e-3, 500  # 1 s
 TOLERANCE = 1e-5  # rad
 
 
