@@ -10,7 +10,7 @@ WORKERS ?= 2
 COUNT  ?= 27
 SEED   ?= 0
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder  # a core each
 
 .PHONY: reproduce test verify lint style types quick-tests all-tests format hooks mutants lock bench docs course wheel clean help
 .DEFAULT_GOAL := help

@@ -2,7 +2,7 @@
 
     python benchmarks/foreign_lab.py regulator|spool|switching --out DIR [--runs 24] [--seed 11] [--only STEP]
 
-The steps are those of docs/compare.md, "For your joint and valves", and all but the last are commands of `mckibben` on
+The steps are 1 to 6 of docs/compare.md, "For your joint and valves", and all but the last are commands of `mckibben` on
 the rig of benchmarks/foreign_rig.py: a test of one muscle, its force law, the joint with a weight of 500 g, the valves,
 and a comparison with short searches on the calibrated model, in which the PIDs have ten times the budget of the others.
 The last step runs the tuned controllers on the foreign plant, with other loads, supplies, friction, disturbances and
@@ -137,7 +137,7 @@ def suite_of(kind, folder):
             "joint.muscle1.friction.half_width=3..15 N",
             "joint.muscle2.friction.half_width=3..15 N",
             "load.mass=+-30 %",
-            f"{first}.supply=+-8 %",
+            *(f"{one}.supply=+-8 %" for one in dict.fromkeys((first, second))),
             "disturbance.height=0 N*m, 0.3 N*m",
         ],
         "controllers": {name: one for name, one in suite["controllers"].items() if name not in LEFT_OUT},

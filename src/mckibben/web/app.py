@@ -74,7 +74,7 @@ class _Collector:
 
 
 def _use_one_arena() -> None:
-    """Have glibc allocate in one arena, as one for each thread uses the memory of pages that are gone less.
+    """Have glibc allocate in one arena: with one per thread, memory that closed pages freed is reused less.
 
     Arrays keep mappings of their own, which are returned when freed: by default, glibc stops that after the first.
     """

@@ -87,6 +87,7 @@ class IdentificationState:
     data: IsobaricDataset | None = None
     law: str = "ExponentialLaw"
     reading: ReadingFields = field(default_factory=ReadingFields)
+    read_by: ReadingFields | None = None  # the fields by which the data were read; none for the catalog
     found: FitWithFriction | None = None
     ranking: Ranking | None = None
     muscle: Muscle | None = None
@@ -247,7 +248,7 @@ class _Page:
         state.data = state.found = state.ranking = state.error = None
 
         def done(data: IsobaricDataset, heard: list[str]) -> None:
-            state.data, state.notes = data, heard
+            state.data, state.notes, state.read_by = data, heard, None if source is None else fields
 
         self.job = state.jobs.start(lambda _: load(), done, self.fail)
 
@@ -416,13 +417,13 @@ class _Page:
             made.columns[-1]["align"] = "left"
 
     def download(self) -> None:
-        """Offer fit.yaml, the recipe of the file and, if the length is known, muscle.yaml for download."""
+        """Offer fit.yaml, the recipe of a file and, if the length is known, muscle.yaml for download."""
         kept = io.BytesIO()
         with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED) as folder:
             for name in ("muscle.yaml", "fit.yaml") if self.state.muscle is not None else ("fit.yaml",):
                 folder.writestr(name, (self.folder / name).read_bytes())
-            with suppress(McKibbenError):  # fields that were changed since
-                folder.writestr("recipe.yaml", self.state.reading.recipe().dumps())
+            if self.state.read_by is not None:
+                folder.writestr("recipe.yaml", self.state.read_by.recipe().dumps())
         ui.download.content(kept.getvalue(), "muscle.zip")
 
     def design(self) -> None:
