@@ -221,16 +221,19 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Float
 
 
 def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Message on contractions of 0 between shortened rows, whose force is less than half a stroke away."""
-    beside = np.minimum(np.append(contraction[1:], np.inf), np.append(np.inf, contraction[:-1]))
-    zeros = np.flatnonzero((contraction == 0) & (beside >= contraction.max() / 2))
-    short = np.flatnonzero((contraction > 0) & (contraction >= contraction.max() / 2))
-    if not (zeros.size and short.size):
-        return
-    short = short[np.argsort(pressure[short], kind="stable")]
-    most = np.maximum.accumulate(np.append(-np.inf, force[short]))  # of shortened points up to a pressure
-    most = most[np.searchsorted(pressure[short], 1.01 * pressure[zeros], side="right")]
-    weak = zeros[force[zeros] < most - _NOISE * force.max()]
+    """Message on contractions of 0 next to shortened rows, with less force than these or points at half the stroke."""
+    rows, stroke = np.arange(len(force)), float(contraction.max())
+    sides = (np.maximum(rows - 1, 0), np.minimum(rows + 1, len(rows) - 1))
+    beside = np.minimum(*(np.where(one == rows, 0.0, contraction[one]) for one in sides))
+    order = np.argsort(pressure, kind="stable")
+    far = np.where(contraction[order] >= stroke / 2, force[order], -np.inf)
+    most = np.maximum.accumulate(np.append(-np.inf, far))  # of shortened points up to a pressure
+    most = most[np.searchsorted(pressure[order], 1.01 * pressure, side="right")]
+    weak = (beside >= stroke / 4) & (force < most - _NOISE * force.max())
+    for one in sides:  # a jump by more than half the stroke at the same pressure
+        jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= 1.01 * pressure)
+        weak |= jump & (force < force[one] - _STEADY * force.max())
+    weak = np.flatnonzero(weak & (contraction == 0)) if stroke > 0 else rows[:0]
     if weak.size:
         at = weak[0]
         text = (
