@@ -45,7 +45,7 @@ _CERTAIN = 2.5  # standard errors
 _WITHOUT_PRESSURE = (0.05, 0.6)  # of the largest force: force at all contractions, extrapolated to no pressure
 _ALIKE = 1.5  # largest over least of these forces, if they are an offset
 _TOP, _MORE, _SHORTER = 0.97, 1.15, 0.1  # of the largest force; ratio of pressures; of the range of contractions
-_UNEQUAL = 0.3  # of the force: more than friction and creep
+_UNEQUAL = (0.3, 0.15)  # of the force, and of the largest: more than friction and creep
 _MUCH_SHORTER = (0.25, 2.5 * percent)  # of the range of contractions, and contraction
 _ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
@@ -189,8 +189,9 @@ def _unequal_forces(dataset: IsobaricDataset) -> Iterator[str]:
     order = np.lexsort(bins)
     groups = np.split(order, np.flatnonzero(np.any(np.diff(bins[:, order]), axis=0)) + 1)
     groups = [one for one in groups if len(one) > 1 and force[one].max() > _TAUT * force.max()]
-    apart = [one for one in groups if np.ptp(force[one]) > max(_UNEQUAL * force[one].max(), _TOLERANCE * force.max())]
-    if len(apart) >= _AGAINST and len(apart) > len(groups) / 2:
+    own, overall = _UNEQUAL
+    apart = [one for one in groups if np.ptp(force[one]) > max(own * force[one].max(), overall * force.max())]
+    if len(apart) >= _AGAINST and 2 * len(apart) >= len(groups):
         at = apart[0]
         yield (
             f"force: {force[at].min():.4g} to {force[at].max():.4g} N at {pressure[at[0]] / bar:.3g} bar and "

@@ -221,7 +221,7 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Float
 
 
 def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
-    """Message on contractions of 0 next to shortened rows, with less force than these or points at half the stroke."""
+    """Message on contractions of 0 with less force than shortened rows next to them, or other rows at 0."""
     rows, stroke = np.arange(len(force)), float(contraction.max())
     sides = (np.maximum(rows - 1, 0), np.minimum(rows + 1, len(rows) - 1))
     beside = np.minimum(*(np.where(one == rows, 0.0, contraction[one]) for one in sides))
@@ -233,12 +233,17 @@ def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterato
     for one in sides:  # a jump by more than half the stroke at the same pressure
         jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= 1.01 * pressure)
         weak |= jump & (force < force[one] - _STEADY * force.max())
-    weak = np.flatnonzero(weak & (contraction == 0)) if stroke > 0 else rows[:0]
+    zero, level = contraction == 0, np.round(pressure / (0.01 * pressure.max() or 1.0)).astype(int)
+    top = np.full(np.ptp(level) + 1, -np.inf)  # of the rows at 0 and about the same pressure
+    np.maximum.at(top, (level - level.min())[zero], force[zero])
+    top = top[level - level.min()]
+    weak |= force < top - np.maximum(0.3 * top, 0.15 * force.max())
+    weak = np.flatnonzero(weak & zero) if stroke > 0 else rows[:0]
     if weak.size:
         at = weak[0]
         text = (
-            f"{len(weak)} of {len(force)} contractions are 0 where the force is lower than at half the stroke and the "
-            f"same or a lower pressure, first {force[at]:.4g} N at {pressure[at] / bar:.3g} bar"
+            f"{len(weak)} of {len(force)} contractions are 0 although the force is that of a shorter muscle at this "
+            f"pressure, first {force[at]:.4g} N at {pressure[at] / bar:.3g} bar"
         )
         yield Problem(text, field="contraction", remedy="check these points, and the sensor of the length"), False
 
