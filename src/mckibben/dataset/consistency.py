@@ -289,7 +289,9 @@ def _offsets(dataset: IsobaricDataset, *, known: bool) -> Iterator[str]:
     used = np.flatnonzero(used)[:: 1 + len(used) // _ENOUGH]
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
     terms = [p, np.ones(len(p)), eps, p * eps, p * eps**2][: 5 if stroke else 2]
-    if contraction.min() > _NEAR or len(p) <= len(terms) or len(np.unique(np.round(p / (_LEVEL * p.max())))) < 3:
+    if contraction.min() > _NEAR or len(p) <= len(terms) or p.max() <= 0:
+        return
+    if len(np.unique(np.round(p / (_LEVEL * p.max())))) < 3:
         return
     design = np.stack(terms, axis=1)
     found = np.linalg.lstsq(design, force[used])[0]

@@ -233,7 +233,7 @@ def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterato
     for one in sides:  # a jump by more than half the stroke at the same pressure
         jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= 1.01 * pressure)
         weak |= jump & (force < force[one] - _STEADY * force.max())
-    zero, level = contraction == 0, np.round(pressure / (0.01 * pressure.max() or 1.0)).astype(int)
+    zero, level = contraction == 0, np.round(pressure / max(0.01 * pressure.max(), 1.0)).astype(int)
     top = np.full(np.ptp(level) + 1, -np.inf)  # of the rows at 0 and about the same pressure
     np.maximum.at(top, (level - level.min())[zero], force[zero])
     top = top[level - level.min()]

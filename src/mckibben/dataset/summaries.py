@@ -27,6 +27,7 @@ _FEWEST = 4  # rows that a summary summarises
 _JUMP = 1.5  # usual steps from row to row, beyond which a summary is from its neighbors
 _ENDS = 8  # rows at either end of a file that may be a summary
 _COARSE = 0.02  # of the range of a column: largest rounding of a summary
+_SAME = 1e-6  # of the range of a column: rounding of a repeated value
 _LEVEL = 0.05  # of the largest value: rows of one level
 _DECIMALS = 9  # of a number in a file
 
@@ -80,7 +81,7 @@ def summaries(columns: Mapping[str, tuple[Floats, float]]) -> dict[int, str]:
     apart = np.append(True, jumps) & np.append(jumps, True)  # others may be points of a ramp
     with np.errstate(over="ignore", invalid="ignore"):
         for at, values, what in (*_ends(rows), *_of_all_before(rows), *_of_levels(rows, [*columns])):
-            if at not in found and apart[at] and _equal(rows, at, values):
+            if at not in found and apart[at] and _equal(rows, at, values) and not _repeated(rows, at):
                 found[at] = what
     return found
 
@@ -93,6 +94,8 @@ def _ends(rows: Floats) -> Iterator[_Candidate]:
             (rows[:, ends:], range(ends), "after"),
             (rows[:, : count - ends], range(count - ends, count), "before"),
         ):
+            if np.count_nonzero(np.ptp(body, axis=1)) < 2:
+                continue  # repetitions of one point
             for name, statistic in _STATISTICS.items():
                 if statistic is np.max and not np.ptp(body, axis=1).all():
                     continue  # at a fixed length, a muscle has its largest force at its largest pressure
@@ -122,6 +125,12 @@ def _of_levels(rows: Floats, names: Sequence[str]) -> Iterator[_Candidate]:
                 text = f"the mean of the other rows of its {name}"
                 yield int(run[0]), rows[:, run[1:]].mean(axis=1), text
                 yield int(run[-1]), rows[:, run[:-1]].mean(axis=1), text
+
+
+def _repeated(rows: Floats, at: int) -> bool:
+    """True if another row is the same: a repeated point is no summary."""
+    near = np.abs(rows - rows[:, [at]]) <= _SAME * np.ptp(rows, axis=1, keepdims=True) + 10.0**-_DECIMALS
+    return np.count_nonzero(near.all(axis=0)) > 1
 
 
 def _equal(rows: Floats, at: int, values: Floats) -> bool:
