@@ -364,7 +364,6 @@ def find_columns(
     ]
     _same_length(sheet, layout)
     _same_clock(sheet, layout)
-    _one_temperature(sheet, layout)
     return layout
 
 
@@ -470,31 +469,6 @@ def _same_clock(sheet: RawTable, layout: Layout) -> None:
         layout.problems.append(sheet.kind(f"columns are from {shown}, which have their own times", remedy=remedy))
     else:
         layout.suspect.append(f"columns are from {shown}: their rows are taken to belong together")
-
-
-_WARMING = 5.0  # K
-_TEMPERATURE = re.compile(
-    r"temp[eé]ratur.*?(?:(?<![a-z])(?:deg|°)?\s*([ckf])(?![a-z])|(celsius|kelvin|fahrenheit))", re.I
-)
-
-
-def _one_temperature(sheet: RawTable, layout: Layout) -> None:
-    """Warn of a recorded temperature that drifts: the rubber and the zero of a load cell change with it."""
-    for channel in sheet.channels:
-        unit = _TEMPERATURE.search(f"{channel.label} {channel.unit}")
-        if unit is None or channel.name not in layout.ignored:
-            continue
-        try:
-            values = np.asarray(channel.cells, float)
-        except ValueError:
-            continue
-        low, high = np.nanquantile(values, (0.01, 0.99)) if np.isfinite(values).any() else (0.0, 0.0)
-        drift = float(high - low) * (5 / 9 if (unit[1] or unit[2]).lower().startswith("f") else 1.0)
-        if drift > _WARMING:
-            layout.suspect.append(
-                f"{channel.name!r} drifts by {drift:.2g} K, which changes the rubber and the zero of the load cell; "
-                "let the muscle and the rig reach one temperature before the test"
-            )
 
 
 def _accepted(header: str = "") -> str:

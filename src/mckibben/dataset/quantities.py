@@ -17,6 +17,7 @@ from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, writte
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.dataset.summaries import (
     MOST_POINTS,
+    drifting_temperatures,
     invalid_rows,
     is_status,
     labelled_summaries,
@@ -130,7 +131,7 @@ class ColumnConverter:
         ]
         not_read = [one for one in others if len(one.cells) == len(self.lines)]
         invalid, states = invalid_rows(not_read, sheet.unit)
-        self.suspect += [*states, *several_specimens(not_read)]
+        self.suspect += [*states, *several_specimens(not_read), *drifting_temperatures(not_read)]
         self.summaries = labelled_summaries(numeric)
         self.missing += [sheet.kind(mark, line=line) for line, mark in (invalid | self.summaries).items()]
         self.decimal, question = decimal_sign(numeric, others, sheet.delimiter, decimal)

@@ -1,4 +1,4 @@
-"""Rows that are not measurements: summaries of other rows, and rows that a column marks as invalid."""
+"""Rows that are not measurements (summaries, rows marked as invalid), and what other columns say of a test."""
 
 from __future__ import annotations
 
@@ -58,6 +58,10 @@ _SUMMARY = frozenset(
 _SPECIMEN = frozenset("specimen muscle actuator dut prüfling muskel probe muestra éprouvette provino".split())
 _NAME = frozenset("specimen muscle name id no nr number num type serial sn".split())
 _WORD = re.compile(r"[^\W\d_]+")
+_WARMING = 5.0  # K
+_TEMPERATURE = re.compile(
+    r"temp[eé]ratur.*?(?:(?<![a-z])(?:deg|°)?\s*([ckf])(?![a-z])|(celsius|kelvin|fahrenheit))", re.IGNORECASE
+)
 _VALUES = 100  # different numbers in a column of states
 _LONGEST = 40  # characters of a value
 _SHOWN = 4  # values in a warning
@@ -130,7 +134,7 @@ def _of_levels(rows: Floats, names: Sequence[str]) -> Iterator[_Candidate]:
 def _repeated(rows: Floats, at: int) -> bool:
     """True if another row is the same: a repeated point is no summary."""
     near = np.abs(rows - rows[:, [at]]) <= _SAME * np.ptp(rows, axis=1, keepdims=True) + 10.0**-_DECIMALS
-    return np.count_nonzero(near.all(axis=0)) > 1
+    return int(np.count_nonzero(near.all(axis=0))) > 1
 
 
 def _equal(rows: Floats, at: int, values: Floats) -> bool:
@@ -194,6 +198,24 @@ def several_specimens(channels: Sequence[RawColumn]) -> Iterator[str]:
         if 1 < len(names) <= len(channel.cells) / _FEWEST:
             shown = f"{', '.join(map(repr, names[:_SHOWN]))}{' ...' if len(names) > _SHOWN else ''}"
             yield f"{channel.name!r} is not read, and names {shown}: rows of several muscles are one; read them apart"
+
+
+def drifting_temperatures(channels: Sequence[RawColumn]) -> Iterator[str]:
+    """Warn of recorded temperatures that drift: the rubber and the zero of a load cell change with them."""
+    for channel in channels:
+        if (unit := _TEMPERATURE.search(f"{channel.label} {channel.unit}")) is None:
+            continue
+        try:
+            values = np.asarray(channel.cells, float)
+        except ValueError:
+            continue
+        low, high = np.nanquantile(values, (0.01, 0.99)) if np.isfinite(values).any() else (0.0, 0.0)
+        drift = float(high - low) * (5 / 9 if (unit[1] or unit[2]).lower().startswith("f") else 1.0)
+        if drift > _WARMING:
+            yield (
+                f"{channel.name!r} drifts by {drift:.2g} K, which changes the rubber and the zero of the load cell; "
+                "let the muscle and the rig reach one temperature before the test"
+            )
 
 
 def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
