@@ -14,6 +14,7 @@ import argparse
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import foreign_rig as foreign
 import jax
@@ -30,30 +31,41 @@ from mckibben.study.benchmark import Suite, draw
 
 EXAMPLES = Path("examples").resolve()
 EXTENSION = Path(__file__).with_name("foreign_rig.py").resolve()
-# Data sheet with a guess of the tube, delay of the commands, file of first gains, quantity of the lag, substeps.
+
+
+class Known(NamedTuple):
+    """What a lab knows of its valves: data sheet and tube, delay, class of first gains, lag, substeps."""
+
+    valve: str
+    delay: str
+    gains: str
+    lag: str
+    substeps: int
+
+
 VALVES = {
-    "regulator": (
+    "regulator": Known(
         "{class: regulator, conductance: 0.045 L/(s*bar), supply: 7 bar, time_constant: 20 ms, band: 0.5 bar, "
         "dead_volume: 6 cm^3}",
-        "4 ms",
-        "regulator",
-        "time_constant",
-        6,
+        delay="4 ms",
+        gains="regulator",
+        lag="time_constant",
+        substeps=6,
     ),
-    "spool": (
+    "spool": Known(
         "{from: festo-mpye-5-m5, supply: 7 bar, dead_zone: 3 %, dead_volume: 6 cm^3}",
-        "2 ms",
-        "mpye-5-m5",
-        "spool_lag",
-        12,
+        delay="2 ms",
+        gains="mpye-5-m5",
+        lag="spool_lag",
+        substeps=12,
     ),
-    "switching": (
+    "switching": Known(
         "{from: festo-mh1, conductance: 0.06 L/(s*bar), supply: 7 bar, period: 8 ms, opening_delay: 1 ms, "
         "dead_volume: 3 cm^3}",
-        "1 ms",
-        "mh1",
-        "opening_delay",
-        6,
+        delay="1 ms",
+        gains="mh1",
+        lag="opening_delay",
+        substeps=6,
     ),
 }
 SCENARIO = """\
@@ -94,10 +106,10 @@ def files(kind, folder):
                 pulled = max(force + side * (plant["coulomb"] + plant["by_force"] * force), 0) + rng.normal(0, 1)
                 rows.append(f"{pressure:.3f},{pulled:.2f},{percent:.2f}")
     (folder / "muscle.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    valve, delay, gains = VALVES[kind][:3]
-    text = (EXAMPLES / "valves" / f"{gains}-decoupling.yaml").read_text(encoding="utf-8")
+    known = VALVES[kind]
+    text = (EXAMPLES / "valves" / f"{known.gains}-decoupling.yaml").read_text(encoding="utf-8")
     controller = text[text.index("controller:") : text.index("reference:")]
-    scenario = SCENARIO.format(kind=kind, valve=valve, delay=delay, controller=controller)
+    scenario = SCENARIO.format(kind=kind, valve=known.valve, delay=known.delay, controller=controller)
     (folder / "scenario.yaml").write_text(scenario, encoding="utf-8")
     for name, weight in (("joint", 500), ("valves", 0)):
         rig = f"rig: {{class: ForeignRig, valves: {kind}, weight: {weight}}}\n"
@@ -117,9 +129,9 @@ def suite_of(kind, folder):
         text = text.replace(old, new)
     suite = yaml.safe_load(text)
     control = yaml.safe_load((folder / "valves" / "scenario.yaml").read_text(encoding="utf-8"))["controller"]
-    valve, delay, lag = control["valve"], float(control["command_delay"].split()[0]), VALVES[kind][3]
+    valve, delay, known = control["valve"], float(control["command_delay"].split()[0]), VALVES[kind]
     first, second = ("valve.muscle1", "valve.muscle2") if valve["class"] == "unequal" else ("valve", "valve")
-    conditions = {f"{one}.{name}=+-25 %": None for name in ("conductance", lag) for one in (first, second)}
+    conditions = {f"{one}.{name}=+-25 %": None for name in ("conductance", known.lag) for one in (first, second)}
     suite |= {
         "name": f"a foreign joint, {kind}",
         "joint": "joint/model.yaml",
@@ -130,7 +142,7 @@ def suite_of(kind, folder):
                 "valve": valve,
                 "command_delay": control["command_delay"],
                 "conditions": [*conditions, f"command_delay={max(delay - 2, 0)}..{delay + 2} ms"],
-                "substeps": VALVES[kind][4],
+                "substeps": known.substeps,
             }
         },
         "conditions": [

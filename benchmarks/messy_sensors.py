@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import h5py
 import numpy as np
-import openpyxl
-from messy_kinds import HEADER, File, cells, csv, kind, text
+from messy_kinds import HEADER, File, cells, csv, kind, numbers, text, workbook
 from nptdms import ChannelObject, TdmsWriter
 from openpyxl.comments import Comment
 from scipy.io import savemat
@@ -109,15 +108,12 @@ def tdms_counts_and_a_property(p, rng):
 def workbook_with_a_note_at_a_cell(p, rng):
     """The note says that the row is invalid; the truth lacks it."""
     at = int(rng.integers(1, len(p.force)))
-    book = openpyxl.Workbook()
-    sheet = book.worksheets[0]
-    sheet.append(HEADER)
-    for row in zip(p.pressure, p.contraction, p.force * np.where(np.arange(len(p.force)) == at, 0.9, 1), strict=True):
-        sheet.append([float(value) for value in row])
-    sheet.cell(at + 2, 3).comment = Comment("cable slipped, discard", "AB")
-    stream = io.BytesIO()
-    book.save(stream)
-    return File("rig.xlsx", stream.getvalue(), p.without([at]))
+    force = p.force * np.where(np.arange(len(p.force)) == at, 0.9, 1)
+
+    def note(book):
+        book.active.cell(at + 2, 3).comment = Comment("cable slipped, discard", "AB")
+
+    return File("rig.xlsx", workbook([HEADER, *numbers(replace(p, force=force))], note), p.without([at]))
 
 
 @kind
@@ -143,12 +139,10 @@ def newtons_per_square_millimetre(p, rng):
 
 @kind
 def workbook_of_shares_shown_in_percent(p, rng):
-    book = openpyxl.Workbook()
-    sheet = book.worksheets[0]
-    sheet.append(("Pressure [bar]", "Contraction", "Force [N]"))
-    for at, row in enumerate(zip(p.pressure, p.contraction / 100, p.force, strict=True), 2):
-        sheet.append([float(value) for value in row])
-        sheet.cell(at, 2).number_format = "0.0%"
-    stream = io.BytesIO()
-    book.save(stream)
-    return File("rig.xlsx", stream.getvalue(), p)
+    rows = numbers(replace(p, contraction=p.contraction / 100))
+
+    def show(book):
+        for cell in book.active["B"][1:]:
+            cell.number_format = "0.0%"
+
+    return File("rig.xlsx", workbook([("Pressure [bar]", "Contraction", "Force [N]"), *rows], show), p)

@@ -105,7 +105,7 @@ _UNSET = {"force_sign": None, "column": None, "skip_corrupt": False, "recipe": N
 
 
 class Reading(NamedTuple):
-    """How a command reads files: the recipe, with the options that were given, and the treatment of corrupt rows."""
+    """Reading options of a command: the recipe, and the treatment of corrupt rows."""
 
     recipe: Recipe
     on_corrupt: OnCorrupt

@@ -270,8 +270,8 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
     return _Diagnosis(document, model).problems(error)
 
 
-# what is expected, and the remedy, by pydantic's kind of error
 _BEGINNING = 40  # characters of a file that are shown
+# what is expected, and the remedy, by pydantic's kind of error
 _EXPECTED = {
     "model_type": ("keys and values are expected", ""),
     "dict_type": ("names and sections are expected", "give a mapping with one name per section"),

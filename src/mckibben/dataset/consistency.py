@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.plausibility import resolution
+from mckibben.dataset.plausibility import REPEATED, UNEQUAL, resolution
 from mckibben.units import bar, percent
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,6 @@ _RISING = 0.7  # correlation of force and contraction at constant pressure
 _TOLERANCE = 0.25  # of the force that a tenth of the points exceed: more than friction and creep
 _NOISE = 0.05  # of the largest force
 _SAME = 0.1 * percent  # contraction
-_REPEATED = 0.01  # of the highest pressure: pressures of repeated points
 _LOOP = 2.0  # usual distances between loading and unloading
 _AGAINST = 3  # points that an outlier contradicts
 _SHARE = 0.1  # of the points: more are not single errors
@@ -45,7 +44,6 @@ _CERTAIN = 2.5  # standard errors
 _WITHOUT_PRESSURE = (0.05, 0.6)  # of the largest force: force at all contractions, extrapolated to no pressure
 _ALIKE = 1.5  # largest over least of these forces, if they are an offset
 _TOP, _MORE, _SHORTER = 0.97, 1.15, 0.1  # of the largest force; ratio of pressures; of the range of contractions
-_UNEQUAL = (0.3, 0.15)  # of the force, and of the largest: more than friction and creep
 _MUCH_SHORTER = (0.25, 2.5 * percent)  # of the range of contractions, and contraction
 _ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
@@ -185,11 +183,11 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
 def _unequal_forces(dataset: IsobaricDataset) -> Iterator[str]:
     """Warning if forces at the same pressure and contraction differ by more than friction and creep."""
     contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
-    bins = np.stack([np.round(pressure / (_REPEATED * pressure.max())), np.round(contraction / _SAME)])
+    bins = np.stack([np.round(pressure / (REPEATED * pressure.max())), np.round(contraction / _SAME)])
     order = np.lexsort(bins)
     groups = np.split(order, np.flatnonzero(np.any(np.diff(bins[:, order]), axis=0)) + 1)
     groups = [one for one in groups if len(one) > 1 and force[one].max() > _TAUT * force.max()]
-    own, overall = _UNEQUAL
+    own, overall = UNEQUAL
     apart = [one for one in groups if np.ptp(force[one]) > max(own * force[one].max(), overall * force.max())]
     if len(apart) >= _AGAINST and 2 * len(apart) >= len(groups):
         at = apart[0]

@@ -40,6 +40,8 @@ _REPEATED = 3  # equal largest values that may be saturated
 _APART = 0.05  # of the range of pressures or contractions
 _FINE = 1000  # steps of the resolution up to the largest force, where even two equal ones are rare
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
+REPEATED = 0.01  # of the highest pressure: pressures of repeated points
+UNEQUAL = (0.3, 0.15)  # of a force, and of the largest: more than friction and creep
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
 _ZERO = "zero_length (command line: --zero-length) of displacements"
@@ -228,16 +230,17 @@ def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterato
     order = np.argsort(pressure, kind="stable")
     far = np.where(contraction[order] >= stroke / 2, force[order], -np.inf)
     most = np.maximum.accumulate(np.append(-np.inf, far))  # of shortened points up to a pressure
-    most = most[np.searchsorted(pressure[order], 1.01 * pressure, side="right")]
+    most = most[np.searchsorted(pressure[order], (1 + REPEATED) * pressure, side="right")]
     weak = (beside >= stroke / 4) & (force < most - _NOISE * force.max())
     for one in sides:  # a jump by more than half the stroke at the same pressure
-        jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= 1.01 * pressure)
+        jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= (1 + REPEATED) * pressure)
         weak |= jump & (force < force[one] - _STEADY * force.max())
-    zero, level = contraction == 0, np.round(pressure / max(0.01 * pressure.max(), 1.0)).astype(int)
-    top = np.full(np.ptp(level) + 1, -np.inf)  # of the rows at 0 and about the same pressure
-    np.maximum.at(top, (level - level.min())[zero], force[zero])
-    top = top[level - level.min()]
-    weak |= force < top - np.maximum(0.3 * top, 0.15 * force.max())
+    zero, level = contraction == 0, np.round(pressure / max(REPEATED * pressure.max(), 1.0)).astype(int)
+    level -= level.min()
+    largest = np.full(level.max() + 1, -np.inf)  # of the rows at 0 and about the same pressure
+    np.maximum.at(largest, level[zero], force[zero])
+    own, overall = UNEQUAL
+    weak |= force < largest[level] - np.maximum(own * largest[level], overall * force.max())
     weak = np.flatnonzero(weak & zero) if stroke > 0 else rows[:0]
     if weak.size:
         at = weak[0]

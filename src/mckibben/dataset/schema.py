@@ -272,7 +272,7 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
 
 
 _MEANT = dict.fromkeys(("fit", "identify"), "mk.identify(mk.ExponentialLaw, data)")
-"""What is meant by some attributes that a dataset does not have."""
+"""Suggestions for unknown attributes of a dataset."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

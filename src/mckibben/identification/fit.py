@@ -90,14 +90,14 @@ class Outlier:
         return f"row {self.row}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
 
 
-_LISTED, _LISTED_ROWS = 3, 12
+_LISTED, _LISTED_ROWS = 3, 12  # outliers in full, and rows of others, in warnings
 _MEANT = {
     "force": "predict(contraction, pressure)",
     "simulate": "Scenario.simulate(), with the fit's file as the law of a muscle",
     "summary": "report()",
     "parameters": "estimates",
 }
-"""What is meant by some attributes that a fit does not have."""
+"""Suggestions for unknown attributes of a fit."""
 
 
 def left_out(outliers: Sequence[Outlier]) -> list[str]:

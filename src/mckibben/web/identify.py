@@ -57,7 +57,7 @@ _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.I
 
 @dataclass
 class ReadingFields:
-    """How a file is read, as texts of the fields of the page."""
+    """Reading options, as texts of the fields of the page."""
 
     initial_length: str = ""
     displacement: str = ""
@@ -67,7 +67,7 @@ class ReadingFields:
 
     def clear(self) -> None:
         """Empty all fields, to which those of an open page are bound."""
-        self.__init__()
+        vars(self).update(vars(ReadingFields()))
 
     def recipe(self) -> Recipe:
         """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
