@@ -185,15 +185,18 @@ def _unequal_forces(dataset: IsobaricDataset) -> Iterator[str]:
     contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
     bins = np.stack([np.round(pressure / (REPEATED * pressure.max())), np.round(contraction / _SAME)])
     order = np.lexsort(bins)
-    groups = np.split(order, np.flatnonzero(np.any(np.diff(bins[:, order]), axis=0)) + 1)
-    groups = [one for one in groups if len(one) > 1 and force[one].max() > _TAUT * force.max()]
+    starts = np.append(0, np.flatnonzero(np.any(np.diff(bins[:, order]), axis=0)) + 1)
+    counts = np.diff(starts, append=len(order))
+    high, low = np.maximum.reduceat(force[order], starts), np.minimum.reduceat(force[order], starts)
+    several = (counts > 1) & (high > _TAUT * force.max())
     own, overall = UNEQUAL
-    apart = [one for one in groups if np.ptp(force[one]) > max(own * force[one].max(), overall * force.max())]
-    if len(apart) >= _AGAINST and 2 * len(apart) >= len(groups):
-        at = apart[0]
+    apart = np.flatnonzero(several & (high - low > np.maximum(own * high, overall * force.max())))
+    if len(apart) >= _AGAINST and 2 * len(apart) >= several.sum():
+        first = apart[0]
+        at = order[starts[first]]
         yield (
-            f"force: {force[at].min():.4g} to {force[at].max():.4g} N at {pressure[at[0]] / bar:.3g} bar and "
-            f"{contraction[at[0]] / percent:.3g} %, and as different at {len(apart) - 1} of {len(groups) - 1} other "
+            f"force: {low[first]:.4g} to {high[first]:.4g} N at {pressure[at] / bar:.3g} bar and "
+            f"{contraction[at] / percent:.3g} %, and as different at {len(apart) - 1} of {several.sum() - 1} other "
             "places: a sensor may be stuck, or the rows may come from several muscles"
         )
 

@@ -224,24 +224,26 @@ def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Float
 
 def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterator[tuple[Problem, bool]]:
     """Message on contractions of 0 with less force than shortened rows next to them, or other rows at 0."""
-    rows, stroke = np.arange(len(force)), float(contraction.max())
-    sides = (np.maximum(rows - 1, 0), np.minimum(rows + 1, len(rows) - 1))
-    beside = np.minimum(*(np.where(one == rows, 0.0, contraction[one]) for one in sides))
-    order = np.argsort(pressure, kind="stable")
-    far = np.where(contraction[order] >= stroke / 2, force[order], -np.inf)
-    most = np.maximum.accumulate(np.append(-np.inf, far))  # of shortened points up to a pressure
-    most = most[np.searchsorted(pressure[order], (1 + REPEATED) * pressure, side="right")]
-    weak = (beside >= stroke / 4) & (force < most - _NOISE * force.max())
+    stroke, zeros = float(contraction.max()), np.flatnonzero(contraction == 0)
+    if not (stroke > 0 and zeros.size):
+        return
+    sides = [np.clip(zeros + step, 0, len(force) - 1) for step in (-1, 1)]
+    far = np.flatnonzero(contraction >= stroke / 2)
+    far = far[np.argsort(pressure[far], kind="stable")]
+    most = np.maximum.accumulate(np.append(-np.inf, force[far]))  # of shortened points up to a pressure
+    most = most[np.searchsorted(pressure[far], (1 + REPEATED) * pressure[zeros], side="right")]
+    shortened = np.minimum(*(contraction[one] for one in sides)) >= stroke / 4
+    weak = shortened & (force[zeros] < most - _NOISE * force.max())
     for one in sides:  # a jump by more than half the stroke at the same pressure
-        jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= (1 + REPEATED) * pressure)
-        weak |= jump & (force < force[one] - _STEADY * force.max())
-    zero, level = contraction == 0, np.round(pressure / max(REPEATED * pressure.max(), 1.0)).astype(int)
+        jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= (1 + REPEATED) * pressure[zeros])
+        weak |= jump & (force[zeros] < force[one] - _STEADY * force.max())
+    level = np.round(pressure[zeros] / max(REPEATED * pressure.max(), 1.0)).astype(int)
     level -= level.min()
     largest = np.full(level.max() + 1, -np.inf)  # of the rows at 0 and about the same pressure
-    np.maximum.at(largest, level[zero], force[zero])
+    np.maximum.at(largest, level, force[zeros])
     own, overall = UNEQUAL
-    weak |= force < largest[level] - np.maximum(own * largest[level], overall * force.max())
-    weak = np.flatnonzero(weak & zero) if stroke > 0 else rows[:0]
+    weak |= force[zeros] < largest[level] - np.maximum(own * largest[level], overall * force.max())
+    weak = zeros[weak]
     if weak.size:
         at = weak[0]
         text = (

@@ -123,11 +123,13 @@ def group_pressures(pressure: Floats) -> Ints | None:
     most = len(pressure) // _FEWEST  # levels
     wider = np.flatnonzero(ranked[: most - 1] > _SEPARATION * ranked[1:most]) if most > 1 else []
     for last in wider[::-1]:
-        parts = np.split(pressure[order], np.flatnonzero(gaps >= ranked[last]) + 1)
-        if min(map(len, parts)) < _FEWEST or ranked[last] < (width := max(map(np.ptp, parts))):
+        starts = np.append(0, np.flatnonzero(gaps >= ranked[last]) + 1)
+        counts = np.diff(starts, append=len(order))
+        width = np.max(pressure[order[starts + counts - 1]] - pressure[order[starts]])
+        if counts.min() < _FEWEST or ranked[last] < width:
             continue
         labels = np.empty(len(pressure), int)
-        labels[order] = np.repeat(np.arange(len(parts)), list(map(len, parts)))
+        labels[order] = np.repeat(np.arange(len(starts)), counts)
         return labels if width else None
     return None
 

@@ -109,9 +109,9 @@ def read_dataset(
     lengths = {"initial_length": initial_length, "zero_length": zero_length}
     check_reading(force_sign, decimal, displacement, on_corrupt, slack_force=slack_force, **lengths)
     check_pattern(from_name)
-    mapping, read = _mapping(columns), []
-    for one in _paths(path):
-        found = _read_points(
+    mapping = _mapping(columns)
+    read = [
+        _read_points(
             one,
             columns=mapping,
             displacement=displacement,
@@ -123,7 +123,8 @@ def read_dataset(
             from_name=from_name,
             **lengths,
         )
-        read.append(found)
+        for one in _paths(path)
+    ]
     parts, ours, slack_known = zip(*read, strict=True)
     dataset, source = _joined(parts, path, slack_known)
     if all(ours):
@@ -131,9 +132,10 @@ def read_dataset(
             table, notes = without_offset(dataset.table)  # one length may not show it
             dataset = IsobaricDataset(with_notes(table, notes))
         return check_dataset(dataset, source, only_warn=True)
-    files = np.repeat(np.arange(len(parts)), list(map(len, parts)))
-    found = IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files))
-    return check_dataset(found, source, measured=dataset.force)
+    files, measured = np.repeat(np.arange(len(parts)), list(map(len, parts))), dataset.force
+    del read, parts  # as large as the result
+    dataset = IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files))
+    return check_dataset(dataset, source, measured=measured)
 
 
 def _read_points(
