@@ -251,9 +251,10 @@ TASKS: dict[str, Callable[[], Task]] = {
     "transfer": _transfer,
     "joint": _joint,
 }
-"""Functions that make the tasks, by name; each call makes the same data."""
+"""Functions that make the tasks, by name; each call makes the same data, which takes seconds for recordings."""
 
 
+@functools.cache
 def task_named(name: str) -> Task:
     """Return a task of `TASKS`; raises a `ParameterError` if there is none of that name."""
     if name not in TASKS:
