@@ -22,20 +22,33 @@ def measured(seed, law=BRAID, deviation=8.0):
     return IsobaricDataset.of(pressure=p[taut], contraction=eps[taut], force=force[taut])
 
 
-def test_between_contractions_the_scores_are_those_of_left_out_contractions():
-    found = IntervalCalibration(np.full(99, 2.0), np.full(99, 4.0), np.array([0.0, 0.1, 0.2]), (0.0, np.inf))
-    widths = found.quantile(0.9, np.array([0.0, 0.1, 0.125, 0.15, 0.3, -0.05]), 1.7)
-    np.testing.assert_allclose(widths, [2, 2, 3, 4, 4, 4])
-    few = IntervalCalibration(np.full(9, 2.0), np.empty(0), np.array([0.0, 0.1]), (0.0, np.inf))
-    assert few.quantile(0.9, widths, 1.7) is None
+CONTRACTIONS, PRESSURES = np.array([0.0, 0.1, 0.2]), np.array([1.0, 2.0]) * bar
+
+
+def calibration(pressure, contraction):
+    return IntervalCalibration(pressure, contraction, PRESSURES, CONTRACTIONS, (0.0, np.inf))
+
+
+@pytest.mark.parametrize("smaller", ["pressure", "contraction"])
+def test_scores_are_those_of_what_is_new(smaller):
+    scores = {"pressure": np.full(99, 4.0), "contraction": np.full(99, 4.0), smaller: np.full(99, 2.0)}
+    found = calibration(**scores)
+    eps = np.array([0.0, 0.1, 0.125, 0.15, 0.3, -0.05])
+    at_level, between = (found.quantile(0.9, eps, np.full(6, one * bar), 1.7) for one in (2.0, 1.5))
+    if smaller == "pressure":
+        np.testing.assert_allclose([at_level, between], [[2, 2, 3, 4, 4, 4]] * 2)
+    else:
+        np.testing.assert_allclose([at_level, between], [[2] * 6, [4] * 6])
+    np.testing.assert_allclose(found.quantile(0.9, eps[:1], np.array([9 * bar]), 1.7), [scores["pressure"][0]])
 
 
 def test_too_few_scores_for_the_level_give_students_t_or_the_largest_score():
-    scores, at = np.linspace(0.1, 2.0, 30), np.array([0.0, 0.05])
-    found = IntervalCalibration(scores, np.array([1.0]), np.array([0.0, 0.1]), (0.0, np.inf))
-    np.testing.assert_allclose(found.quantile(0.99, at, 2.8), [2.8, 2.8])
-    np.testing.assert_allclose(found.quantile(0.99, at, 1.5), [2.0, 2.0])
-    np.testing.assert_allclose(found.quantile(0.9, at, 2.1), [scores[27], 2.1])
+    scores, eps, at = np.linspace(0.1, 2.0, 30), np.array([0.0, 0.05]), np.full(2, 1.5 * bar)
+    found = calibration(scores, np.array([1.0]))
+    np.testing.assert_allclose(found.quantile(0.99, eps, at, 2.8), [2.8, 2.8])
+    np.testing.assert_allclose(found.quantile(0.99, eps, at, 1.5), [2.0, 2.0])
+    np.testing.assert_allclose(found.quantile(0.9, eps, at, 2.1), [scores[27], 2.1])
+    assert calibration(np.full(9, 2.0), np.empty(0)).quantile(0.9, eps, at, 1.7) is None
 
 
 def test_a_quantile_holds_for_one_more_point():
@@ -43,7 +56,7 @@ def test_a_quantile_holds_for_one_more_point():
     held = []
     for _ in range(400):
         scores = np.sort(np.abs(rng.standard_normal(39)))
-        (width,) = IntervalCalibration(scores, np.empty(0), np.zeros(1), (0.0, np.inf)).quantile(0.95, np.zeros(1), 2.0)
+        (width,) = calibration(scores, np.empty(0)).quantile(0.95, np.zeros(1), np.array([1.5 * bar]), 0.0)
         held.append(abs(rng.standard_normal()) <= width)
     assert 0.92 < np.mean(held) < 0.98
 

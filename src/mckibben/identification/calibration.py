@@ -41,8 +41,8 @@ class IntervalCalibration:
     ----------
     pressure, contraction
         Ascending scores at left-out pressures and at left-out inner contractions; empty if there are too few.
-    measured
-        Ascending contractions of the points [-].
+    levels, measured
+        Ascending pressure levels [Pa] and contractions [-] of the points.
     misfit
         Variance [N^2] of the law's systematic error at left-out points, and its degrees of freedom; 0 if the scatter
         about the law is that about a smooth surface.
@@ -50,6 +50,7 @@ class IntervalCalibration:
 
     pressure: Floats = field(repr=False)
     contraction: Floats = field(repr=False)
+    levels: Floats = field(repr=False)
     measured: Floats = field(repr=False)
     misfit: tuple[float, float]
 
@@ -58,28 +59,36 @@ class IntervalCalibration:
         """Calibration of a regression; its law is fitted once for each block left out."""
         points = regression.points
         levels = pressure_blocks(points)[0]
-        pressure = _left_out(regression, np.empty(0, "<U1") if levels is None else levels.astype(str))
+        levels = np.empty(0) if levels is None else levels
+        pressure = _left_out(regression, levels.astype(str))
         contraction = _left_out(regression, contraction_blocks(points))
         misfit = _misfit(regression, pressure)
-        return cls(pressure.scores, contraction.scores, np.unique(points.contraction), misfit)
+        return cls(pressure.scores, contraction.scores, np.unique(levels), np.unique(points.contraction), misfit)
 
-    def quantile(self, level: float, contraction: Floats, students: float) -> Floats | None:
-        """Half width of a prediction interval in standard deviations, by contraction; None without enough scores.
+    def quantile(self, level: float, contraction: Floats, pressure: Floats, students: float) -> Floats | None:
+        """Half widths of prediction intervals in standard deviations; None without enough scores.
 
-        At a measured contraction it is that of left-out pressures; in the middle between two, that of left-out
-        contractions, if it is larger. Where there are too few scores for the level, it is that of Student's t,
-        `students`, or the largest score, if that is larger.
+        In the middle between two pressures, at a measured contraction, it is that of left-out pressures, and vice versa
+        for contractions; in the middle between both the larger, and at measured ones the smaller of the two. Where
+        there are too few scores for the level, it is that of Student's t, `students`, or the largest score, if that is
+        larger.
         """
         check_level(level)
         if len(self.pressure) < _FEWEST:
             return None
-        at_measured, other = (_quantile(one, level, students) for one in (self.pressure, self.contraction))
-        between = max(at_measured, other)
-        above = np.clip(np.searchsorted(self.measured, contraction), 1, max(len(self.measured) - 1, 1))
-        low, high = self.measured[above - 1], self.measured[np.minimum(above, len(self.measured) - 1)]
-        apart = np.minimum(np.abs(contraction - low), np.abs(contraction - high))
-        share = np.clip(2 * apart / np.maximum(high - low, np.finfo(float).eps), 0.0, 1.0)
-        return at_measured + share * (between - at_measured)
+        new_pressure, new_contraction = (_quantile(one, level, students) for one in (self.pressure, self.contraction))
+        across, along = _distance(pressure, self.levels), _distance(contraction, self.measured)
+        at_level = (1 - along) * min(new_pressure, new_contraction) + along * new_contraction
+        between = (1 - along) * new_pressure + along * max(new_pressure, new_contraction)
+        return (1 - across) * at_level + across * between
+
+
+def _distance(values: Floats, measured: Floats) -> Floats:
+    """Distance of values from ascending measured ones: 0 at one, 1 in the middle between two, and at most 1."""
+    above = np.clip(np.searchsorted(measured, values), 1, max(len(measured) - 1, 1))
+    low, high = measured[above - 1], measured[np.minimum(above, len(measured) - 1)]
+    apart = np.minimum(np.abs(values - low), np.abs(values - high))
+    return np.clip(2 * apart / np.maximum(high - low, np.finfo(float).eps), 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

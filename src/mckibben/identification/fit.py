@@ -306,7 +306,8 @@ class Fit:
         misfit = np.full_like(freedom, variance), np.full_like(freedom, blocks)
         confidence = t_interval(level, value, [of_law, misfit])
         students = float(t_quantile(level, residual_freedom))
-        quantile = self.calibration.quantile(level, np.broadcast_to(contraction, value.shape).ravel(), students)
+        at = (np.broadcast_to(one, value.shape).ravel() for one in (contraction, pressure))
+        quantile = self.calibration.quantile(level, *at, students)
         if quantile is None:
             return ForceIntervals(confidence, t_interval(level, value, [of_law, scatter, misfit]))
         model = regression.error_model(Grouping.POINT)
