@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -172,9 +172,8 @@ def compare(
         result.tuned[name], result.at_bound[name] = {}, ()
         if swept:
             air = None if number == 0 else air_of(result.trials.get(names[0], ()))
-            task = ControllerTuning(
-                suite, name, SearchSpace(swept), training, air, _of_wrapped(suite, name, result.tuned)
-            )
+            wrapped = suite.tuned_inside(name, result.tuned)
+            task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
             result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
             trial = trial_at_air(result.trials[name], air_of(result.trials.get(names[0], ())))
@@ -197,17 +196,6 @@ def evaluate(
     """Simulate the runs with a controller of given values [SI], or all runs for each of several sets of values."""
     table = {name: np.atleast_1d(np.asarray(value)) for name, value in values.items()}
     return _simulated_all(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
-
-
-def _of_wrapped(suite: Suite, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """Tuned values [SI] of the suite's other controllers that a controller wraps, by the names in the wrapper."""
-    wrapper, found = suite.controllers[controller], {}
-    for part in fields(wrapper):
-        inner = getattr(wrapper, part.name)
-        for other, values in tuned.items():
-            if isinstance(inner, Controller) and eqx.tree_equal(inner, suite.controllers[other]):
-                found |= {f"controller.{part.name}.{each.partition('.')[2]}": value for each, value in values.items()}
-    return found
 
 
 def _ended(batch: Batch, outcome: Outcome) -> NDArray[np.bool_]:
