@@ -244,6 +244,26 @@ class TestTuning:
         assert len({trial.point for trial in found[:40]}) == 40
         assert np.mean([trial.point for trial in found[40:44]]) == pytest.approx(best.point[0], abs=0.35)
 
+    @pytest.mark.slow
+    @pytest.mark.parametrize("candidates", [0, 6])
+    def test_a_controller_that_wraps_another_also_starts_at_the_tuned_numbers_of_that(self, candidates, tmp_path):
+        inner = TEXT[TEXT.index("    position: {kp: 1.2 bar") : TEXT.index("  decoupling:\n")]
+        wrapper = "  wrapped:\n    class: delay_compensation\n    command_delay: 1 ms\n    controller:\n"
+        wrapper += "".join(f"  {line}\n" for line in inner.splitlines())
+        gains = "controller.controller.position.kp=0.1..20 bar/rad log, controller.observer.bandwidth=9..900 rad/s log"
+        over = f"over: {{PID 3: [controller.position.kp=0.1..20 bar/rad log], wrapped: [{gains}]}}"
+        rest = ("starts: 2", f"starts: 1, candidates: {candidates}"), ("population: 4", "population: 5")
+        suite = changed((OTHERS, wrapper), ("untuned: [as it is]", over), *rest)
+        found = compare(suite, folder=tmp_path)
+        space = SearchSpace(suite.tuned_over("wrapped"))
+        points = [np.array(trial.point) for trial in trials(tmp_path, "wrapped")]
+        assert points[0] == pytest.approx(space.point(space.nominal))
+        best = space.point(np.array([found.tuned["PID 3"][KP], space.nominal[1]]))
+        assert abs(best[0] - points[0][0]) > 0.05
+        assert points[1] == pytest.approx(best, abs=1e-6)
+        shared = [abs(point[0] - best[0]) < 1e-6 for point in points[: max(candidates, 2)]]
+        assert shared == [bool(i % 2) for i in range(max(candidates, 2))]
+
     def test_progress_goes_from_controller_to_controller(self, suite, contest, told):
         parts = [part for _, part in told]
         assert parts == sorted(parts)

@@ -172,7 +172,8 @@ def compare(
         result.tuned[name], result.at_bound[name] = {}, ()
         if swept:
             air = None if number == 0 else air_of(result.trials.get(names[0], ()))
-            task = ControllerTuning(suite, name, SearchSpace(swept), training, air)
+            wrapped = suite.tuned_inside(name, result.tuned)
+            task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
             result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
             trial = trial_at_air(result.trials[name], air_of(result.trials.get(names[0], ())))
@@ -219,7 +220,7 @@ class ControllerTuning:
     """Tuning of one controller of a suite on training runs.
 
     The searches for the lowest cost are followed by one for the lowest angle error at a given air [m^3], both medians
-    (default: the air of the best trial so far).
+    (default: the air of the best trial so far). `wrapped` are tuned values [SI] of controllers that this one wraps.
     """
 
     suite: Suite
@@ -227,6 +228,7 @@ class ControllerTuning:
     space: SearchSpace
     runs: Runs
     air: float | None = None
+    wrapped: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def _scenario(self) -> Scenario:
@@ -331,6 +333,7 @@ class ControllerTuning:
             "starts": self._starts,
             "candidates": tuning.candidates,
             "delay_margin": tuning.delay_margin,
+            **({"wrapped": dict(self.wrapped)} if self.wrapped else {}),
         }
 
     def run(
@@ -349,9 +352,14 @@ class ControllerTuning:
             costs = Evaluator(space, past, tuning.population, evaluate).costs
             first = space.point(space.nominal)
             costs(first[None])
-            size = self._starts, max(tuning.candidates, 1), len(space)
+            tuned = [i for i, name in enumerate(space.names) if name in self.wrapped]
+            size = self._starts, max(tuning.candidates, 2 if tuned else 1), len(space)
             candidates = np.random.default_rng(tuning.seed).random(size)
             candidates[0, 0] = first
+            if tuned:  # the others nominal in one candidate, random in the others
+                given = [self.wrapped.get(name, value) for name, value in zip(space.names, space.nominal, strict=True)]
+                candidates[0, 1] = begin = space.point(np.array(given))
+                candidates[0][1::2, tuned] = begin[tuned]
             searched: list[Trial] = []  # by cost: a continued history may contain others
 
             def trials(points: Vector) -> list[Trial]:
@@ -366,7 +374,7 @@ class ControllerTuning:
                 progress((number + part) / (self._starts + 1))
 
             for number, points in enumerate(candidates):
-                start = points[np.argmin(searched_costs(points))] if tuning.candidates else points[0]
+                start = points[np.argmin(searched_costs(points))] if len(points) > 1 else points[0]
                 self._search(searched_costs, start, tuning.seed + number, partial(report, number=number))
             air, stiffness = air_of(searched) if self.air is None else self.air, stiffness_limit(searched)
             failed = fewest_failed(searched)

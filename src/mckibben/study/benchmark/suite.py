@@ -429,6 +429,15 @@ class Suite(RunSettings):
             raise ParameterError(f"{controller} has no nonzero gain", remedy="name it in tuning.over or tuning.untuned")
         return sweep_parameters(scenario, gains)
 
+    def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+        """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
+        found: dict[str, float] = {}
+        for part, inner in vars(self.controllers[controller]).items():
+            for other, values in tuned.items():
+                if isinstance(inner, Controller) and inner == self.controllers[other]:
+                    found |= {f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()}
+        return found
+
     def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
         """A run of the first controller."""
         return self.scenario(next(iter(self.controllers)), reference or next(iter(self.references)), joint)
