@@ -26,13 +26,17 @@ from mckibben.scenario import muscle_text
 from mckibben.units import Length, Quantity, bar, factor, percent
 from mckibben.web.layout import (
     PALETTE,
+    JobPage,
+    button,
     chart,
     dots,
     draw,
     frame,
     line,
-    notify_if_replaced,
     panel,
+    progress_row,
+    quiet,
+    select,
     show_error,
     show_warnings,
     side,
@@ -41,7 +45,7 @@ from mckibben.web.layout import (
     upload,
 )
 from mckibben.web.security import LARGEST
-from mckibben.web.session import Jobs, session
+from mckibben.web.session import JobState, session
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_CURVES = 12
@@ -79,7 +83,7 @@ class ReadingFields:
 
 
 @dataclass
-class IdentificationState:
+class IdentificationState(JobState):
     """State of the page."""
 
     name: str = ""
@@ -91,9 +95,6 @@ class IdentificationState:
     found: FitWithFriction | None = None
     ranking: Ranking | None = None
     muscle: Muscle | None = None
-    error: McKibbenError | None = None
-    notes: list[str] = field(default_factory=list)
-    jobs: Jobs = field(default_factory=Jobs)
 
     @property
     def fit(self) -> Fit | None:
@@ -150,61 +151,49 @@ def page() -> None:
         _Page(kept.state(IdentificationState), kept.folder)
 
 
-class _Page:
+class _Page(JobPage[IdentificationState]):
     """Inputs and results of one visit."""
 
     def __init__(self, state: IdentificationState, folder: Path) -> None:
-        self.state, self.folder, self.shown, self.job = state, folder, -1, 0
+        super().__init__(state, folder)
         with side():
             with panel("Measured points"):
                 upload("CSV, .xlsx, .mat, .tdms, .lvm or .nc", LARGEST, self.uploaded).on_rejected(
                     lambda: ui.notify(f"larger than {LARGEST // 2**20} MiB", type="negative")
                 )
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
-                ui.select(examples, value="", label="or an example", on_change=self.example).props("dense").classes(
-                    "w-full"
-                )
+                select(examples, "or an example", value="", on_change=self.example)
                 with ui.expansion("or paste a table").props("dense").classes("w-full"):
                     example = "pressure_bar,contraction_percent,force_N\n1,0,120\n..."
                     self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
-                    ui.button("Read", on_click=self.paste).props("flat no-caps")
+                    button("Read", self.paste)
                 with ui.expansion("how the file is read").props("dense").classes("w-full") as self.options:
                     for label, name in _LENGTHS.items():
                         ui.input(label, validation=_refused_length).props("dense").classes("w-full").mark(
                             name
                         ).bind_value(state.reading, name)
-                    ui.select(_DISPLACEMENTS, label="displacement: positive if the muscle").props("dense").classes(
-                        "w-full"
-                    ).mark("displacement").bind_value(state.reading, "displacement")
+                    select(_DISPLACEMENTS, "displacement: positive if the muscle", "displacement").bind_value(
+                        state.reading, "displacement"
+                    )
                     ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")
                     ui.textarea("columns, one per line: HEADER = pressure_bar").props("dense autogrow").classes(
                         "w-full mono"
                     ).bind_value(state.reading, "columns")
-                    ui.button("Read again", on_click=self.read).props("flat no-caps")
+                    button("Read again", self.read)
             with panel("Force law"):
-                ui.select(sorted(law_types()), label="law").props("dense").classes("w-full").bind_value(
-                    state, "law"
-                ).mark("law")
+                select(sorted(law_types()), "law", "law").bind_value(state, "law")
                 with ui.row().style("gap: 8px"):
-                    ui.button("Fit", on_click=self.fit).props("unelevated no-caps").mark("fit")
-                    ui.button("Rank all laws", on_click=self.rank).props("flat no-caps").mark("rank")
-                with ui.row().classes("w-full items-center no-wrap") as self.busy:
-                    self.bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
-                    ui.button("Cancel", on_click=state.jobs.cancel).props("flat dense no-caps").mark("cancel")
-                self.step = ui.label().classes("quiet")
+                    button("Fit", self.fit, "fit", main=True)
+                    button("Rank all laws", self.rank, "rank")
+                self.progress = progress_row(state.jobs)
         with side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
         ui.timer(0.15, self.refresh)
 
     def refresh(self) -> None:
         """Show progress, and new results as they appear."""
-        jobs = self.state.jobs
-        self.busy.visible = self.step.visible = jobs.busy
-        if jobs.busy:
-            self.bar.value, self.step.text = jobs.part, jobs.step
-        self.job = notify_if_replaced(jobs, self.job)
-        if self.shown != jobs.version:
-            self.shown = jobs.version
+        self.progress()
+        if self.news():
             self.results.clear()
             with self.results:
                 self.show()
@@ -250,7 +239,7 @@ class _Page:
         def done(data: IsobaricDataset, heard: list[str]) -> None:
             state.data, state.notes, state.read_by = data, heard, None if source is None else fields
 
-        self.job = state.jobs.start(lambda _: load(), done, self.fail)
+        self.start_job(lambda _: load(), done)
 
     def read(self) -> None:
         """Read the same file again, with other fields."""
@@ -278,7 +267,7 @@ class _Page:
                     (kept / name).replace(folder / name)
             kept.rmdir()
 
-        self.job = state.jobs.start(compute, done, self.fail)
+        self.start_job(compute, done)
 
     def rank(self) -> None:
         """Fit all laws, and rank them."""
@@ -290,11 +279,7 @@ class _Page:
         def done(found: Ranking, heard: list[str]) -> None:
             state.ranking, state.error = found, None
 
-        self.job = state.jobs.start(lambda progress: rank(data, progress=progress), done, self.fail)
-
-    def fail(self, error: McKibbenError) -> None:
-        """Store an error for display."""
-        self.state.error = error
+        self.start_job(lambda progress: rank(data, progress=progress), done)
 
     def show(self) -> None:
         """Show everything known."""
@@ -306,10 +291,10 @@ class _Page:
         if state.data is None:
             if state.error is None and not state.jobs.busy:
                 with panel("No points yet"):
-                    ui.label(
+                    quiet(
                         "A table with columns of pressure, force, and contraction or length, one row per point. Units "
                         "are read from the headers: pressure_bar, Force [N], length / mm."
-                    ).classes("quiet")
+                    )
             return
         self.show_data(state.data)
         if state.found is not None:
@@ -337,7 +322,7 @@ class _Page:
             if (length := attrs.get("initial_length")) is not None:
                 lines.append(f"initial length {length * 1e3:g} mm")
             for text in [*lines, *attrs.get("preprocessing", "").splitlines()]:
-                ui.label(printable(text, 500)).classes("quiet")
+                quiet(printable(text, 500))
             show_warnings(self.state.notes)
 
     def show_fit(self, found: FitWithFriction) -> None:
@@ -381,11 +366,11 @@ class _Page:
             show_warnings(fit.warnings)
             self.show_friction(found)
             with ui.row().classes("items-center").style("gap: 8px"):
-                ui.button("Download muscle", on_click=self.download).props("unelevated no-caps").mark("download")
+                button("Download muscle", self.download, "download", main=True)
                 if self.state.muscle is not None:
-                    ui.button("Design a joint with it", on_click=self.design).props("flat no-caps")
+                    button("Design a joint with it", self.design)
                 else:
-                    ui.label("give the initial length to use the muscle in scenarios").classes("quiet")
+                    quiet("give the initial length to use the muscle in scenarios")
 
     @staticmethod
     def show_friction(found: FitWithFriction) -> None:

@@ -34,11 +34,13 @@ from mckibben.web.layout import (
     VERMILLION,
     NumberSlider,
     band,
+    button,
     chart,
     draw,
     frame,
     line,
     panel,
+    select,
     show_error,
     side,
 )
@@ -64,12 +66,8 @@ class _Page:
         muscle = known[design.muscle]
         with side():
             with panel("Joint"):
-                ui.select(list(known), value=design.muscle, label="muscles", on_change=self.choose).props(
-                    "dense"
-                ).classes("w-full").mark("muscle")
-                ui.select(list(KINDS), value=design.kind, label="kind of joint", on_change=self.reshape).props(
-                    "dense"
-                ).classes("w-full").mark("kind")
+                select(list(known), "muscles", "muscle", value=design.muscle, on_change=self.choose)
+                select(list(KINDS), "kind of joint", "kind", value=design.kind, on_change=self.reshape)
                 self.dimensions = ui.column().classes("w-full").style("gap: 10px")
                 self.form()
                 self.number("contraction at 0°", "%", "contraction", (-3, 25), 0.1)
@@ -80,8 +78,8 @@ class _Page:
                 design.pressure = min(design.pressure, most)
                 self.pressure = self.number("highest pressure", "bar", "pressure", (0.5, most), 0.1)
             with ui.row().classes("w-full").style("gap: 8px"):
-                ui.button("Run this joint", on_click=self.run).props("unelevated no-caps")
-                ui.button("Download YAML", on_click=self.download).props("flat no-caps")
+                button("Run this joint", self.run, main=True)
+                button("Download YAML", self.download)
         with side():
             with ui.element("div").classes("pair narrow-first"):
                 with panel():
@@ -107,7 +105,7 @@ class _Page:
         self.errors = ui.column()
         self.phase = 0.0
         self.found: Designed | None = None
-        ui.timer(0.0, self.first, once=True)
+        ui.timer(0.0, self.again, once=True)
         ui.timer(LATER, self.show_rest)
 
     @staticmethod
@@ -143,10 +141,6 @@ class _Page:
         self.design.kind, self.design.dimensions = event.value, {}
         self.design.__post_init__()
         self.form()
-        await self.again()
-
-    async def first(self) -> None:
-        """Compute the first curves; afterwards nothing is compiled for this kind of muscle."""
         await self.again()
 
     async def again(self) -> None:

@@ -10,14 +10,18 @@ import math
 import re
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from nicegui import events, ui
 from numpy.typing import ArrayLike
 
 from mckibben.errors import FileError, McKibbenError, printable
-from mckibben.web.session import Jobs
+from mckibben.web import resource
+from mckibben.web.session import Jobs, JobState
+
+State = TypeVar("State", bound=JobState)
 
 BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -30,52 +34,13 @@ LATER = 0.05
 
 _ELSEWHERE = re.compile(r" \(command line: [^)]*\)")  # remedies name arguments, as fields do, and options
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
-_STYLE = """
-body { background: #f6f7f9; color: #1b2126; }
-.q-header { background: #ffffff; color: #1b2126; border-bottom: 1px solid #dfe3e8; }
-.panel { background: #ffffff; border: 1px solid #dfe3e8; border-radius: 8px; padding: 16px; max-width: 100%; }
-.panel > * { max-width: 100%; }
-.nicegui-content { padding: 16px; max-width: 1280px; margin: 0 auto; }
-.columns { display: grid; grid-template-columns: 320px minmax(0, 1fr); gap: 16px; width: 100%; align-items: start; }
-.pair { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 16px; width: 100%; }
-.pair.narrow-first { grid-template-columns: 260px minmax(0, 1fr); }
-.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 12px; width: 100%; }
-.fields { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4px 14px; width: 100%; }
-.q-uploader { max-height: none; }
-.q-uploader__list { min-height: 0; padding: 0 8px; }
-.q-uploader__subtitle { display: none; }
-.fact { font-size: 17px; font-variant-numeric: tabular-nums; }
-.tab { text-decoration: none; color: #5f6b76; padding: 4px 2px; border-bottom: 2px solid transparent; }
-.tab.here { color: #0072B2; border-bottom-color: #0072B2; }
-.panel > .q-expansion-item .q-item { padding: 0; min-height: 0; }
-.panel > .q-expansion-item .nicegui-expansion-content { padding: 8px 0 0; }
-.heading { font-weight: 600; font-size: 15px; }
-.quiet { color: #5f6b76; font-size: 13px; line-height: 1.45; }
-.number { font-variant-numeric: tabular-nums; }
-.number input { text-align: right; padding: 0 !important; }
-.q-table th { font-weight: 600; }
-.q-table td, .q-table th { white-space: normal !important; padding: 4px 10px; }
-.stale { filter: grayscale(1); opacity: 0.5; }
-.mono textarea { font: 12.5px/1.5 ui-monospace, monospace; }
-@media (max-width: 820px) {
-  .columns, .pair, .pair.narrow-first { grid-template-columns: minmax(0, 1fr); gap: 10px; }
-  .columns > *, .columns .pair { display: contents; }
-  .columns > .results-first > * { order: -1; }
-  .q-header { gap: 4px 14px !important; flex-wrap: wrap; }
-  .stays { order: -2; position: sticky; top: 58px; z-index: 3; box-shadow: 0 2px 6px #0001; }
-  .nicegui-content { padding: 10px; }
-  .panel { padding: 12px; }
-  .q-table td, .q-table th { padding: 4px 4px; font-size: 12px; overflow-wrap: anywhere; }
-  .q-table .text-right, .q-table tr > :first-child { overflow-wrap: normal; }
-}
-"""
 
 
 @contextmanager
 def frame(here: str) -> Iterator[None]:
     """Header with links to the pages, and the columns of the page `here`."""
     ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative="#b3261e", positive=GREEN)
-    ui.add_css(_STYLE)
+    ui.add_css(resource("style.css"))
     ui.page_title(f"{PAGES[here]} - mckibben")
     with ui.header().classes("items-center q-px-md q-py-sm").style("gap: 20px"):
         ui.label("mckibben").style("font-weight: 700; font-size: 16px")
@@ -101,6 +66,23 @@ def side() -> Iterator[None]:
         yield
 
 
+def button(label: str, action: Callable[..., Any], mark: str = "", *, main: bool = False, **options: Any) -> ui.button:
+    """A button, flat unless it is a main one of its panel."""
+    made = ui.button(label, on_click=action, **options).props(f"{'unelevated' if main else 'flat'} no-caps")
+    return made.mark(mark) if mark else made
+
+
+def select(options: Any, label: str, mark: str = "", **others: Any) -> ui.select:
+    """A select as wide as its panel."""
+    made = ui.select(options, label=label, **others).props("dense").classes("w-full")
+    return made.mark(mark) if mark else made
+
+
+def quiet(text: str) -> ui.label:
+    """A remark in small grey letters."""
+    return ui.label(text).classes("quiet")
+
+
 def results_side() -> ui.column:
     """A column of results: beside the inputs, and above them on a narrow screen."""
     return ui.column().classes("w-full results-first").style("gap: 16px")
@@ -111,7 +93,7 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
     with ui.column().classes("w-full").style("gap: 4px") as shown:
         with ui.row().classes("w-full items-center no-wrap"):
             bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
-            ui.button("Cancel", on_click=jobs.cancel).props("flat dense no-caps").mark("cancel")
+            button("Cancel", jobs.cancel, "cancel").props("dense")
         step = ui.label().classes("quiet")
 
     def refresh() -> None:
@@ -151,12 +133,37 @@ def _message(message: str, remedy: str) -> None:
             ui.label(printable(_ELSEWHERE.sub("", remedy), 1000)).classes("quiet")
 
 
-def notify_if_replaced(jobs: Jobs, number: int) -> int:
-    """Tell a page that another tab has ended its job; returns the number of the job, then 0."""
-    if not jobs.replaced(number):
-        return number
-    ui.notify("a computation that another tab has started replaces that of this one")
-    return 0
+class JobPage(Generic[State]):
+    """One visit of a page, which shows the results of its jobs as they appear."""
+
+    def __init__(self, state: State, folder: Path) -> None:
+        self.state, self.folder, self.shown, self.job = state, folder, -1, 0
+
+    def start_job(self, compute: Callable[..., Any], done: Callable[[Any, list[str]], None]) -> None:
+        """As `Jobs.start`; an error is stored in the state."""
+        self.job = self.state.jobs.start(compute, done, self.fail)
+
+    def fail(self, error: McKibbenError) -> None:
+        """Store an error for display."""
+        self.state.error = error
+
+    def news(self) -> bool:
+        """Whether there is something new to show; notifies of a job that another tab has ended."""
+        jobs = self.state.jobs
+        if jobs.replaced(self.job):
+            ui.notify("a computation that another tab has started replaces that of this one")
+            self.job = 0
+        new, self.shown = self.shown != jobs.version, jobs.version
+        return new
+
+    def show_remarks(self) -> None:
+        """Show the error of the last job, or its remarks."""
+        if self.state.error is not None:
+            with panel():
+                show_error(self.state.error)
+        elif self.state.notes:
+            with panel():
+                show_warnings(self.state.notes)
 
 
 def show_warnings(texts: Iterable[str]) -> None:

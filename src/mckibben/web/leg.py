@@ -14,30 +14,32 @@ from numpy.typing import NDArray
 
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
-from mckibben.errors import McKibbenError, ParameterError
+from mckibben.errors import ParameterError
 from mckibben.units import deg
+from mckibben.web import resource
 from mckibben.web.layout import (
     BLUE,
     GREEN,
     PALETTE,
     VERMILLION,
+    JobPage,
+    button,
     chart,
     draw,
     frame,
     line,
-    notify_if_replaced,
     panel,
     progress_row,
+    quiet,
     results_side,
-    show_error,
-    show_warnings,
+    select,
     side,
     table,
     text_area,
     upload,
 )
 from mckibben.web.scene import BONE, CABLE, HEIGHT, Film, pressure_color
-from mckibben.web.session import Jobs, session
+from mckibben.web.session import JobState, session
 
 if TYPE_CHECKING:
     from mckibben.leg import LegPlant, LegResult
@@ -47,47 +49,9 @@ MOST_LANDINGS = 20_000
 _FRAMES = 240
 _ARROW = 0.3  # length [m] of the largest force
 _BONE = 0.09  # radius of a bone, in units of the scene
-_SHARED = """\
-valve: {class: PressureRegulator, conductance: 0.5 L/(s*bar), supply: 7 bar, time_constant: 5 ms, dead_volume: 3 cm^3}
-"""
 STARTS = {
-    "landing in space": f"""\
-name: leg of the paper in space
-leg: lei-leg
-{_SHARED}\
-ground: {{stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0.1, side_slope: 3 deg}}
-landing:
-  joint: knee
-  touchdown: {{side: 0 deg, hip: 0 deg, knee: 0 deg}}
-  drop: [20 mm, 50 mm]
-  levels: 7
-  time_constants: [20 ms]
-uncertainty: {{strength: 5 %, mass: 3 %, draws: 20}}
-""",
-    "landing in the plane": f"""\
-name: leg of the paper on a slider
-leg: lei-leg-planar
-{_SHARED}\
-ground: {{stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0}}
-landing:
-  joint: knee
-  touchdown: {{hip: 0 deg, knee: 0 deg}}
-  drop: [20 mm, 50 mm, 100 mm]
-  levels: 7
-  time_constants: [20 ms]
-uncertainty: {{strength: 5 %, mass: 3 %, draws: 20}}
-""",
-    "jump in the plane": f"""\
-name: leg of the paper on a slider
-leg: lei-leg-planar
-{_SHARED}\
-ground: {{stiffness: 20 kN/m, damping: 0.5 s/m, friction: 0}}
-jump:
-  squat: {{hip: 0 deg, knee: -20 deg}}
-  high: 6 bar
-  plan: {{take_off: {{hip: 0 deg, knee: 0 deg}}, height: 30 mm, landing_depth: 45 mm}}
-uncertainty: {{strength: 5 %, mass: 3 %, draws: 20}}
-""",
+    name: resource(f"starts/leg-{name.replace(' ', '-')}.yaml")
+    for name in ("landing in space", "landing in the plane", "jump in the plane")
 }
 """Files of legs to begin with."""
 
@@ -122,7 +86,7 @@ class LegFilm:
 
 
 @dataclass
-class LegPageState:
+class LegPageState(JobState):
     """State of the page; `films` are by title."""
 
     text: str = STARTS["landing in space"]
@@ -130,9 +94,6 @@ class LegPageState:
     shown: str = ""
     headers: tuple[str, ...] = ()
     rows: list[tuple[str, ...]] = field(default_factory=list)
-    error: McKibbenError | None = None
-    notes: list[str] = field(default_factory=list)
-    jobs: Jobs = field(default_factory=Jobs)
 
 
 @dataclass(frozen=True)
@@ -276,34 +237,31 @@ def page() -> None:
         _Page(kept.state(LegPageState), kept.folder)
 
 
-class _Page:
+class _Page(JobPage[LegPageState]):
     """Text of a leg, and the motion of its runs."""
 
     def __init__(self, state: LegPageState, folder: Path) -> None:
-        self.state, self.folder, self.shown, self.job = state, folder, -1, 0
+        super().__init__(state, folder)
         self.film: LegFilm | None = None
         with side(), panel("Leg"):
-            ui.select(list(STARTS), label="begin with", on_change=self.choose).props("dense").classes("w-full").mark(
-                "begin"
-            )
+            select(list(STARTS), "begin with", "begin", on_change=self.choose)
             text_area("leg", LONGEST_TEXT, 330).mark("leg").bind_value(state, "text")
             with ui.row().style("gap: 8px"):
-                ui.button("Compute", on_click=self.start).props("unelevated no-caps").mark("compute")
-                ui.button("Download", on_click=self.download).props("flat no-caps")
+                button("Compute", self.start, "compute", main=True)
+                button("Download", self.download)
             upload("or a leg.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
             self.progress = progress_row(state.jobs)
-            ui.label(f"At most {MOST_LANDINGS:,} landings; `mckibben leg` reads the same file.").classes("quiet")
+            quiet(f"At most {MOST_LANDINGS:,} landings; `mckibben leg` reads the same file.")
         with results_side():
             self.remarks = ui.column().classes("w-full")
             with ui.column().classes("w-full").style("gap: 16px") as self.results:
                 with panel("Motion"):
-                    self.run = ui.select([], label="run", on_change=self.choose_run).props("dense").classes("w-full")
-                    self.run.mark("run")
+                    self.run = select([], "run", "run", on_change=self.choose_run)
                     self.scene = LegMotion()
-                    ui.label(
+                    quiet(
                         "Drag to turn, scroll to zoom. Played at a tenth of the speed. Muscles are to scale and "
                         "coloured by pressure; the green rod is the force of the ground."
-                    ).classes("quiet")
+                    )
                 with ui.element("div").classes("pair"):
                     with panel("Force of the ground"):
                         self.force = chart("time [s]", "force [weights of the leg]", height=240)
@@ -312,7 +270,7 @@ class _Page:
                 with panel("Numbers"):
                     self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
             with panel() as self.nothing:
-                ui.label("Choose a leg and press Compute: its landings or jumps appear here in 3-D.").classes("quiet")
+                quiet("Choose a leg and press Compute: its landings or jumps appear here in 3-D.")
         self.results.visible = False
         ui.timer(0.15, self.refresh)
 
@@ -339,10 +297,7 @@ class _Page:
             state.films, state.headers, state.rows = found.films, found.headers, found.rows
             state.shown, state.error, state.notes = next(iter(found.films)), None, heard
 
-        def fail(error: McKibbenError) -> None:
-            state.error = error
-
-        self.job = state.jobs.start(lambda progress: compute(parse(text, folder), progress), done, fail)
+        self.start_job(lambda progress: compute(parse(text, folder), progress), done)
 
     def choose_run(self, event: events.ValueChangeEventArguments) -> None:
         """Show another run."""
@@ -354,18 +309,11 @@ class _Page:
         """Show progress, and new results."""
         state = self.state
         self.progress()
-        self.job = notify_if_replaced(state.jobs, self.job)
-        if self.shown == state.jobs.version:
+        if not self.news():
             return
-        self.shown = state.jobs.version
         self.remarks.clear()
         with self.remarks:
-            if state.error is not None:
-                with panel():
-                    show_error(state.error)
-            elif state.notes:
-                with panel():
-                    show_warnings(state.notes)
+            self.show_remarks()
         self.results.visible, self.nothing.visible = bool(state.films), not state.films
         self.results.classes(**{"add" if state.error is not None else "remove": "stale"})
         if state.films:

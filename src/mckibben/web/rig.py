@@ -15,52 +15,38 @@ from nicegui import ui
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import McKibbenError, ParameterError, RigError
+from mckibben.errors import ParameterError, RigError
 from mckibben.rig.session import Progress
 from mckibben.study.rig.document import RigTest
 from mckibben.study.rig.running import CheckedTest, check, data_name, run_test
 from mckibben.units import bar, percent
+from mckibben.web import resource
 from mckibben.web.identify import IdentificationState
 from mckibben.web.layout import (
     BLUE,
     GREEN,
     VERMILLION,
+    JobPage,
+    button,
     chart,
     dots,
     draw,
     frame,
     line,
     panel,
-    show_error,
+    select,
     side,
     text_area,
 )
-from mckibben.web.session import Jobs, session
+from mckibben.web.session import JobState, session
 
 _MOST_SAMPLES = 5_000_000
-_START = """\
-name: isobaric test
-muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n, mounted_at: 0 %}
-rig: {simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
-limits: {pressure: 6.5 bar, force: 630 N, stretch: 8 mm, shorten: 50 mm, frozen: 2 s, deviation: 40 N}
-recording: {cycle: 250 ms, between: 10 Hz, slack_force: 6 N}
-protocol:
-  isobaric:
-    pressures: [1 bar, 2 bar, 3 bar, 4 bar, 5 bar, 6 bar]
-    contraction_min: 0 %
-    contraction_max: 24 %
-    step: 4 mm
-    speed: 1 mm/s
-    dwell: 3 s
-    acquisition: 1 s
-    samples: 1000
-    repeats: 1
-"""
+_START = resource("starts/isobaric-test.yaml")
 _PACES = {20: "20 times as fast", 100: "100 times as fast", 0: "as fast as possible"}
 
 
 @dataclass
-class RigState:
+class RigState(JobState):
     """State of the page; `rows` are time [s], pressure [bar], force [N] and contraction [%] of each cycle."""
 
     text: str = _START
@@ -70,9 +56,7 @@ class RigState:
     total: int = 1
     data: IsobaricDataset | None = None
     source: Path | None = None
-    error: McKibbenError | None = None
     vent: threading.Event = field(default_factory=threading.Event)
-    jobs: Jobs = field(default_factory=Jobs)
 
 
 def checked(text: str, folder: Path) -> CheckedTest:
@@ -122,18 +106,18 @@ def page() -> None:
         _Page(kept.state(RigState), kept.folder)
 
 
-class _Page:
+class _Page(JobPage[RigState]):
     """Protocol and plots of one visit."""
 
     def __init__(self, state: RigState, folder: Path) -> None:
-        self.state, self.folder = state, folder
-        self.shown, self.drawn = -1, 0
+        super().__init__(state, folder)
+        self.drawn = 0
         with side(), panel("Test on the simulated rig"):
             text_area("protocol", LONGEST_TEXT, 330).mark("protocol").bind_value(state, "text")
-            ui.select(_PACES, label="time of the rig").props("dense").classes("w-full").bind_value(state, "pace")
+            select(_PACES, "time of the rig").bind_value(state, "pace")
             with ui.row().style("gap: 8px"):
-                ui.button("Start", on_click=self.start).props("unelevated no-caps").mark("start")
-                ui.button("Vent", color="negative", on_click=self.vent).props("unelevated no-caps").mark("vent")
+                button("Start", self.start, "start", main=True)
+                button("Vent", self.vent, "vent", main=True, color="negative")
             self.bar = ui.linear_progress(0, show_value=False).props("instant-feedback")
             self.status = ui.label().classes("quiet number")
         with side():
@@ -159,16 +143,13 @@ class _Page:
             draw(self.force, [line("force", times, force, BLUE, width=1.5)])
             now = dots("now", contraction[-1:], force[-1:], VERMILLION) | {"symbolSize": 11}
             draw(self.loop, [line("measured", contraction, force, BLUE, width=1), now])
-        if self.shown != state.jobs.version:
-            self.shown = state.jobs.version
+        if self.news():
             self.results.clear()
             with self.results:
-                if state.error is not None:
-                    with panel():
-                        show_error(state.error)
-                elif state.data is not None:
+                self.show_remarks()
+                if state.data is not None:
                     with panel(f"{len(state.data)} points measured"):
-                        ui.button("Identify the muscle", on_click=self.identify).props("unelevated no-caps")
+                        button("Identify the muscle", self.identify, main=True)
 
     def start(self) -> None:
         """Run the test; at most one at a time."""
@@ -186,10 +167,7 @@ class _Page:
         def done(found: IsobaricDataset, _: list[str]) -> None:
             state.data = found
 
-        def fail(error: McKibbenError) -> None:
-            state.error = error
-
-        state.jobs.start(compute, done, fail)
+        self.start_job(compute, done)
 
     def vent(self) -> None:
         """Stop the test after the current cycle, and vent."""

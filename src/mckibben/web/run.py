@@ -11,7 +11,7 @@ import numpy as np
 from nicegui import events, ui
 
 from mckibben.config.document import LONGEST_TEXT
-from mckibben.errors import McKibbenError, printable
+from mckibben.errors import printable
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
 from mckibben.web.identify import IdentificationState
@@ -21,17 +21,18 @@ from mckibben.web.layout import (
     GREEN,
     PALETTE,
     VERMILLION,
+    JobPage,
     NumberField,
     band,
+    button,
     chart,
     draw,
     frame,
     line,
-    notify_if_replaced,
     panel,
+    quiet,
     results_side,
-    show_error,
-    show_warnings,
+    select,
     side,
     table,
     text_area,
@@ -80,13 +81,12 @@ _HIDDEN = re.compile(r"\.(model|specimen|law|domain)\.")
 """Parameters without a field on the page."""
 
 
-class _Page:
+class _Page(JobPage[Workbench]):
     """Forms and plots of one visit."""
 
     def __init__(self, state: Workbench, folder: Path) -> None:
-        self.state, self.folder = state, folder
-        self.shown = self.formed = -1
-        self.job = 0
+        super().__init__(state, folder)
+        self.formed = -1
         self.text = ""
         self.selects: dict[str, ui.select] = {}
         with side():
@@ -104,23 +104,21 @@ class _Page:
             with panel("Scenario"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
                 with ui.row().style("gap: 8px"):
-                    ui.button("Run", on_click=self.apply).props("unelevated no-caps").mark("run")
-                    ui.button("Download", on_click=self.download).props("flat no-caps")
+                    button("Run", self.apply, "run", main=True)
+                    button("Download", self.download)
                 upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
             with panel("Project"):
-                ui.label(
-                    "Points, muscle and scenario as one zip file, to continue elsewhere or on the command line."
-                ).classes("quiet")
-                ui.button("Download project", on_click=self.pack).props("flat no-caps").mark("pack")
+                quiet("Points, muscle and scenario as one zip file, to continue elsewhere or on the command line.")
+                button("Download project", self.pack, "pack")
                 upload("or a project.zip", LARGEST, self.unpack).props("accept=.zip").mark("unpack")
         with results_side():
             with ui.row().classes("w-full items-center no-wrap").style("gap: 12px"):
-                ui.button("Keep this run", on_click=self.keep).props("unelevated no-caps").mark("keep")
-                ui.button("Remove kept runs", on_click=self.clear).props("flat no-caps")
+                button("Keep this run", self.keep, "keep", main=True)
+                button("Remove kept runs", self.clear)
                 with ui.row().classes("items-center no-wrap") as self.busy:
                     ui.spinner(size="20px")
-                    ui.label("computing; a new kind of controller compiles for a few seconds").classes("quiet")
-                    ui.button("Cancel", on_click=state.jobs.cancel).props("flat dense no-caps").mark("cancel")
+                    quiet("computing; a new kind of controller compiles for a few seconds")
+                    button("Cancel", state.jobs.cancel, "cancel").props("dense")
             self.remarks = ui.column().classes("w-full")
             with panel("Angle", stays=True):
                 self.angle = chart("time [s]", "angle [°]", height=270)
@@ -141,8 +139,7 @@ class _Page:
         self, label: str, options: list[str], changed: Callable[[events.ValueChangeEventArguments], None]
     ) -> None:
         """A select with a label."""
-        made = ui.select(options, label=label, on_change=changed).props("dense")
-        self.selects[label] = made.classes("w-full").mark(label)
+        self.selects[label] = select(options, label, label, on_change=changed)
 
     def begin(self) -> None:
         """Run the joint of another page, or the first scenario."""
@@ -161,27 +158,20 @@ class _Page:
         """Show new results."""
         state = self.state
         self.busy.visible = state.jobs.busy
-        self.job = notify_if_replaced(state.jobs, self.job)
         if self.formed != state.form:
             self.formed = state.form
             self.form.clear()
             if state.scenario is not None:
                 with self.form:
                     self.fields(state.scenario)
-        if self.shown != state.jobs.version:
-            self.shown = state.jobs.version
+        if self.news():
             if self.text != state.text:  # otherwise it may be being edited
                 self.text = self.yaml.value = state.text
             self.remarks.clear()
             with self.remarks:
-                if state.error is not None:
-                    with panel():
-                        show_error(state.error)
-                        if state.current is not None:
-                            ui.label("The fields and curves are those of the last scenario that ran.").classes("quiet")
-                elif state.notes:
-                    with panel():
-                        show_warnings(state.notes)
+                self.show_remarks()
+                if state.error is not None and state.current is not None:
+                    quiet("The fields and curves are those of the last scenario that ran.")
             if state.scenario is not None and not state.jobs.busy:
                 for label, kind in state.options.items():
                     self.selects[label].value = kind
@@ -205,10 +195,7 @@ class _Page:
             state.notes = [*remarks, *heard]
             state.form += form
 
-        def fail(error: McKibbenError) -> None:
-            state.error = error
-
-        self.job = state.jobs.start(run, done, fail)
+        self.start_job(run, done)
 
     def apply_text(self, text: str) -> None:
         """Run the scenario in a text."""
@@ -245,10 +232,7 @@ class _Page:
                 state.notes = ["the project has no scenario; its points and muscle are on the pages Muscle and Joint"]
             self.begin()
 
-        def fail(error: McKibbenError) -> None:
-            state.error = error
-
-        self.job = state.jobs.start(lambda _: unpack(content, self.folder), done, fail)
+        self.start_job(lambda _: unpack(content, self.folder), done)
 
     def chosen(
         self, label: str, choose: Callable[[events.ValueChangeEventArguments], None]

@@ -9,6 +9,7 @@ import warnings
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -208,3 +209,12 @@ class Jobs:
 
         background_tasks.create(run(), name="mckibben job")
         return number
+
+
+@dataclass
+class JobState:
+    """State of a page with jobs: the error of the last one, or its remarks."""
+
+    error: McKibbenError | None = None
+    notes: list[str] = field(default_factory=list)
+    jobs: Jobs = field(default_factory=Jobs)

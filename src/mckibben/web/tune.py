@@ -10,26 +10,27 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from mckibben.errors import McKibbenError, printable
+from mckibben.errors import printable
 from mckibben.scenario import Scenario
 from mckibben.web.layout import (
     BLUE,
     GREY,
+    JobPage,
     NumberField,
+    button,
     chart,
     draw,
     frame,
     line,
-    notify_if_replaced,
     panel,
     progress_row,
+    quiet,
     results_side,
-    show_error,
-    show_warnings,
+    select,
     side,
     table,
 )
-from mckibben.web.session import Jobs, session
+from mckibben.web.session import JobState, session
 from mckibben.web.studies import (
     MOST_GENERATIONS,
     MOST_ITERATIONS,
@@ -48,16 +49,13 @@ from mckibben.web.workbench import CONTROLLERS, Workbench
 
 
 @dataclass
-class StudyState:
+class StudyState(JobState):
     """State of the page."""
 
     tuning: TuningRequest = field(default_factory=TuningRequest)
     comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
     tuned: Tuned | None = None
     compared: Compared | None = None
-    error: McKibbenError | None = None
-    notes: list[str] = field(default_factory=list)
-    jobs: Jobs = field(default_factory=Jobs)
 
 
 def page() -> None:
@@ -67,16 +65,17 @@ def page() -> None:
         _Page(kept.state(StudyState), kept.state(Workbench), kept.folder)
 
 
-class _Page:
+class _Page(JobPage[StudyState]):
     """Requests and results of one visit."""
 
     def __init__(self, state: StudyState, bench: Workbench, folder: Path) -> None:
-        self.state, self.bench, self.folder, self.shown, self.job = state, bench, folder, -1, 0
+        super().__init__(state, folder)
+        self.bench = bench
         tuning, comparison = state.tuning, state.comparison
         with side():
             with panel("Scenario"):
                 self.name = ui.label().classes("number").mark("scenario-name")
-                ui.label("That of the page Run, as it last ran.").classes("quiet")
+                quiet("That of the page Run, as it last ran.")
                 self.progress = progress_row(state.jobs)
             with panel("Tune"):
                 _text("cost", tuning, "cost")
@@ -85,37 +84,35 @@ class _Page:
                     _number("starts", tuning, "starts", 1, MOST_STARTS)
                     _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS)
                 _lines("NAME=RANGE per line, or all gains", tuning, "over")
-                ui.button("Tune", on_click=self.tune).props("unelevated no-caps").mark("tune")
+                button("Tune", self.tune, "tune", main=True)
             with panel("Compare"):
-                ui.select(
+                select(
                     list(CONTROLLERS),
+                    "with these controllers",
+                    "controllers",
                     value=list(comparison.controllers),
-                    label="with these controllers",
                     multiple=True,
                     on_change=lambda event: setattr(comparison, "controllers", tuple(event.value or ())),
-                ).props("dense").classes("w-full").mark("controllers")
+                )
                 with ui.element("div").classes("fields"):
                     _number("unseen runs", comparison, "runs", 2, MOST_RUNS)
                     _number("generations", comparison, "generations", 1, MOST_GENERATIONS)
                 _lines("conditions, NAME=RANGE per line", comparison, "conditions")
-                ui.button("Compare", on_click=self.compare).props("unelevated no-caps").mark("compare")
-            ui.label(
+                button("Compare", self.compare, "compare", main=True)
+            quiet(
                 f"At most {MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` "
                 "have no limit."
-            ).classes("quiet")
+            )
         with results_side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
         ui.timer(0.15, self.refresh)
 
     def refresh(self) -> None:
         """Show progress, and new results."""
-        state = self.state
         self.progress()
-        self.job = notify_if_replaced(state.jobs, self.job)
         scenario = self.bench.scenario
         self.name.text = "the first one" if scenario is None else printable(scenario.name, 80)
-        if self.shown != state.jobs.version:
-            self.shown = state.jobs.version
+        if self.news():
             self.results.clear()
             with self.results:
                 self.show()
@@ -148,11 +145,7 @@ class _Page:
         if state.jobs.busy:
             ui.notify("a study is running: cancel it first")
             return
-
-        def fail(error: McKibbenError) -> None:
-            state.error = error
-
-        self.job = state.jobs.start(lambda progress: compute(text, request, folder, progress), done, fail)
+        self.start_job(lambda progress: compute(text, request, folder, progress), done)
 
     def end(self, notes: list[str]) -> None:
         """Forget the error of an earlier study."""
@@ -166,12 +159,7 @@ class _Page:
     def show(self) -> None:
         """Show everything known."""
         state = self.state
-        if state.error is not None:
-            with panel():
-                show_error(state.error)
-        elif state.notes:
-            with panel():
-                show_warnings(state.notes)
+        self.show_remarks()
         old = "w-full" + (" stale" if state.error is not None else "")
         with ui.column().classes(old).style("gap: 16px"):
             if state.tuned is not None:
@@ -180,10 +168,10 @@ class _Page:
                 self.show_compared(state.compared)
         if state.tuned is None and state.compared is None and state.error is None:
             with panel("No study yet"):
-                ui.label(
+                quiet(
                     "Tune searches the gains of the scenario for the lowest cost. Compare tunes its controller and "
                     "others with one budget, and compares them on the same unseen runs."
-                ).classes("quiet")
+                )
 
     def show_tuned(self, found: Tuned) -> None:
         """Costs of the search, gains and metrics."""
@@ -193,9 +181,7 @@ class _Page:
             draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])
             table(("parameter", "before", "tuned"), found.parameters)
             table(("metric", "before", "tuned"), found.metrics)
-            ui.button("Run the tuned scenario", on_click=lambda: self.run(found.scenario)).props(
-                "unelevated no-caps"
-            ).mark("use-tuned")
+            button("Run the tuned scenario", lambda: self.run(found.scenario), "use-tuned", main=True)
 
     def show_compared(self, found: Compared) -> None:
         """Errors as bars and table."""
@@ -206,9 +192,8 @@ class _Page:
             with ui.row().classes("items-center").style("gap: 12px"):
                 chosen = ui.select(list(found.scenarios), value=next(iter(found.scenarios)), label="controller")
                 chosen.props("dense").style("min-width: 180px")
-                ui.button("Run it", on_click=lambda: self.run(found.scenarios[str(chosen.value)])).props(
-                    "unelevated no-caps"
-                ).mark("use-compared")
+                scenarios = found.scenarios
+                button("Run it", lambda: self.run(scenarios[str(chosen.value)]), "use-compared", main=True)
 
 
 def bars(errors: dict[str, tuple[float, float]]) -> ui.echart:

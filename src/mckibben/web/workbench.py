@@ -12,34 +12,19 @@ import numpy as np
 
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
-from mckibben.errors import McKibbenError, ParameterError
+from mckibben.errors import ParameterError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.mechanism import muscle_sizes
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import in_shown_units
 from mckibben.units import deg
-from mckibben.web.session import Jobs
+from mckibben.web import resource
+from mckibben.web.session import JobState
 
 MOST_STEPS = 2_000_000
 """Most integration steps of a run; the command line allows more, as a run can be stopped there."""
-START = """\
-name: knee
-joint:
-  geometry: {from: knee-table-2, connector_length: 208 mm}
-  muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-load: knee-table-2
-valve: {time_constant: 20 ms}
-controller:
-  position: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}
-  stiffness: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}
-reference:
-  angle: {class: sine, amplitude: 10 deg, frequency: 0.5 Hz}
-  stiffness: {class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 3 s}
-start: {angle: 0 deg, stiffness: 12 N*m/rad}
-duration: 6 s
-control_period: 1 ms
-"""
+START = resource("starts/knee.yaml")
 CONTROLLERS = {
     "two PID loops": START[START.index("  position") : START.index("reference")],
     "PID loops with backpropagation": """\
@@ -90,7 +75,7 @@ class Kept:
 
 
 @dataclass
-class Workbench:
+class Workbench(JobState):
     """State of the page; `options` are those of its selects, `joint` is a scenario section to be adopted, `waiting` a
     scenario to be run.
     """
@@ -100,9 +85,6 @@ class Workbench:
     text: str = START
     current: Kept | None = None
     kept: list[Kept] = field(default_factory=list)
-    error: McKibbenError | None = None
-    notes: list[str] = field(default_factory=list)
-    jobs: Jobs = field(default_factory=Jobs)
     joint: str = ""
     waiting: str = ""
     form: int = 0
