@@ -107,11 +107,8 @@ def _parse(unit: str) -> dict[str, float]:
     if text == "1" or text.startswith("1/"):
         text = f"ratio{text[1:]}"
     if not _UNIT.fullmatch(text):
-        raise UnitError(
-            f"{quoted(unit)} is not a unit",
-            value=unit,
-            remedy="write units joined by * and /, such as bar, N*m/rad or kg*m^2",
-        )
+        remedy = "write units joined by * and /, such as bar, N*m/rad or kg*m^2"
+        raise UnitError(f"{quoted(unit)} is not a unit", value=unit, remedy=remedy)
     powers: dict[str, float] = {}
     outside, inside = 1, 1  # sign of the exponents after * or /, outside and inside parentheses
     in_parentheses = False
@@ -171,12 +168,8 @@ def factor(unit: str, to: str = "") -> float:
         return _size(source)
     target = _parse(to)
     if _dimensions(source) != _dimensions(target):
-        raise UnitError(
-            f"unit {unit!r} does not have the dimensions of {to!r}",
-            value=unit,
-            unit=to,
-            remedy=f"use a unit such as {to}",
-        )
+        remedy = f"use a unit such as {to}"
+        raise UnitError(f"unit {unit!r} does not have the dimensions of {to!r}", value=unit, unit=to, remedy=remedy)
     return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
 
 
@@ -300,14 +293,9 @@ class Quantity:
             self._fail(f"{quoted(value)} is not a quantity", value)
         if not self.holds(number):
             lower, upper = self.limits
-            raise RangeError(
-                f"{quoted(value)} is outside {self.range}",
-                value=number,
-                lower=lower,
-                upper=upper,
-                unit=self.unit,
-                remedy="choose a value inside",
-            )
+            message = f"{quoted(value)} is outside {self.range}"
+            remedy = "choose a value inside"
+            raise RangeError(message, value=number, lower=lower, upper=upper, unit=self.unit, remedy=remedy)
         return number
 
     def write(self, value: float) -> str:

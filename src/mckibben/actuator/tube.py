@@ -75,11 +75,8 @@ class Tube(AirActuator):
     def __check_init__(self) -> None:
         super().__check_init__()
         if self.valve.direct:
-            raise RangeError(
-                "Tube: the valve takes openings in place of pressures",
-                field="valve",
-                remedy="give it a valve without `direct`",
-            )
+            remedy = "give it a valve without `direct`"
+            raise RangeError("Tube: the valve takes openings in place of pressures", field="valve", remedy=remedy)
 
     @property
     def switches(self) -> bool:

@@ -39,11 +39,9 @@ class UnequalValves(Actuator):
         one, other = self.muscle1, self.muscle2
         for name in ("holds_air", "holds_pressure", "direct"):
             if getattr(one, name) != getattr(other, name):
-                raise RangeError(
-                    f"UnequalValves: a {type(one).__name__} and a {type(other).__name__} cannot drive one joint",
-                    field="muscle2",
-                    remedy="give two valves with air, two without, or two with `direct` commands",
-                )
+                message = f"UnequalValves: a {type(one).__name__} and a {type(other).__name__} cannot drive one joint"
+                remedy = "give two valves with air, two without, or two with `direct` commands"
+                raise RangeError(message, field="muscle2", remedy=remedy)
         for number, each in enumerate((one, other), 1):
             if each.muscle_count is not None or each.reservoir is not None:
                 raise RangeError(
@@ -57,11 +55,9 @@ class UnequalValves(Actuator):
                 remedy="give reservoir_volume and line_conductance, or neither",
             )
         if self.reservoir_volume is not None and not self.holds_air:
-            raise RangeError(
-                "UnequalValves: a reservoir at valves without air",
-                field="reservoir_volume",
-                remedy="leave it out, or give valves with a conductance",
-            )
+            message = "UnequalValves: a reservoir at valves without air"
+            remedy = "leave it out, or give valves with a conductance"
+            raise RangeError(message, field="reservoir_volume", remedy=remedy)
 
     def for_muscle(self, index: int) -> Any:
         return (self.muscle1, self.muscle2)[index]

@@ -45,11 +45,9 @@ class DataBlock(NamedTuple):
         """Return a block with read-only copies; raises a `ParameterError` if shapes or numbers are wrong."""
         given, wanted = np.array(inputs, float), np.array(output, float)
         if given.ndim != 2 or wanted.shape != given.shape[:1] or not wanted.size:
-            raise ParameterError(
-                f"the block {name!r} has inputs of shape {given.shape} and outputs of shape {wanted.shape}",
-                field=name,
-                remedy="give inputs of shape (samples, inputs) and outputs of shape (samples,)",
-            )
+            message = f"the block {name!r} has inputs of shape {given.shape} and outputs of shape {wanted.shape}"
+            remedy = "give inputs of shape (samples, inputs) and outputs of shape (samples,)"
+            raise ParameterError(message, field=name, remedy=remedy)
         if not (np.isfinite(given).all() and np.isfinite(wanted).all()):
             raise ParameterError(f"the block {name!r} has values that are not finite", field=name, remedy="remove them")
         given.flags.writeable = wanted.flags.writeable = False

@@ -93,11 +93,9 @@ def valve(name: str, **others: Any) -> AirValve:
     values = {key: getattr(given, key) for key in given.model_fields_set - {"class_"}} | others
     required = (one.name for one in dataclasses.fields(kind) if one.default is one.default_factory is MISSING)
     if missing := [field for field in required if field not in values]:
-        raise ParameterError(
-            f"{name}: the data sheet does not determine {' and '.join(missing)}",
-            field=missing[0],
-            remedy=f"give {' and '.join(f'{field}=...' for field in missing)}, in SI",
-        )
+        message = f"{name}: the data sheet does not determine {' and '.join(missing)}"
+        remedy = f"give {' and '.join(f'{field}=...' for field in missing)}, in SI"
+        raise ParameterError(message, field=missing[0], remedy=remedy)
     return kind(**values)
 
 

@@ -59,12 +59,9 @@ def export(
 def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: float | None, force: bool) -> Exported:
     """Export a leg, as MJCF or URDF."""
     if to not in ("mjcf", "urdf") or single:
-        raise ParameterError(
-            f"a leg cannot be written as {quoted(to)}{' in 32 bits' if single else ''}",
-            field="to",
-            value=to,
-            remedy="give --to mjcf or --to urdf, or a scenario of a joint",
-        )
+        message = f"a leg cannot be written as {quoted(to)}{' in 32 bits' if single else ''}"
+        remedy = "give --to mjcf or --to urdf, or a scenario of a joint"
+        raise ParameterError(message, field="to", value=to, remedy=remedy)
     if fmi is not None:
         raise ParameterError("a leg cannot be an FMU", field="fmi", value=fmi, remedy="leave it out")
     from mckibben.export.leg_mjcf import export_leg

@@ -223,13 +223,9 @@ class _Inner(NamedTuple):
     def check(self, length: float | None) -> None:
         """Raise a `ParameterError` for a diameter above the initial length [m]."""
         if self.diameter is not None and length and self.diameter > length:
-            raise ParameterError(
-                f"--diameter is {show(self.diameter, 'mm')}, more than the initial length, {show(length, 'mm')}",
-                value=self.diameter,
-                upper=length,
-                unit="m",
-                remedy="check both, such as --diameter '10 mm' --initial-length '200 mm'",
-            )
+            message = f"--diameter is {show(self.diameter, 'mm')}, more than the initial length, {show(length, 'mm')}"
+            remedy = "check both, such as --diameter '10 mm' --initial-length '200 mm'"
+            raise ParameterError(message, value=self.diameter, upper=length, unit="m", remedy=remedy)
 
 
 def _keep_muscle(

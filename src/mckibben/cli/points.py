@@ -172,10 +172,7 @@ def _levels(text: str) -> list[float] | None:
         raise UnitError(f"--levels {text!r} has no unit", value=text, remedy="write --levels '1, 2, 3 bar'")
     if not all(units):
         if any(units[:-1]) or not all(parts):
-            raise UnitError(
-                f"--levels {text!r} is not a list of pressures",
-                value=text,
-                remedy="write one unit for all, '1, 2, 3 bar', or one for each, '1 bar, 200 kPa'",
-            )
+            remedy = "write one unit for all, '1, 2, 3 bar', or one for each, '1 bar, 200 kPa'"
+            raise UnitError(f"--levels {text!r} is not a list of pressures", value=text, remedy=remedy)
         parts[:-1] = [f"{part} {units[-1]}" for part in parts[:-1]]
     return [parse_quantity("--levels", part, "Pa") for part in parts]

@@ -52,13 +52,9 @@ def declare(owner: str, labels: Mapping[str, Label]) -> None:
     for name, label in labels.items():
         known, by = _LABELS.get(name, label), _OWNERS.get(name, owner)
         if known.unit != label.unit and by != owner:
-            raise ParameterError(
-                f"{owner} has the column {name!r} in {label.unit}, {by} in {known.unit}",
-                field="telemetry_labels",
-                value=name,
-                unit=label.unit,
-                remedy="give it another name",
-            )
+            message = f"{owner} has the column {name!r} in {label.unit}, {by} in {known.unit}"
+            remedy = "give it another name"
+            raise ParameterError(message, field="telemetry_labels", value=name, unit=label.unit, remedy=remedy)
         _LABELS[name], _OWNERS[name] = label, owner
 
 

@@ -53,12 +53,9 @@ class StateGrid:
         contractions = _grid_axis(domain.contraction_min, domain.contraction_max, region.contraction_step)
         pressures = _grid_axis(domain.pressure_min, domain.pressure_max, region.pressure_step)
         if len(contractions) * len(pressures) > _MAX_STATES:
-            raise RangeError(
-                f"{len(pressures)} pressures x {len(contractions)} contractions are too many candidates",
-                value=len(contractions) * len(pressures),
-                upper=_MAX_STATES,
-                remedy="choose coarser steps or narrower limits",
-            )
+            message = f"{len(pressures)} pressures x {len(contractions)} contractions are too many candidates"
+            remedy = "choose coarser steps or narrower limits"
+            raise RangeError(message, value=len(contractions) * len(pressures), upper=_MAX_STATES, remedy=remedy)
         grid = contractions[None, :], pressures[:, None]
         force = forces(law, *grid)
         valid = np.asarray(type(law).formula_domain.contains(*grid))

@@ -108,12 +108,9 @@ def plan(
     measured_in = tuple(d for d in DIRECTIONS if d in directions) if prior.friction else ("",)
     candidates = CandidateSet.of(prior, states, measured_in, repeats)
     if len(candidates.rows) < points:
-        raise RangeError(
-            f"there are {len(candidates.rows)} candidates for {points} points",
-            value=points,
-            upper=len(candidates.rows),
-            remedy="choose finer steps, wider limits or fewer points",
-        )
+        message = f"there are {len(candidates.rows)} candidates for {points} points"
+        remedy = "choose finer steps, wider limits or fewer points"
+        raise RangeError(message, value=points, upper=len(candidates.rows), remedy=remedy)
     linear = quantity.linearize(prior.law, states)
     gradients = np.pad(linear.gradients, ((0, 0), (0, prior.friction)))  # friction itself is of no interest
     subspace = IdentifiableSubspace.of(np.concatenate([candidates.rows[::repeats], prior.rows]))

@@ -157,13 +157,8 @@ class _JointQuantity(QuantityOfInterest):
                 )
             low, high = float(domain.pressure_min), float(domain.pressure_max)
             if not low <= pressure[0] <= high:
-                raise RangeError(
-                    f"{pressure[0] / bar:g} bar is outside {low / bar:g}..{high / bar:g} bar of {name}",
-                    value=pressure[0],
-                    lower=low,
-                    upper=high,
-                    unit="Pa",
-                )
+                message = f"{pressure[0] / bar:g} bar is outside {low / bar:g}..{high / bar:g} bar of {name}"
+                raise RangeError(message, value=pressure[0], lower=low, upper=high, unit="Pa")
             if np.any(forces(law, contraction, pressure) <= 0):
                 warnings.append(f"muscle {number} is slack there and does not contribute to the {self._name}")
         places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)

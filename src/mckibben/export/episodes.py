@@ -148,12 +148,9 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
     problem = numeric(SimulationProblem(plant, (), varied.reference(), initial_state(varied)))  # type: ignore
     lanes, flags = lanes_of(problem)
     if table and lanes is None:
-        raise ExportError(
-            "no random plant is valid, or none of its parameters belongs to the plant or the reference",
-            field="random_plant",
-            value=list(random_plant),
-            remedy="vary numbers of joint, load, valve, sensors, disturbance or reference",
-        )
+        message = "no random plant is valid, or none of its parameters belongs to the plant or the reference"
+        remedy = "vary numbers of joint, load, valve, sensors, disturbance or reference"
+        raise ExportError(message, field="random_plant", value=list(random_plant), remedy=remedy)
     rows = lanes or 1
     if lanes is None:
         problem, flags = jax.tree.map(lambda one: np.asarray(one)[None], problem), True
@@ -176,12 +173,9 @@ def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -
         files = {origin_of(one.law) for one in known.get(law, ())}
         file = files.pop() if len(files) == 1 else ""
         if not file.endswith(ENDINGS):
-            raise ExportError(
-                f"{law} is not a law that was read from the file of a fit",
-                field="random_plant",
-                value=f"{law}=fit",
-                remedy=f"give {', '.join(known)}, and the muscle the file of a fit",
-            )
+            message = f"{law} is not a law that was read from the file of a fit"
+            remedy = f"give {', '.join(known)}, and the muscle the file of a fit"
+            raise ExportError(message, field="random_plant", value=f"{law}=fit", remedy=remedy)
         draws = read_fit(Path(file)).draws(np.random.default_rng(seed), count)
         found |= {f"{law}.{name}": values for name, values in draws.items()}
     return found

@@ -99,11 +99,8 @@ class _Evaluation:
         if not carried and not arrays:
             return
         if loop.going is not None:
-            raise ExportError(
-                "a loop that ends on a condition cannot be unrolled",
-                field="while",
-                remedy="use another option of this component, such as rigid tendons",
-            )
+            remedy = "use another option of this component, such as rigid tendons"
+            raise ExportError("a loop that ends on a condition cannot be unrolled", field="while", remedy=remedy)
         for one in carried:
             self._known[id(one)] = self.value(one.initial)
         for array in arrays:

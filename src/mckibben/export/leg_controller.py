@@ -77,12 +77,9 @@ def export_leg_controller(
         If the duration is not a positive multiple of the control period.
     """
     if not isinstance(controller, JointwiseControl):
-        raise ExportError(
-            f"a {type(controller).__name__} takes no setpoints of the joints",
-            field="controller",
-            value=type(controller).__name__,
-            remedy="give a JointwiseControl or a CoupledControl",
-        )
+        message = f"a {type(controller).__name__} takes no setpoints of the joints"
+        remedy = "give a JointwiseControl or a CoupledControl"
+        raise ExportError(message, field="controller", value=type(controller).__name__, remedy=remedy)
     check_name(name)
     made = _module(plant.with_period(control_period), controller, start, name, duration, control_period)
     text = f"Controller of a leg, written by mckibben {mckibben.__version__}."

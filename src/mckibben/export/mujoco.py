@@ -33,12 +33,8 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
         _LOADED[name] = library
     if _LOADED[name] != library:
         remedy = "export one of them with another --name, and load that one"
-        raise ExportError(
-            f"a plugin mckibben.{name} is already loaded from {_LOADED[name].parent}",
-            field="name",
-            value=name,
-            remedy=remedy,
-        )
+        message = f"a plugin mckibben.{name} is already loaded from {_LOADED[name].parent}"
+        raise ExportError(message, field="name", value=name, remedy=remedy)
     return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
 
 

@@ -65,12 +65,9 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
             expressions.append(lines.text(force if rest is None else lines["neg"](force)))
         except ExportError as error:
             parts = f"{type(muscle.law).__name__}, {type(joint.geometry).__name__}"
-            raise ExportError(
-                f"OpenSim cannot express the force of muscle {number} ({parts}): {error.message}",
-                field=f"muscle{number}",
-                value=parts,
-                remedy="use a law with a closed-form force, and paths without tables",
-            ) from None
+            message = f"OpenSim cannot express the force of muscle {number} ({parts}): {error.message}"
+            remedy = "use a law with a closed-form force, and paths without tables"
+            raise ExportError(message, field=f"muscle{number}", value=parts, remedy=remedy) from None
         rests.append(rest)
         if rest is None:
             left_out.append(f"path of muscle {number}: not supported by OpenSim; its torque acts on the joint")

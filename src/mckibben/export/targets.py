@@ -72,12 +72,8 @@ def export(
     """
     if target not in TARGETS:
         legs = ", or a leg" if target == "urdf" else ""
-        raise ParameterError(
-            f"{quoted(target)} is not a format{' of a joint' if legs else ''}",
-            field="to",
-            value=target,
-            remedy=f"give {' or '.join(TARGETS)}{legs}",
-        )
+        message = f"{quoted(target)} is not a format{' of a joint' if legs else ''}"
+        raise ParameterError(message, field="to", value=target, remedy=f"give {' or '.join(TARGETS)}{legs}")
     if fmi not in (None, 2, 3):
         raise ParameterError(f"FMI {fmi:g} cannot be written", field="fmi", value=fmi, remedy="give 2 or 3")
     options = {"single": single or None, "fmi": fmi and int(fmi)}

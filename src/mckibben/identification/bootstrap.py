@@ -211,10 +211,7 @@ def _blocks(regression: Regression, by: Grouping | None) -> tuple[Grouping, Ints
     labels = group_labels(points, by)
     blocks = int(labels.max()) + 1
     if blocks < _FEWEST_BLOCKS:
-        raise IdentificationError(
-            f"{by.counted(blocks)} are too few to draw from",
-            value=blocks,
-            lower=_FEWEST_BLOCKS,
-            remedy="repeat the test, or rely on Fit.intervals, which allows for few groups",
-        )
+        message = f"{by.counted(blocks)} are too few to draw from"
+        remedy = "repeat the test, or rely on Fit.intervals, which allows for few groups"
+        raise IdentificationError(message, value=blocks, lower=_FEWEST_BLOCKS, remedy=remedy)
     return by, labels

@@ -253,12 +253,9 @@ def _check_directions(paths: TimedLoadingPaths, used: Bools) -> None:
     for side, word in ((1, "stretching"), (-1, "shortening")):
         count = int(np.count_nonzero(used & (paths.sides == side)))
         if count < _FEWEST_PLATEAUS:
-            raise IdentificationError(
-                f"{count} taut plateaus follow a move by {word}",
-                value=count,
-                lower=_FEWEST_PLATEAUS,
-                remedy=f"measure at least {_FEWEST_PLATEAUS} in each direction",
-            )
+            message = f"{count} taut plateaus follow a move by {word}"
+            remedy = f"measure at least {_FEWEST_PLATEAUS} in each direction"
+            raise IdentificationError(message, value=count, lower=_FEWEST_PLATEAUS, remedy=remedy)
 
 
 def _drift(slopes: Floats, paths: TimedLoadingPaths, used: Bools) -> tuple[float, float, float]:

@@ -89,12 +89,9 @@ class DelayedShareFit:
         groups = length_groups(bins, plateaus, mean_forces(bins, plateaus))
         used = sorted(int(k) for group in groups for k in group.members)
         if len(used) < _FEWEST_PLATEAUS:
-            raise IdentificationError(
-                f"{len(used)} plateaus of the pressure, at lengths with at least {FEWEST_LEVELS} levels",
-                value=len(used),
-                lower=_FEWEST_PLATEAUS,
-                remedy="step the pressure up and down over several levels at a fixed length, and wait at each",
-            )
+            message = f"{len(used)} plateaus of the pressure, at lengths with at least {FEWEST_LEVELS} levels"
+            remedy = "step the pressure up and down over several levels at a fixed length, and wait at each"
+            raise IdentificationError(message, value=len(used), lower=_FEWEST_PLATEAUS, remedy=remedy)
         place = {k: number for number, k in enumerate(used)}
         plateaus = [plateaus[k] for k in used]
         groups = [one._replace(members=np.array([place[int(k)] for k in one.members])) for one in groups]

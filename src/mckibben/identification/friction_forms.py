@@ -147,12 +147,9 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
     if not number < CONDITION_LIMIT:
         remaining = [name for name, out in zip(names, found.active, strict=True) if not out]
         loose = unidentifiable(found.jacobian[:, ~found.active], remaining)
-        raise IdentificationError(
-            f"the points do not determine {', '.join(loose)} (condition number {number:.1e})",
-            value=number,
-            upper=CONDITION_LIMIT,
-            remedy="measure at more pressures and contractions, use a law with fewer parameters, or give a known one",
-        )
+        message = f"the points do not determine {', '.join(loose)} (condition number {number:.1e})"
+        remedy = "measure at more pressures and contractions, use a law with fewer parameters, or give a known one"
+        raise IdentificationError(message, value=number, upper=CONDITION_LIMIT, remedy=remedy)
     if not found.converged:
         raise IdentificationError(
             f"the fit of law and friction did not converge (RMSE {np.sqrt(np.mean(found.residuals**2)):.3g} N)",

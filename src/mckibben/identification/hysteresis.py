@@ -352,12 +352,9 @@ def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDe
 def _check_form(model: PathDependentModel, form: FrictionForm, levels: Floats) -> None:
     """Reject a form that the data do not determine."""
     if "growth" in form.free and len(levels) < 3:
-        raise IdentificationError(
-            f"friction of the form {form.value!r} needs three pressures, not {len(levels)}",
-            value=len(levels),
-            lower=3,
-            remedy="measure at more pressures, or choose another form",
-        )
+        message = f"friction of the form {form.value!r} needs three pressures, not {len(levels)}"
+        remedy = "measure at more pressures, or choose another form"
+        raise IdentificationError(message, value=len(levels), lower=3, remedy=remedy)
     if form.follows_rate and model.rate is None:
         raise IdentificationError(
             f"friction of the form {form.value!r} needs times at which the speed varies",
@@ -380,12 +377,9 @@ def _shapes_at_bound(law: ForceLaw) -> set[str]:
 def _check_count(model: PathDependentModel, free: tuple[str, ...], drift: DriftBasis) -> None:
     needed, count = len(free) + drift.points.shape[1] + 1, int(np.count_nonzero(model.used))
     if count < needed:
-        raise IdentificationError(
-            f"{count} points cannot determine {needed - 1} parameters of law, friction and drift",
-            value=count,
-            lower=needed,
-            remedy=f"measure at least {needed}, or give a law that is known",
-        )
+        message = f"{count} points cannot determine {needed - 1} parameters of law, friction and drift"
+        remedy = f"measure at least {needed}, or give a law that is known"
+        raise IdentificationError(message, value=count, lower=needed, remedy=remedy)
 
 
 def _result(

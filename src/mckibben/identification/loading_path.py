@@ -261,12 +261,9 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
         moves = np.abs(np.diff(means.contraction))
         gaps = _gaps(means, taut, loading, _NEAR * float(np.median(moves[moves > 0])))  # positions with noise
     if len(gaps) < 2:
-        raise IdentificationError(
-            f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions",
-            value=len(gaps),
-            lower=2,
-            remedy="measure the same positions in both directions, and give nominal pressures (set_pressure)",
-        )
+        message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
+        remedy = "measure the same positions in both directions, and give nominal pressures (set_pressure)"
+        raise IdentificationError(message, value=len(gaps), lower=2, remedy=remedy)
     from scipy.special import stdtrit
 
     middle, count = float(np.median(gaps)), len(gaps)
@@ -280,12 +277,9 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
             remedy="fit the law alone (`identify`), or measure with less noise",
         )
     if middle < 0:
-        raise ReversedDirectionsError(
-            f"loading is {-middle:.2g} N below unloading, which friction cannot be",
-            value=middle,
-            unit="N",
-            remedy="exchange the directions: loading is being stretched, unloading is shortening",
-        )
+        message = f"loading is {-middle:.2g} N below unloading, which friction cannot be"
+        remedy = "exchange the directions: loading is being stretched, unloading is shortening"
+        raise ReversedDirectionsError(message, value=middle, unit="N", remedy=remedy)
     return middle / 2
 
 

@@ -189,12 +189,9 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
         If there are fewer than three specimens, an initial length is unknown, or the points do not determine the law.
     """
     if len(datasets) < 3:
-        raise IdentificationError(
-            f"{len(datasets)} specimens do not show how specimens differ",
-            value=len(datasets),
-            lower=3,
-            remedy="give at least three datasets, one per specimen",
-        )
+        message = f"{len(datasets)} specimens do not show how specimens differ"
+        remedy = "give at least three datasets, one per specimen"
+        raise IdentificationError(message, value=len(datasets), lower=3, remedy=remedy)
     pool = _Pool.of(law, datasets)
     forms = [PoolForm(dead, strength) for dead in (False, True)[: 1 + pool.several] for strength in (False, True)]
     corrections = {form: pool.corrections(form) for form in forms}

@@ -176,12 +176,9 @@ class _Curve:
             found = solve(self.problem, position, fixed=self.index)
             if not found.converged:
                 shown = show(self.value(u), self.parameter.shown)
-                raise IdentificationError(
-                    f"the fit with {self.parameter.name} fixed at {shown} did not converge",
-                    value=self.value(u),
-                    unit=self.parameter.unit,
-                    remedy="look for outliers and wrong units in the data",
-                )
+                message = f"the fit with {self.parameter.name} fixed at {shown} did not converge"
+                remedy = "look for outliers and wrong units in the data"
+                raise IdentificationError(message, value=self.value(u), unit=self.parameter.unit, remedy=remedy)
             self._solutions[u] = found
         worse = max(self._solutions[u].cost - self.least, 0.0)
         return float(np.sign(u - self.start) * np.sqrt(worse / self.variance) / self.ratio) if worse else 0.0

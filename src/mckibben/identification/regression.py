@@ -220,12 +220,9 @@ class Regression:
         model = self._cluster_robust(by)
         if len(model.scores) < 2 or model.decisive:
             why = "one of them alone determines a parameter" if model.decisive else "there are fewer than two"
-            raise IdentificationError(
-                f"no errors can be given for {by.counted(len(model.scores))}: {why}",
-                value=len(model.scores),
-                lower=2,
-                remedy="group the points otherwise, or measure at more pressures",
-            )
+            message = f"no errors can be given for {by.counted(len(model.scores))}: {why}"
+            remedy = "group the points otherwise, or measure at more pressures"
+            raise IdentificationError(message, value=len(model.scores), lower=2, remedy=remedy)
         return model
 
     def robust_errors(self, by: Grouping) -> RobustErrors:

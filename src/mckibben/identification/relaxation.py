@@ -47,12 +47,9 @@ class TimedLoadingPaths:
             real[0] = False
             lacking = float((before - elapsed)[real].max(initial=-math.inf))
             if lacking > _CLOCK_ERROR:
-                raise IdentificationError(
-                    f"move, wait and samples take {lacking:.3g} s longer than the time between two points",
-                    value=lacking,
-                    unit="s",
-                    remedy="check interval, dwell, speed and the times of the points",
-                )
+                message = f"move, wait and samples take {lacking:.3g} s longer than the time between two points"
+                remedy = "check interval, dwell, speed and the times of the points"
+                raise IdentificationError(message, value=lacking, unit="s", remedy=remedy)
             before = np.where(real, elapsed, before)
         return cls(paths, moving, before, means.slack[paths.place], dwell)
 

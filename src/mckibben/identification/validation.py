@@ -67,12 +67,8 @@ class Validation:
             )
             if e.law == law and e.direction == direction and same:
                 return e
-        raise RangeError(
-            f"there are no errors of {law} at pressure {pressure} Pa, direction {direction}",
-            value=pressure,
-            unit="Pa",
-            remedy=f"the laws are {', '.join(self.laws)}",
-        )
+        message = f"there are no errors of {law} at pressure {pressure} Pa, direction {direction}"
+        raise RangeError(message, value=pressure, unit="Pa", remedy=f"the laws are {', '.join(self.laws)}")
 
     def records(self) -> list[dict[str, str | float | int | None]]:
         """One dictionary per group of points, in SI units."""

@@ -132,11 +132,9 @@ class AntagonisticJoint(Component):
                     check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
                     rates = (muscle.friction.viscous_growth, muscle.friction.viscous_length_growth)
                     if any(part is not None for part in (*rates, muscle.friction.rate_growth)):
-                        raise RangeError(
-                            f"{owner}: friction needs the rate of the muscle's length, which is unknown there",
-                            field="friction",
-                            remedy="leave out viscous_growth, viscous_length_growth and rate_growth, or the spring",
-                        )
+                        message = f"{owner}: friction needs the rate of the muscle's length, which is unknown there"
+                        remedy = "leave out viscous_growth, viscous_length_growth and rate_growth, or the spring"
+                        raise RangeError(message, field="friction", remedy=remedy)
                 if muscle.has_creep:
                     raise RangeError(
                         f"{owner}: creep needs the rate of the muscle's length, which is unknown there",

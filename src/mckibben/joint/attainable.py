@@ -125,12 +125,9 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
                 f"{muscle.specimen.name} (muscle {number})",
                 remedy=f"give the joint {change} or {other if stretched else 'a shorter muscle'}",
             )
-        raise UnreachableError(
-            f"no pressures and tensions within limits hold the joint {where}",
-            value=angle,
-            unit="rad",
-            remedy="choose a smaller angle or load, other lengths of the geometry, or a series spring",
-        )
+        message = f"no pressures and tensions within limits hold the joint {where}"
+        remedy = "choose a smaller angle or load, other lengths of the geometry, or a series spring"
+        raise UnreachableError(message, value=angle, unit="rad", remedy=remedy)
     attainable = {"value": stiffness, "lower": low, "upper": high, "unit": "N*m/rad"}
     if low <= stiffness <= high:
         raise UnreachableError(

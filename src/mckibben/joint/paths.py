@@ -273,14 +273,12 @@ class PairedPaths(Geometry):
         for number, arm in enumerate(self.moment_arms(at), 1):
             if not float(arm) > 0:
                 does = "shortens" if number == 1 else "lengthens"
-                raise RangeError(
+                message = (
                     f"muscle {number} {does} as the angle increases: its moment arm at {at / deg:.4g} deg is "
-                    f"{float(arm) / mm:.4g} mm",
-                    value=float(arm),
-                    lower=0.0,
-                    unit="m",
-                    remedy="exchange the paths, or check the signs of the coordinates",
+                    f"{float(arm) / mm:.4g} mm"
                 )
+                remedy = "exchange the paths, or check the signs of the coordinates"
+                raise RangeError(message, value=float(arm), lower=0.0, unit="m", remedy=remedy)
 
     @property
     def angle_range(self) -> tuple[float, float]:

@@ -75,12 +75,9 @@ class ForceLaw(Component):
         """Raise `RangeError` if a file, written with a version of the law's package, has another equation."""
         if given != cls.equation:
             made = f" (version {version})" if version else ""
-            raise RangeError(
-                f"is {quoted(given)}, that of {cls.__module__}.{cls.__qualname__} is {quoted(cls.equation)}",
-                field="equation",
-                value=given,
-                remedy=f"import the law that the file was made with{made}, or identify it again",
-            )
+            message = f"is {quoted(given)}, that of {cls.__module__}.{cls.__qualname__} is {quoted(cls.equation)}"
+            remedy = f"import the law that the file was made with{made}, or identify it again"
+            raise RangeError(message, field="equation", value=given, remedy=remedy)
 
     @classmethod
     def from_file(cls, value: Any) -> Any:

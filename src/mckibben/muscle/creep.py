@@ -194,11 +194,8 @@ class MaxwellCreep(Creep):
                 remedy="give a stiffness, a pressure_share, or no creep",
             )
         if self.pressure_time_constant is not None:
-            raise RangeError(
-                "MaxwellCreep: a pressure_time_constant without a pressure_share",
-                field="pressure_time_constant",
-                remedy="give both",
-            )
+            message = "MaxwellCreep: a pressure_time_constant without a pressure_share"
+            raise RangeError(message, field="pressure_time_constant", remedy="give both")
 
     @property
     def time_constants(self) -> list[float]:

@@ -118,13 +118,9 @@ class Muscle(Component):
         highest = self.domain.pressure_max
         if isinstance(highest, Real) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
             given = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
-            raise RangeError(
-                f"the highest pressure of {self.specimen.name} is {given}",
-                field="pressure_max",
-                value=float(highest),
-                unit="Pa",
-                remedy="give the specimen a domain with its pressure_max, such as 6 * bar",
-            )
+            message = f"the highest pressure of {self.specimen.name} is {given}"
+            remedy = "give the specimen a domain with its pressure_max, such as 6 * bar"
+            raise RangeError(message, field="pressure_max", value=float(highest), unit="Pa", remedy=remedy)
 
     @property
     def has_friction(self) -> bool:

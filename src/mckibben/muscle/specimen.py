@@ -93,15 +93,11 @@ class Domain(Component):
         """Raise `RangeError` with value, range and remedy if a contraction lies outside."""
         if not bool(self.contains_contraction(contraction)):
             lower, upper = float(self.contraction_min), float(self.contraction_max)
-            raise RangeError(
+            message = (
                 f"contraction {contraction / percent:.1f} % is outside "
-                f"{lower / percent:g}..{upper / percent:g} % of {owner}",
-                value=contraction,
-                lower=lower,
-                upper=upper,
-                unit="1",
-                remedy=remedy,
+                f"{lower / percent:g}..{upper / percent:g} % of {owner}"
             )
+            raise RangeError(message, value=contraction, lower=lower, upper=upper, unit="1", remedy=remedy)
 
     def bounds(self) -> str:
         """Return the finite bounds as text."""

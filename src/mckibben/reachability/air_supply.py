@@ -92,21 +92,15 @@ def _valve(needed: float, supply: float) -> tuple[str, AirValve]:
         if float(valve.conductance) >= needed:
             return name, valve
     most = float(known[-1][1].conductance) / L_PER_S_BAR
-    raise UnreachableError(
-        f"the valves need a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar), twice that of the motion",
-        value=needed,
-        upper=most * L_PER_S_BAR,
-        remedy=f"the largest of the catalog, {known[-1][0]}, has {most:.3g} L/(s*bar): allow a longer cycle",
-    )
+    message = f"the valves need a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar), twice that of the motion"
+    remedy = f"the largest of the catalog, {known[-1][0]}, has {most:.3g} L/(s*bar): allow a longer cycle"
+    raise UnreachableError(message, value=needed, upper=most * L_PER_S_BAR, remedy=remedy)
 
 
 def _tube(needed: float, length: float) -> float:
     for diameter in _TUBES:
         if tube_conductance(diameter * mm, length) >= needed:
             return diameter * mm
-    raise UnreachableError(
-        f"a tube of {length:g} m needs a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar)",
-        value=needed,
-        upper=tube_conductance(_TUBES[-1] * mm, length),
-        remedy=f"{_TUBES[-1]:g} mm has less: place the valves closer to the muscles, or allow a longer cycle",
-    )
+    message = f"a tube of {length:g} m needs a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar)"
+    remedy = f"{_TUBES[-1]:g} mm has less: place the valves closer to the muscles, or allow a longer cycle"
+    raise UnreachableError(message, value=needed, upper=tube_conductance(_TUBES[-1] * mm, length), remedy=remedy)

@@ -141,13 +141,8 @@ def nearest_references(
 def check_margin(margin: float) -> None:
     """Raise unless 0 <= margin < 0.5."""
     if not 0 <= margin < 0.5:
-        raise RangeError(
-            f"the margin is {margin:g}",
-            value=margin,
-            lower=0.0,
-            upper=0.5,
-            remedy="give a fraction of the band below 0.5",
-        )
+        remedy = "give a fraction of the band below 0.5"
+        raise RangeError(f"the margin is {margin:g}", value=margin, lower=0.0, upper=0.5, remedy=remedy)
 
 
 def find_nearest(

@@ -62,11 +62,8 @@ def check_length(plant: JointPlant, name: str, lower: float) -> None:
     known = design_lengths(plant)
     if name not in known:
         kind = type(plant.joint.geometry).__name__
-        raise ParameterError(
-            f"{name!r} is not a design variable of a joint with {kind}",
-            value=name,
-            remedy=suggest(name, list(known)),
-        )
+        remedy = suggest(name, list(known))
+        raise ParameterError(f"{name!r} is not a design variable of a joint with {kind}", value=name, remedy=remedy)
     signed = {".".join(place) for place, quantity in _lengths(plant.joint.geometry) if quantity.lower < 0}
     if lower < 0 and name not in signed:
         raise ParameterError(f"{name} is never negative", value=lower, lower=0.0, unit="m", remedy="give 0 or more")

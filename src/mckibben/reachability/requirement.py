@@ -80,18 +80,13 @@ class Requirement:
         if not (np.isfinite(self.torque) and self.torque >= 0):
             raise ParameterError(f"the torque is {self.torque:g} N*m", value=self.torque, remedy="give 0 or more")
         if not -math.inf < self.angles[0] < self.angles[1] < math.inf:
-            raise ParameterError(
-                f"the angles are {self.angles[0] / deg:g} and {self.angles[1] / deg:g} deg",
-                value=self.angles,
-                remedy="give two different angles, the lower first, such as -30..30 deg",
-            )
+            message = f"the angles are {self.angles[0] / deg:g} and {self.angles[1] / deg:g} deg"
+            remedy = "give two different angles, the lower first, such as -30..30 deg"
+            raise ParameterError(message, value=self.angles, remedy=remedy)
         low, high = self.stiffness or (1.0, 1.0)
         if not 0 < low <= high < math.inf:
-            raise ParameterError(
-                f"the stiffness is {low:g} to {high:g} N*m/rad",
-                value=self.stiffness,
-                remedy="give a positive stiffness, or two, the lower first",
-            )
+            remedy = "give a positive stiffness, or two, the lower first"
+            raise ParameterError(f"the stiffness is {low:g} to {high:g} N*m/rad", value=self.stiffness, remedy=remedy)
 
     @property
     def amplitude(self) -> float:

@@ -80,11 +80,8 @@ def parse_target(text: str, *, torque_reserve: float = 0.0) -> DesignTarget:
     """Parse a target such as "stiffness 12..18 N*m/rad over -20..20 deg"; raises ParameterError or UnitError."""
     found = _TARGET.fullmatch(text.strip())
     if not found:
-        raise ParameterError(
-            f"{text!r} is not a design target",
-            value=text,
-            remedy="write it like 'stiffness 12..18 N*m/rad over -20..20 deg'",
-        )
+        remedy = "write it like 'stiffness 12..18 N*m/rad over -20..20 deg'"
+        raise ParameterError(f"{text!r} is not a design target", value=text, remedy=remedy)
     try:
         return DesignTarget(parse_range(found[1], "N*m/rad"), parse_range(found[2], "rad"), torque_reserve)
     except UnitError as error:
@@ -101,11 +98,8 @@ class DesignVariable:
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
-            raise ParameterError(
-                f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is not a range",
-                value=(self.lower, self.upper),
-                remedy="give two lengths, the shorter first",
-            )
+            message = f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is not a range"
+            raise ParameterError(message, value=(self.lower, self.upper), remedy="give two lengths, the shorter first")
         if not max(-self.lower, self.upper) < _LONGEST:
             raise ParameterError(
                 f"{self.name} up to {max(-self.lower, self.upper):g} m is too long for a joint",
@@ -125,11 +119,8 @@ def parse_variable(text: str) -> DesignVariable:
     """
     name, equals, bounds = (part.strip() for part in text.partition("="))
     if not equals or ".." not in bounds:
-        raise ParameterError(
-            f"{text!r} is not a length with its range",
-            value=text,
-            remedy="write it like 'connector_length=150..260 mm'",
-        )
+        remedy = "write it like 'connector_length=150..260 mm'"
+        raise ParameterError(f"{text!r} is not a length with its range", value=text, remedy=remedy)
     try:
         return DesignVariable(name.removeprefix("joint.").removeprefix("geometry."), *parse_range(bounds, "m"))
     except UnitError as error:
@@ -449,11 +440,9 @@ def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], start
         raise ParameterError(f"the search has {starts} starts", value=starts, remedy="give 1 or more")
     laws = plant.joint.muscle1.law, plant.joint.muscle2.law
     if any(plant.joint.springs):
-        raise ParameterError(
-            "with a return spring the angle determines the stiffness: there is no range to attain",
-            field="return_spring",
-            remedy="choose spring and lengths by the envelope, or use two muscles",
-        )
+        message = "with a return spring the angle determines the stiffness: there is no range to attain"
+        remedy = "choose spring and lengths by the envelope, or use two muscles"
+        raise ParameterError(message, field="return_spring", remedy=remedy)
     if not isinstance(plant.joint.tendon, RigidTendon) or not all(isinstance(law, PressureAffineLaw) for law in laws):
         raise ParameterError(
             "a design needs rigid tendons and laws affine in pressure",

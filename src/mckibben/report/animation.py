@@ -40,12 +40,8 @@ def animation_format(path: str | os.PathLike[str]) -> str:
     """Return the format of a file's name, WEBP or GIF; `ParameterError` for any other ending."""
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
-        raise ParameterError(
-            f"{Path(path).name!r} is not the name of an animation",
-            field="path",
-            value=suffix,
-            remedy=f"end it in {' or '.join(FORMATS)}",
-        )
+        message = f"{Path(path).name!r} is not the name of an animation"
+        raise ParameterError(message, field="path", value=suffix, remedy=f"end it in {' or '.join(FORMATS)}")
     return FORMATS[suffix]
 
 
@@ -119,11 +115,8 @@ def _differences(frames: list[Image.Image]) -> list[Image.Image]:
 def _plant_of(result: Result) -> JointPlant:
     """The plant of a result's scenario."""
     if not result.scenario:
-        raise SimulationError(
-            "the run has no scenario, so there is no joint to draw",
-            field="plant",
-            remedy="give its plant: animate(result, path, plant)",
-        )
+        remedy = "give its plant: animate(result, path, plant)"
+        raise SimulationError("the run has no scenario, so there is no joint to draw", field="plant", remedy=remedy)
     from mckibben.scenario import Scenario
 
     return Scenario.parse(result.scenario).plant()

@@ -127,12 +127,9 @@ def _draw(folder: str) -> None:
         if not done.returncode:
             return
         said = done.stderr.strip().splitlines()[-1:]
-    raise ExportError(
-        f"MuJoCo cannot draw without a display: {' '.join(said)[:300]}",
-        field="MUJOCO_GL",
-        value=own,
-        remedy="install offscreen OpenGL: apt install libegl1 or libosmesa6, or set MUJOCO_GL",
-    )
+    message = f"MuJoCo cannot draw without a display: {' '.join(said)[:300]}"
+    remedy = "install offscreen OpenGL: apt install libegl1 or libosmesa6, or set MUJOCO_GL"
+    raise ExportError(message, field="MUJOCO_GL", value=own, remedy=remedy)
 
 
 def _start(run: xr.Dataset) -> tuple[list[float], list[float]]:

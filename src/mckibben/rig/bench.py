@@ -64,12 +64,8 @@ class Drive(Checked):
         exact = travel * self.pulses_per_metre
         if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
             one = 1 / self.pulses_per_metre / mm
-            raise RangeError(
-                f"{travel / mm:g} mm are {exact:g} pulses",
-                value=travel,
-                unit="m",
-                remedy=f"take a multiple of {one:g} mm",
-            )
+            remedy = f"take a multiple of {one:g} mm"
+            raise RangeError(f"{travel / mm:g} mm are {exact:g} pulses", value=travel, unit="m", remedy=remedy)
         return round(exact)
 
     def nearest(self, travel: float) -> int:
@@ -84,14 +80,9 @@ class Drive(Checked):
         """Pulse rate [Hz] for a speed [m/s]; `RangeError` if it is above that of the motor."""
         rate = abs(speed) * self.pulses_per_metre
         if not 0 < rate <= self.fastest:
-            raise RangeError(
-                f"{speed / mm:g} mm/s are {rate:g} pulses per second; the motor does {self.fastest:g} at most",
-                value=rate,
-                lower=0.0,
-                upper=self.fastest,
-                unit="Hz",
-                remedy=f"move at up to {self.fastest / self.pulses_per_metre / mm:g} mm/s",
-            )
+            message = f"{speed / mm:g} mm/s are {rate:g} pulses per second; the motor does {self.fastest:g} at most"
+            remedy = f"move at up to {self.fastest / self.pulses_per_metre / mm:g} mm/s"
+            raise RangeError(message, value=rate, lower=0.0, upper=self.fastest, unit="Hz", remedy=remedy)
         return rate
 
 

@@ -46,11 +46,8 @@ class Calibration:
         for field in (*_NUMBERS, "margin", "residual"):
             value = getattr(self, field)
             if not math.isfinite(value) or (field == "gain" and value == 0):
-                raise RangeError(
-                    f"calibration of {self.name}: {field} is {value:g}",
-                    value=value,
-                    remedy="it has to be finite" + (" and other than 0" if field == "gain" else ""),
-                )
+                remedy = "it has to be finite" + (" and other than 0" if field == "gain" else "")
+                raise RangeError(f"calibration of {self.name}: {field} is {value:g}", value=value, remedy=remedy)
         if not self.low < self.high or self.margin < 0:
             raise RangeError(
                 f"calibration of {self.name}: the span {self.low:g}..{self.high:g} {self.unit} with a margin of "
@@ -90,24 +87,16 @@ class Calibration:
         """Violations of span and converter range by values from low to high, in the unit."""
         problems: list[Problem] = []
         if low < self.low or high > self.high:
-            problems.append(
-                Problem(
-                    f"{low:g}..{high:g} {self.unit} leaves its span {self.low:g}..{self.high:g} {self.unit}",
-                    field=self.name,
-                    remedy="stay within it, or use another sensor",
-                )
-            )
+            message = f"{low:g}..{high:g} {self.unit} leaves its span {self.low:g}..{self.high:g} {self.unit}"
+            problems.append(Problem(message, field=self.name, remedy="stay within it, or use another sensor"))
         if channel is not None:
             ends = sorted(float(end) for end in self.volts([low, high]))
             if ends[0] < channel.low or ends[1] > channel.high:
-                problems.append(
-                    Problem(
-                        f"{low:g}..{high:g} {self.unit} are {ends[0]:g}..{ends[1]:g} V, and the converter has "
-                        f"{channel.low:g}..{channel.high:g} V",
-                        field=self.name,
-                        remedy="stay within it, or set its range",
-                    )
+                message = (
+                    f"{low:g}..{high:g} {self.unit} are {ends[0]:g}..{ends[1]:g} V, and the converter has "
+                    f"{channel.low:g}..{channel.high:g} V"
                 )
+                problems.append(Problem(message, field=self.name, remedy="stay within it, or set its range"))
         return problems
 
     def tared(self, volts: ArrayLike) -> Calibration:
@@ -117,12 +106,8 @@ class Calibration:
             raise RigError(f"no {self.name} to tare: the sensor is lost", remedy="check its wiring and its supply")
         tare = float(np.mean((readings - self.offset) * self.gain))
         if abs(tare) > 0.1 * (self.high - self.low):
-            raise RigError(
-                f"the unloaded {self.name} reads {tare:g} {self.unit}, more than a tenth of its span",
-                value=tare,
-                unit=self.unit,
-                remedy="take the load off, or repeat the calibration",
-            )
+            message = f"the unloaded {self.name} reads {tare:g} {self.unit}, more than a tenth of its span"
+            raise RigError(message, value=tare, unit=self.unit, remedy="take the load off, or repeat the calibration")
         return replace(self, tare=tare)
 
     def to_json(self) -> dict[str, Any]:
@@ -204,14 +189,12 @@ def calibrate(
     worst = int(np.argmax(np.abs(off)))
     residual = float(abs(off[worst]))
     if residual > tolerance * np.ptp(there):
-        raise RigError(
+        message = (
             f"{name}: the reading {read[worst]:g} V at {there[worst]:g} {unit} is {residual:g} {unit} off the line, "
-            f"{residual / float(np.ptp(there)) / percent:.2g} % of the range",
-            value=residual,
-            upper=tolerance * float(np.ptp(there)),
-            unit=unit,
-            remedy="read it again; if it stays, the sensor is not linear or is overloaded",
+            f"{residual / float(np.ptp(there)) / percent:.2g} % of the range"
         )
+        remedy = "read it again; if it stays, the sensor is not linear or is overloaded"
+        raise RigError(message, value=residual, upper=tolerance * float(np.ptp(there)), unit=unit, remedy=remedy)
     return Calibration(
         name=name,
         unit=unit,

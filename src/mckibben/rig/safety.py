@@ -230,21 +230,11 @@ class SafetyMonitor:
             )
         if before is not None and not first - before <= self._maximum_age:
             dropped = round((first - before) * self.backend.rate) - 1
-            raise StoppedError(
-                f"{dropped} samples were dropped: the gap is {first - before:.3g} s",
-                value=first - before,
-                upper=self._maximum_age,
-                unit="s",
-                remedy=_BUSY,
-            )
+            message = f"{dropped} samples were dropped: the gap is {first - before:.3g} s"
+            raise StoppedError(message, value=first - before, upper=self._maximum_age, unit="s", remedy=_BUSY)
         if clock is not None and not abs(clock - last) <= self._maximum_age:
-            raise StoppedError(
-                f"the newest sample is {clock - last:.3g} s old",
-                value=clock - last,
-                upper=self._maximum_age,
-                unit="s",
-                remedy=_BUSY,
-            )
+            message = f"the newest sample is {clock - last:.3g} s old"
+            raise StoppedError(message, value=clock - last, upper=self._maximum_age, unit="s", remedy=_BUSY)
 
     def _check_rates(self, time: float, values: Sequence[float]) -> None:
         """Check the rates of change between the means over the last two windows."""
@@ -371,13 +361,11 @@ class RigMonitor(SafetyMonitor):
         since = last - self._set_at
         error = 0.0 if setpoint is None or since <= self.limits.settling else abs(pressure - setpoint)
         if setpoint is not None and error > self.limits.pressure_error:
-            raise StoppedError(
+            message = (
                 f"the pressure does not follow: {pressure / bar:.3g} bar {since:.3g} s after {setpoint / bar:.3g} "
-                "bar were set",
-                value=pressure,
-                unit="Pa",
-                remedy="check the supply, the valve and the muscle",
+                "bar were set"
             )
+            raise StoppedError(message, value=pressure, unit="Pa", remedy="check the supply, the valve and the muscle")
         return BlockMeans(last, values[self._force], pressure, values[-1])
 
 

@@ -183,12 +183,9 @@ class RigSession:
 
         def in_time(latest: BlockMeans) -> None:
             if latest.time > since + self.bench.limits.settling:
-                raise StoppedError(
-                    f"{latest.pressure / bar:.3g} bar remain {latest.time - since:.3g} s after venting",
-                    value=latest.pressure,
-                    unit="Pa",
-                    remedy="shut the supply by hand, and check the valve; if it is empty, tare its sensor",
-                )
+                message = f"{latest.pressure / bar:.3g} bar remain {latest.time - since:.3g} s after venting"
+                remedy = "shut the supply by hand, and check the valve; if it is empty, tare its sensor"
+                raise StoppedError(message, value=latest.pressure, unit="Pa", remedy=remedy)
 
         self._settle(lambda latest: latest.pressure <= self.bench.vented, in_time)
         self._expect_settled(0.0)

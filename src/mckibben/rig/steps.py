@@ -252,11 +252,8 @@ def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[P
     # without a law: from the shortest length until the next step would exceed the limit, and back until it is slack
     first, last = protocol.stroke(of)
     if of.rated_force is None:
-        raise RangeError(
-            f"a test without a law goes up to the rated force of {of.name}, which is unknown",
-            field="rated_force",
-            remedy="give the specimen its rated_force, or the muscle a law",
-        )
+        message = f"a test without a law goes up to the rated force of {of.name}, which is unknown"
+        raise RangeError(message, field="rated_force", remedy="give the specimen its rated_force, or the muscle a law")
     limit = float(of.rated_force) * (1 - protocol.force_reserve)
     found = Acquire(samples=protocol.samples, duration=protocol.acquisition, keep=False)
     for pressure in protocol.pressures:

@@ -281,11 +281,8 @@ def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
             raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason[0]}", value=name, remedy=reason[1])
     below = [known for known in found.numbers if known.startswith(f"{spelling}.")]
     if below and spelling:
-        raise ParameterError(
-            f"{quoted(spelling)} is a group of parameters",
-            value=name,
-            remedy=f"choose one, such as {below[0]}; {LISTING}",
-        )
+        message = f"{quoted(spelling)} is a group of parameters"
+        raise ParameterError(message, value=name, remedy=f"choose one, such as {below[0]}; {LISTING}")
     if len(ending) > 1:
         raise ParameterError(
             f"{quoted(spelling)} is the end of several names", value=name, remedy=f"write {' or '.join(ending[:3])}"

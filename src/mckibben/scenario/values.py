@@ -278,11 +278,8 @@ def _column(parameter: ScenarioParameter, values: ArrayLike) -> NDArray:
     except ValueError:  # ragged
         given = np.empty(0)
     if given.ndim != 1 or given.size == 0 or given.dtype.kind not in "fiu":
-        raise ParameterError(
-            f"the values of {parameter.name} are not a column of numbers",
-            value=values,
-            remedy="give one number per row",
-        )
+        remedy = "give one number per row"
+        raise ParameterError(f"the values of {parameter.name} are not a column of numbers", value=values, remedy=remedy)
     bad = np.flatnonzero(~np.asarray(parameter.holds(given)))
     if bad.size:
         value = given[bad[0]].item()

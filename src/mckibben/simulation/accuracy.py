@@ -132,14 +132,9 @@ def check_accuracy(accuracy: Any, substeps: Any = None, bits: int = 64) -> None:
 def _raise_unreachable(accuracy: float, reachable: float, why: str, otherwise: str = "") -> None:
     digits = 10 ** (math.floor(math.log10(reachable)) - 1)
     lowest = float(f"{math.ceil(reachable / digits - 1e-9) * digits:.1e}")
-    raise SimulationError(
-        f"an accuracy of {accuracy:g} rad is beyond {why}",
-        field="accuracy",
-        value=accuracy,
-        lower=lowest,
-        unit="rad",
-        remedy=f"give {lowest:g} rad or more{otherwise}",
-    )
+    message = f"an accuracy of {accuracy:g} rad is beyond {why}"
+    remedy = f"give {lowest:g} rad or more{otherwise}"
+    raise SimulationError(message, field="accuracy", value=accuracy, lower=lowest, unit="rad", remedy=remedy)
 
 
 _KEPT = 20_000  # instants at which step doubling compares solutions

@@ -354,10 +354,7 @@ def _stride(every: float | None, control_period: float, periods: int) -> int:
         return 1
     stride = whole_periods(every, control_period) if math.isfinite(every) and every > 0 else None
     if stride is None or periods % stride:
-        raise SimulationError(
-            f"values every {every:g} s do not fit {periods} control periods of {control_period:g} s",
-            value=every,
-            unit="s",
-            remedy="give a multiple of the control period that divides the duration",
-        )
+        message = f"values every {every:g} s do not fit {periods} control periods of {control_period:g} s"
+        remedy = "give a multiple of the control period that divides the duration"
+        raise SimulationError(message, value=every, unit="s", remedy=remedy)
     return stride

@@ -148,12 +148,9 @@ def optimal_commands(
     times = sampling_times(duration, control_period)
     begun = np.asarray(commands, float)
     if begun.shape != (times.size, 2):
-        raise SimulationError(
-            f"commands of shape {begun.shape} for {times.size} control periods",
-            field="commands",
-            value=begun.shape,
-            remedy=f"give an array of shape ({times.size}, 2)",
-        )
+        message = f"commands of shape {begun.shape} for {times.size} control periods"
+        remedy = f"give an array of shape ({times.size}, 2)"
+        raise SimulationError(message, field="commands", value=begun.shape, remedy=remedy)
     plant, initial = numeric((plant, plant.complete_state(initial)))
     problem = _Problem(
         plant,

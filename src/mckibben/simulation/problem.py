@@ -145,14 +145,9 @@ def check_frequencies(reference: Reference | None, control_period: float) -> Non
         if name.split(".")[-1] == "frequency" or "frequencies" in name.split("."):
             value = float(np.max(np.asarray(leaf, float)))
             if value >= highest * (1 - 1e-9):
-                raise SimulationError(
-                    f"{name} is {value:g} Hz, at or above half the control rate of {1 / control_period:g} Hz",
-                    field=name,
-                    value=value,
-                    upper=highest,
-                    unit="Hz",
-                    remedy=f"give less than {highest:g} Hz, or a shorter control period",
-                )
+                message = f"{name} is {value:g} Hz, at or above half the control rate of {1 / control_period:g} Hz"
+                remedy = f"give less than {highest:g} Hz, or a shorter control period"
+                raise SimulationError(message, field=name, value=value, upper=highest, unit="Hz", remedy=remedy)
 
 
 def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
@@ -237,12 +232,9 @@ def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
             raise SimulationError(text, field=name, value=value, lower=0.0, unit="s", remedy="give a positive time")
     periods = whole_periods(duration, period)
     if periods is None:
-        raise SimulationError(
-            f"a duration of {duration:.12g} s is not a multiple of the control period of {period:.12g} s",
-            value=duration,
-            unit="s",
-            remedy=f"{max(round(duration / period), 1) * period:.12g} s would be",
-        )
+        message = f"a duration of {duration:.12g} s is not a multiple of the control period of {period:.12g} s"
+        remedy = f"{max(round(duration / period), 1) * period:.12g} s would be"
+        raise SimulationError(message, value=duration, unit="s", remedy=remedy)
     return np.arange(periods, dtype=float) * period
 
 

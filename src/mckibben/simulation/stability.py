@@ -145,15 +145,9 @@ def linear_loop(
     """
     times = sampling_times(duration, control_period)
     if not 0 <= time <= duration:
-        raise ParameterError(
-            f"the time {time:g} s is not within the run of {duration:g} s",
-            field="time",
-            value=time,
-            lower=0.0,
-            upper=duration,
-            unit="s",
-            remedy="choose a time of the run",
-        )
+        message = f"the time {time:g} s is not within the run of {duration:g} s"
+        remedy = "choose a time of the run"
+        raise ParameterError(message, field="time", value=time, lower=0.0, upper=duration, unit="s", remedy=remedy)
     chosen = np.array([int(np.argmin(np.abs(times - time)))])
     loops, state = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
     names = []

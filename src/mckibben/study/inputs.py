@@ -44,18 +44,13 @@ def data_named(
         if Path(name).exists():
             continue
         if name in known:
-            raise NotInCatalogError(
-                f"{name} is a dataset of the catalog, which cannot be joined with others",
-                value=name,
-                remedy="give one dataset of the catalog, or files only",
-            )
+            message = f"{name} is a dataset of the catalog, which cannot be joined with others"
+            raise NotInCatalogError(message, value=name, remedy="give one dataset of the catalog, or files only")
         close = difflib.get_close_matches(name, known, 1) or [one for one in known if name and one.startswith(name)]
         if close or not re.search(r"[./\\]", name):
-            raise NotInCatalogError(
-                f"there is no file {name!r}, and no dataset of that name",
-                value=name,
-                remedy=f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}",
-            )
+            message = f"there is no file {name!r}, and no dataset of that name"
+            remedy = f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}"
+            raise NotInCatalogError(message, value=name, remedy=remedy)
     found = recipe.dataset(names, on_corrupt="report" if skip_corrupt else "raise")
     kind = found.table.attrs["specimen"]
     return check_dataset(found, names[0], catalog.specimen(kind)) if kind in catalog.names("specimens") else found

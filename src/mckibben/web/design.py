@@ -51,13 +51,9 @@ class JointKind(NamedTuple):
 def _connectors(distance: float, length: float) -> float:
     """Length of the connectors [m] of muscles of a length [m] between anchors at a distance [m]."""
     if distance < length:
-        raise RangeError(
-            f"the anchors are {distance / mm:.4g} mm apart, less than the muscles of {length / mm:.4g} mm",
-            value=distance,
-            lower=length,
-            unit="m",
-            remedy="move them apart, or let the muscles contract more",
-        )
+        message = f"the anchors are {distance / mm:.4g} mm apart, less than the muscles of {length / mm:.4g} mm"
+        remedy = "move them apart, or let the muscles contract more"
+        raise RangeError(message, value=distance, lower=length, unit="m", remedy=remedy)
     return distance - length
 
 

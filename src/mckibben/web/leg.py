@@ -117,12 +117,9 @@ def parse(text: str, folder: Path) -> LegScenario:
         valves = len(found.landing.time_constants) + 2
         count = valves * len(found.landing.drop) * levels * (found.uncertainty.draws + 1)
         if count > MOST_LANDINGS:
-            raise ParameterError(
-                f"the study has {count} landings, more than {MOST_LANDINGS}",
-                value=count,
-                upper=MOST_LANDINGS,
-                remedy="use fewer draws or drops, or use `mckibben leg land`",
-            )
+            message = f"the study has {count} landings, more than {MOST_LANDINGS}"
+            remedy = "use fewer draws or drops, or use `mckibben leg land`"
+            raise ParameterError(message, value=count, upper=MOST_LANDINGS, remedy=remedy)
     return found
 
 

@@ -66,11 +66,8 @@ def checked(text: str, folder: Path) -> CheckedTest:
         raise ParameterError("this page runs the simulated rig only", remedy="use `mckibben rig run` for a card")
     found = check(test, document)
     if found.dry_run.samples > _MOST_SAMPLES:
-        raise ParameterError(
-            f"the test has {found.dry_run.samples} samples, more than {_MOST_SAMPLES}",
-            value=found.dry_run.samples,
-            remedy="use fewer points, or use `mckibben rig run`",
-        )
+        message = f"the test has {found.dry_run.samples} samples, more than {_MOST_SAMPLES}"
+        raise ParameterError(message, value=found.dry_run.samples, remedy="use fewer points, or use `mckibben rig run`")
     return found
 
 

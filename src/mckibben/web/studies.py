@@ -90,12 +90,9 @@ def _lines(text: str) -> list[str]:
 def _check_budget(scenario: Scenario, runs: float) -> None:
     steps = runs * steps_of(scenario)
     if steps > MOST_STEPS:
-        raise ParameterError(
-            f"the study has {steps:.2g} integration steps, more than {MOST_STEPS:.2g}",
-            value=steps,
-            upper=MOST_STEPS,
-            remedy="use fewer runs or a shorter duration, or use the command line",
-        )
+        message = f"the study has {steps:.2g} integration steps, more than {MOST_STEPS:.2g}"
+        remedy = "use fewer runs or a shorter duration, or use the command line"
+        raise ParameterError(message, value=steps, upper=MOST_STEPS, remedy=remedy)
 
 
 def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Tuned:

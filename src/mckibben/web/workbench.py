@@ -98,11 +98,8 @@ def parse(text: str, folder: Path) -> Scenario:
     found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
     steps = steps_of(found)
     if steps > MOST_STEPS:
-        raise ParameterError(
-            f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}",
-            value=steps,
-            remedy="shorten the duration, or use `mckibben simulate`",
-        )
+        message = f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}"
+        raise ParameterError(message, value=steps, remedy="shorten the duration, or use `mckibben simulate`")
     return found
 
 

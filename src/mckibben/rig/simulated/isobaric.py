@@ -192,14 +192,12 @@ class SimulatedIsobaricTest(Checked):
             highest = highest + self._creep(protocol, rows, tension, np.zeros(1))[:, 0]
         at, rated = int(np.argmax(highest)), float(self.muscle.specimen.force_limit)
         if highest[at] > rated:
-            raise RangeError(
+            message = (
                 f"hysteresis, creep and regulator offset can take the force to {highest[at]:.0f} N at "
-                f"{pressures[at] / bar:g} bar, above the rated {rated:g} N",
-                value=float(highest[at]),
-                upper=rated,
-                unit="N",
-                remedy=f"raise the protocol's force_reserve from {protocol.force_reserve / percent:g} %",
+                f"{pressures[at] / bar:g} bar, above the rated {rated:g} N"
             )
+            remedy = f"raise the protocol's force_reserve from {protocol.force_reserve / percent:g} %"
+            raise RangeError(message, value=float(highest[at]), upper=rated, unit="N", remedy=remedy)
 
 
 def _sampled(

@@ -86,11 +86,8 @@ def _tabulate(muscle: Muscle) -> ForceTable:
     spline = RectBivariateSpline(x, y, at)
     error = float(np.abs(spline(middle_x, middle_y) - between)[between > 0].max(initial=0.0))
     if error > _ROUGH:
-        raise RangeError(
-            f"the law of {muscle.specimen.name} is not smooth enough: its table deviates by {error:.2g} N",
-            value=error,
-            unit="N",
-        )
+        message = f"the law of {muscle.specimen.name} is not smooth enough: its table deviates by {error:.2g} N"
+        raise RangeError(message, value=error, unit="N")
     return ForceTable((first, last), (0.0, _HIGHEST), error, _coefficients(spline, x, y))
 
 

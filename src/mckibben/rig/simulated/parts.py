@@ -229,14 +229,9 @@ class Motor:
         if self.moving(now):
             raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
         if not 0 < rate <= self._fastest:
-            raise RigError(
-                f"the motor cannot run at {rate:g} pulses per second",
-                value=rate,
-                lower=0.0,
-                upper=self._fastest,
-                unit="Hz",
-                remedy=f"it reaches {self._fastest:g} at most",
-            )
+            message = f"the motor cannot run at {rate:g} pulses per second"
+            remedy = f"it reaches {self._fastest:g} at most"
+            raise RigError(message, value=rate, lower=0.0, upper=self._fastest, unit="Hz", remedy=remedy)
         self.stop(now)
         if pulses:
             rate = min(rate, math.sqrt(abs(pulses) * self._acceleration))

@@ -406,10 +406,5 @@ def _sobol(dimensions: int, start: int, stop: int, seed: int) -> NDArray[np.floa
 def check_count(what: str, value: object, least: int, most: int) -> None:
     """Raise ParameterError unless a value is a whole number in a range."""
     if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
-        raise ParameterError(
-            f"{what} is {value!r}",
-            value=value,
-            lower=least,
-            upper=most,
-            remedy=f"choose a whole number, {least} to {most}",
-        )
+        remedy = f"choose a whole number, {least} to {most}"
+        raise ParameterError(f"{what} is {value!r}", value=value, lower=least, upper=most, remedy=remedy)

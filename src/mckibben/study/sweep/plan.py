@@ -104,11 +104,9 @@ class SweepPlan:
         """Make and check the table; `folder` is the base of the manifest's paths, `source` the scenario's origin."""
         method = "sobol" if options.design is None else options.design
         if method == "grid" and options.samples is not None:
-            raise ParameterError(
-                "the points of a grid determine the number of runs",
-                value=options.samples,
-                remedy="leave the number of samples out, or choose another design",
-            )
+            message = "the points of a grid determine the number of runs"
+            remedy = "leave the number of samples out, or choose another design"
+            raise ParameterError(message, value=options.samples, remedy=remedy)
         swept = _swept(options.over, scenario)
         known = known_names(scenario, options.known or (), [each.name for each in swept])
         samples = _SAMPLES if options.samples is None else options.samples

@@ -94,18 +94,12 @@ class Cost:
                 f"the delay margin is {self.delay_margin:g} s", value=self.delay_margin, remedy="give 0 (none) or more"
             )
         if not 0 <= self.disk_margin < 2:
-            raise ParameterError(
-                f"the disk margin is {self.disk_margin:g}",
-                value=self.disk_margin,
-                remedy="give 0 (none) or more, below 2: no loop has more",
-            )
+            remedy = "give 0 (none) or more, below 2: no loop has more"
+            raise ParameterError(f"the disk margin is {self.disk_margin:g}", value=self.disk_margin, remedy=remedy)
         if self.percentile is not None:
             if not 0 < self.percentile <= 100:
-                raise ParameterError(
-                    f"the percentile is {self.percentile:g}",
-                    value=self.percentile,
-                    remedy="give a number above 0, up to 100",
-                )
+                remedy = "give a number above 0, up to 100"
+                raise ParameterError(f"the percentile is {self.percentile:g}", value=self.percentile, remedy=remedy)
             if self.worst:
                 raise ParameterError("the worst case is the 100th percentile", remedy="give one of the two")
 

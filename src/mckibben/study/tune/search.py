@@ -136,11 +136,8 @@ def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParamet
         parameter = find_parameter(scenario, text)
         if not parameter.nominal or parameter.is_integer:
             what = "a whole number" if parameter.is_integer else "zero, or not given"
-            raise ParameterError(
-                f"{parameter.name} is {what}: there is no range around it",
-                value=text,
-                remedy=f"write {parameter.name}=LOW..HIGH",
-            )
+            remedy = f"write {parameter.name}=LOW..HIGH"
+            raise ParameterError(f"{parameter.name} is {what}: there is no range around it", value=text, remedy=remedy)
         return SweptParameter(parameter, _range_around(parameter, 2.0))
 
     return parse_distinct(texts, parse)

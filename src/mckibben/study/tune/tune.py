@@ -272,12 +272,9 @@ def tune(
     folder = Path() if history is None else history.parent
     if method is Method.GRADIENT:
         if engine not in ("auto", "xla"):
-            raise ParameterError(
-                f"the gradient method cannot use the engine {quoted(engine)}",
-                field="engine",
-                value=engine,
-                remedy="choose another method, or leave the engine out",
-            )
+            message = f"the gradient method cannot use the engine {quoted(engine)}"
+            remedy = "choose another method, or leave the engine out"
+            raise ParameterError(message, field="engine", value=engine, remedy=remedy)
         engine = "xla"
     elif history is not None:
         engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None, engine)
