@@ -106,7 +106,7 @@ def test_form_comes_back_as_it_went():
 def test_all_that_is_wrong_in_a_form_is_told_at_once():
     with pytest.raises(RangeError) as caught:
         Calibration.from_json({"name": "force", "unit": 1, "gain": "200", "low": 0.0, "colour": "red"})
-    for text in ("high: missing", "unit: 1", "gain: '200'", "colour: unknown"):
+    for text in ("high: missing", "unit: 1 is not text", "gain: '200' is not a number", "colour: is not a known key"):
         assert text in str(caught.value)
     for wrong in ({"gain": 0.0}, {"gain": np.inf}, {"low": 3000.0}):
         with pytest.raises(RangeError):

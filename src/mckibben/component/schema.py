@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
 from pydantic import Field, GetCoreSchemaHandler, TypeAdapter, create_model
@@ -54,15 +54,8 @@ ENDINGS = (".yaml", ".yml")
 class Section(ConfigModel):
     """Fields of one class in a file; made by `section_of`."""
 
-    runtime: ClassVar[type]
     class_: Annotated[Any, Field(alias="class")] = None
     from_: Annotated[Any, Field(alias="from")] = None
-
-    def build(self, **others: Any) -> Any:
-        """Return the component; fields that are not given keep the default of its class."""
-        known = declared_fields(self.runtime)
-        given = {name: getattr(self, name) for name in self.model_fields_set if name in known}
-        return self.runtime(**{name: one for name, one in given.items() if one is not None} | others)
 
 
 @functools.cache
@@ -81,7 +74,6 @@ def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) 
     fields |= {alias: (known[names[0]] | None, None) for alias, names in getattr(runtime, "aliases", {}).items()}
     with warnings.catch_warnings(action="ignore"):  # a field may have the name of a method of pydantic
         model = cast(Any, create_model(f"{runtime.__name__}Section", __base__=Section, **fields))
-    model.runtime = runtime
     model.renamed = getattr(runtime, "renamed", {})
     return model
 

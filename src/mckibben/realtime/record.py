@@ -158,7 +158,7 @@ def measured_result(
 
 
 def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """RowBuffer without gaps: a missing sample or command has the previous value."""
+    """Columns without gaps: a missing sample or command has the previous value."""
     sample = columns["sample"]
     if not sample.size:
         return dict(columns)

@@ -131,16 +131,17 @@ class Calibration:
             problems.append(Problem("does not match: the file was changed or damaged", field="checksum", remedy=remedy))
         for field, value in form.items():
             if field in cls._texts:
-                right = isinstance(value, str)
+                right, kind = isinstance(value, str), "text"
             elif field in numbers:
-                right = isinstance(value, int | float) and not isinstance(value, bool)
+                right, kind = isinstance(value, int | float) and not isinstance(value, bool), "a number"
             elif field in lists:
                 right = isinstance(value, list | tuple) and all(isinstance(one, int | float) for one in value)
+                kind = "a list of numbers"
             else:
-                problems.append(Problem("unknown", field=str(field)))
+                problems.append(Problem("is not a known key", field=str(field), value=value))
                 continue
             if not right:
-                problems.append(Problem(f"{quoted(value)} is not a known key", field=field))
+                problems.append(Problem(f"{quoted(value)} is not {kind}", field=field, value=value))
         refuse_problems(f"calibration of {form.get('name', 'a channel')}", problems)
         values: dict[str, Any] = dict(form)
         values |= {field: float(values[field]) for field in numbers if field in values}
