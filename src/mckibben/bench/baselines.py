@@ -20,6 +20,7 @@ from mckibben.errors import McKibbenWarning
 from mckibben.identification import identify, identify_hysteresis
 from mckibben.joint import AntagonisticJoint, GeneralLoad, PairedPaths, Pulley
 from mckibben.muscle import LAWS, ChouLaw, ExponentialLaw, ForceLaw, Muscle, Specimen, forces
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.plant import FirstOrderValve
 from mckibben.units import ms
 
@@ -43,7 +44,7 @@ def fit_law(law_type: type[ForceLaw], training: Training) -> Predict | None:
         return fit_joint(law_type, training)
     blocks = training.blocks[:-1] if training.kind == "transfer" else training.blocks
     inputs, output = (np.concatenate([getattr(one, name) for one in blocks]) for name in ("inputs", "output"))
-    chosen = _thinned(len(output), _MOST_POINTS)
+    chosen = evenly_spaced(len(output), _MOST_POINTS)
     points = IsobaricDataset.of(
         contraction=inputs[chosen, 0],
         pressure=inputs[chosen, 1],
@@ -183,7 +184,7 @@ def fit_gaussian_process(training: Training) -> Predict:
     features = functools.partial(_features, period=training.period)
     inputs = np.concatenate([features(one.inputs) for one in training.blocks])
     output = training.stacked[1]
-    chosen = _thinned(len(output), _MOST_CONDITIONED)
+    chosen = evenly_spaced(len(output), _MOST_CONDITIONED)
     found = GaussianProcess.fitted(inputs[chosen], output[chosen])
     return lambda new: found.predict(features(new))
 
@@ -202,11 +203,6 @@ def _features(inputs: Floats, period: float | None) -> Floats:
         keep = np.exp(-period / time)
         columns.append(inputs - inputs[0] - lfilter([1 - keep], [1, -keep], inputs - inputs[0], axis=0))
     return np.concatenate(columns, axis=1)
-
-
-def _thinned(count: int, most: int) -> np.ndarray:
-    """Indices of at most so many evenly spaced samples."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 def _recurrent(training: Training) -> Predict | None:

@@ -207,15 +207,13 @@ def parse_model(
     *,
     source: str,
     folder: str | os.PathLike[str] = ".",
-    files: tuple[Path, ...] = (),
     confined: bool = False,
 ) -> tuple[P, Document]:
     """A model from YAML text, and the document with its lines; ScenarioError with every problem of the text.
 
-    `files` are those by which the text was found, each named in the one before. A `confined` text may name only files
-    in its folder.
+    A `confined` text may name only files in its folder.
     """
-    context = {"folder": Path(folder), "files": files, "confined": confined}
+    context = {"folder": Path(folder), "confined": confined}
     return parse_text(kind.model_validate, kind, text, source=source, context=context)
 
 

@@ -8,8 +8,10 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
+from numpy.typing import NDArray
 
 from mckibben.numerics.batching import trace_mode
 from mckibben.numerics.elementary import floating
@@ -94,3 +96,8 @@ def rk4(
     k3 = stage(moved(k2, step / 2), middle)
     k4 = stage(moved(k3, step), end)
     return jax.tree.map(lambda x, a, b, c, d: x + step / 6 * (a + 2 * (b + c) + d), state, k1, k2, k3, k4)
+
+
+def evenly_spaced(count: int, most: int) -> NDArray[np.int_]:
+    """Indices of at most so many of `count` samples, in equal distances from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

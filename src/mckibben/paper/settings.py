@@ -110,12 +110,11 @@ def bp_scenario(
     gains: Gains | None = None,
     *,
     gain_ratio: float = FREE,
-    seed: int = 0,
     name: str = "BP",
 ) -> Scenario:
     """Scenario of a BP run with the same base gains."""
     gains = gains or setting.moderate
-    learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: {seed}"
+    learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: 0"
     position = (
         f"{{class: backprop, base: {{{gains.position}}}, {learning}, signal_scale: {setting.amplitude}, "
         f"error_scale: {setting.angle_scale}, output_scale: {setting.rates[0]}}}"

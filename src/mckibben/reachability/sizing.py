@@ -17,7 +17,7 @@ from mckibben.joint import Geometry, RigidTendon
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.notebook import html_table
-from mckibben.numerics.calculus import derivative
+from mckibben.numerics.calculus import derivative, evenly_spaced
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -260,7 +260,7 @@ class Design:
 
     def rows(self) -> list[tuple[str, str]]:
         """Stiffness attained at nine of the target angles, as text."""
-        chosen = np.unique(np.linspace(0, self.angles.size - 1, 9).round().astype(int))
+        chosen = evenly_spaced(self.angles.size, 9)
         low, high = self.stiffness
         return [
             (

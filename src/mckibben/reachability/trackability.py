@@ -278,7 +278,7 @@ class TrackabilityChecker:
         """Checker for a run."""
         times = sampling_times(duration, control_period)
         most = times.size if _is_affine(plant) else min(times.size, _MAX_SCANNED)
-        return cls(plant, times, np.unique(np.linspace(0, times.size - 1, most).round().astype(int)))
+        return cls(plant, times, evenly_spaced(times.size, most))
 
     @property
     def period(self) -> float:

@@ -19,6 +19,7 @@ from PIL import Image
 from mckibben.errors import ExportError
 from mckibben.export.leg_mjcf import coordinates, leg_scene
 from mckibben.export.mujoco import import_mujoco
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.report.animation import animation_format, write_frames
 from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, run_posture, skeleton
 from mckibben.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, styled
@@ -71,7 +72,7 @@ def render_leg(
     """
     animation_format(path)
     table = run.to_xarray()
-    chosen = np.unique(np.linspace(0, table.sizes["time"] - 1, frames).round().astype(int))
+    chosen = evenly_spaced(table.sizes["time"], frames)
     pictures = _pictures(plant, table, chosen)
     plot, places, rows = _plot(plant, table, seconds)
     images = []

@@ -11,6 +11,7 @@ import markupsafe
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.report.leg_shapes import FULL, SLACK, muscle_shapes, place_of, skeleton, straight_paths
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def leg_player(runs: Mapping[str, tuple[LegPlant, LegResult]], key: str = "leg")
 
 def _run(title: str, plant: LegPlant, run: xr.Dataset, force: float, pressure: float) -> dict[str, Any]:
     """Data of a run: one row of integers per frame, with points, paths, shapes and force."""
-    chosen = np.unique(np.linspace(0, run.sizes["time"] - 1, _FRAMES).round().astype(int))
+    chosen = evenly_spaced(run.sizes["time"], _FRAMES)
     at = run.isel(time=chosen)
     points, shapes, paths = skeleton(plant, at), muscle_shapes(plant, at, pressure), straight_paths(plant, at)
     columns = [points.reshape(len(chosen), -1)]

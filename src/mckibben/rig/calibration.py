@@ -19,6 +19,8 @@ from mckibben.rig.backend import AnalogChannel
 from mckibben.units import percent
 
 _NUMBERS = ("gain", "offset", "tare", "low", "high")
+_COVERAGE = 60 * percent  # share of the span that the known values cover, of the smaller side of two signs
+_TOLERANCE = 1 * percent  # highest residual, as a share of the range of the known values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,8 +165,6 @@ def calibrate(
     high: float,
     made: str = "",
     by: str = "",
-    coverage: float = 60 * percent,  # share of the span that the known values cover, of the smaller side of two signs
-    tolerance: float = 1 * percent,  # highest residual, as a share of the range of the known values
 ) -> Calibration:
     """Least-squares calibration through readings [V] at known values, both of shape (points,)."""
     read, there = np.asarray(volts, np.float64), np.asarray(known, np.float64)
@@ -174,14 +174,14 @@ def calibrate(
         raise RigError(f"{name}: a line needs two different points", remedy="apply another load, and read again")
     reach = high - low if low * high >= 0 else min(-low, high)
     covered = float(np.ptp(there)) / reach
-    if covered < coverage or there.min() < low or there.max() > high:
+    if covered < _COVERAGE or there.min() < low or there.max() > high:
         raise RigError(
             f"{name}: the known values {there.min():g}..{there.max():g} {unit} cover {covered / percent:.0f} % of the "
             f"span {low:g}..{high:g} {unit}",
             value=covered,
-            lower=coverage,
+            lower=_COVERAGE,
             upper=1.0,
-            remedy=f"spread them over at least {coverage / percent:g} % of it, and not beyond, or give the span that "
+            remedy=f"spread them over at least {_COVERAGE / percent:g} % of it, and not beyond, or give the span that "
             f"you use",
         )
     middle = read.mean()
@@ -189,13 +189,13 @@ def calibrate(
     off = there - (at_middle + gain * (read - middle))
     worst = int(np.argmax(np.abs(off)))
     residual = float(abs(off[worst]))
-    if residual > tolerance * np.ptp(there):
+    if residual > _TOLERANCE * np.ptp(there):
         message = (
             f"{name}: the reading {read[worst]:g} V at {there[worst]:g} {unit} is {residual:g} {unit} off the line, "
             f"{residual / float(np.ptp(there)) / percent:.2g} % of the range"
         )
         remedy = "read it again; if it stays, the sensor is not linear or is overloaded"
-        raise RigError(message, value=residual, upper=tolerance * float(np.ptp(there)), unit=unit, remedy=remedy)
+        raise RigError(message, value=residual, upper=_TOLERANCE * float(np.ptp(there)), unit=unit, remedy=remedy)
     return Calibration(
         name=name,
         unit=unit,

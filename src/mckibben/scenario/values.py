@@ -16,7 +16,6 @@ from mckibben.component.schema import inherit, replaced
 from mckibben.config.document import Span, edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
-from mckibben.notebook import Progress, silent
 from mckibben.scenario.parameters import Place, ScenarioParameter, find_parameters
 from mckibben.scenario.scenario import Scenario, initial_state
 from mckibben.simulation import Batch, Metrics, simulate_many
@@ -367,7 +366,6 @@ def run_many(
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
-    progress: Progress | None = None,
 ) -> Batch:
     """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
     many = batched(scenario, table, known=known)
@@ -385,5 +383,4 @@ def run_many(
         chunk=chunk,
         workers=workers,
         engine=engine,
-        progress=progress or silent,
     )

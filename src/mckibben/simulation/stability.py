@@ -18,6 +18,7 @@ from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import batched_program, map_chunks, pad_chunk
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import LoopState, initial_loop
@@ -114,7 +115,7 @@ def margins(
     """
     check_positive("margins", points=points)
     times = sampling_times(duration, control_period)
-    chosen = _chosen(times.size, int(points))
+    chosen = evenly_spaced(times.size, int(points))
     loops = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)[0]
     found = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
     radius, gain, phase, delays, disk, sensitivity, loci = (np.array(column) for column in zip(*found, strict=True))
@@ -204,7 +205,7 @@ def disk_margins(
     times = sampling_times(duration, control_period)
     problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
-    period, chosen = jnp.asarray(control_period), jnp.asarray(_chosen(times.size, points))
+    period, chosen = jnp.asarray(control_period), jnp.asarray(evenly_spaced(times.size, points))
 
     def of_chunk(piece: slice) -> list[float]:
         found = _linearised_lanes(pad_chunk(lanes, piece, _LANES), shared, times, period, chosen, substeps)
@@ -220,11 +221,6 @@ def _without_noise(plant: JointPlant, period: float) -> JointPlant:
     own = 0.0 if plant.command_delay is None else plant.command_delay
     delay = getattr(plant.sensors, "delay", 0.0) * period + own
     return dataclasses.replace(plant.with_ideal_io(), command_delay=delay if np.any(delay) else None)
-
-
-def _chosen(periods: int, points: int) -> NDArray[np.int64]:
-    """Control periods in equal distances."""
-    return np.unique(np.linspace(0, periods - 1, points).round().astype(int))
 
 
 @compiled_as_given

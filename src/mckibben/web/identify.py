@@ -22,6 +22,7 @@ from mckibben.errors import DatasetError, McKibbenError, ParameterError, printab
 from mckibben.identification import Fit, FitWithFriction, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import MaxwellSlip, Muscle
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
 from mckibben.units import Length, Quantity, bar, factor, percent
 from mckibben.web.layout import (
@@ -333,9 +334,7 @@ class _Page(JobPage[IdentificationState]):
                 forces = chart("contraction [%]", "force [N]", height=320)
                 residuals = chart("contraction [%]", "residual [N]", height=320)
             levels = means.pressures
-            chosen = levels[
-                np.unique(np.linspace(0, len(levels) - 1, min(len(levels), _MOST_CURVES)).round().astype(int))
-            ]
+            chosen = levels[evenly_spaced(len(levels), _MOST_CURVES)]
             eps = np.linspace(fit.law.domain.contraction_min, fit.law.domain.contraction_max, 80)
             curves, left = [], []
             for i, level in enumerate(chosen):

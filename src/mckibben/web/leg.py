@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.units import deg
 from mckibben.web import resource
 from mckibben.web.layout import (
@@ -147,7 +148,7 @@ def film_of(plant: LegPlant, run: LegResult, largest: float) -> LegFilm:
     from mckibben.report.leg_shapes import muscle_shapes, place_of, skeleton, straight_paths
 
     every = run.to_xarray()
-    chosen = np.unique(np.linspace(0, every.sizes["time"] - 1, _FRAMES).round().astype(int))
+    chosen = evenly_spaced(every.sizes["time"], _FRAMES)
     at = every.isel(time=chosen)
     shapes = muscle_shapes(plant, at, largest)
     muscles = {

@@ -24,6 +24,7 @@ from mckibben.control.base import Reference
 from mckibben.errors import McKibbenError, ParameterError, SimulationError
 from mckibben.joint.attainable import is_affine
 from mckibben.numerics.batching import cores, lanes_of, map_chunks, pad_chunk
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, run_many
@@ -58,7 +59,7 @@ def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArra
     case = numeric(_Case(many.plant(), many.reference(), many.controller.stiffness_amplitude))
     times = sampling_times(scenario.duration, scenario.control_period)
     count = _INSTANTS if is_affine(case.plant.joint) else _INSTANTS_WITH_SPRINGS
-    instants = times[np.unique(np.linspace(0, times.size - 1, count).round().astype(int))]
+    instants = times[evenly_spaced(times.size, count)]
     rows = len(next(iter(table.values())))
     varied_rows, varying = lanes_of(case)
     if varied_rows is None:  # only the controller differs between runs
