@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _FORMATS = (
     "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
     "fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle. mjcf, osim: joint and "
-    "muscles for MuJoCo and OpenSim. Of a leg: mjcf, or urdf without its muscles."
+    "muscles for MuJoCo and OpenSim. For a leg: mjcf, or urdf without its muscles."
 )
 
 

@@ -93,7 +93,7 @@ def jump(
 ) -> None:
     """Find the highest jumps with constant and timed pressures, and simulate a planned one; can be resumed.
 
-    Of each jump --animate writes a file, with the name of the jump after that of FILE.
+    --animate writes one file per jump, with the name of the jump appended to that of FILE.
     """
     if resume:
         required_folder(out, "study to be continued")

@@ -32,9 +32,9 @@ class RunConditions(NamedTuple):
     period, patience
         Control period, which is the sampling period, and timeout of the watchdog [s].
     substeps, paced
-        Of a simulated joint: integration steps per period, and whether it runs in real time.
+        For a simulated joint: integration steps per period, and whether it runs in real time.
     start
-        Of a simulated joint: state at which it starts, with ideal sensors; if None, vented, with its own sensors.
+        For a simulated joint: state at which it starts, with ideal sensors. Default: vented, with its own sensors.
     """
 
     period: float

@@ -157,7 +157,7 @@ def full_vectors(runs: Runs) -> Runs:
 class Refinement(NamedTuple):
     """Result of step doubling by run: the least number of steps that agrees with twice as many, and the error [rad].
 
-    Of a run without agreement, `unresolved_from` [s] is the time at which the last two solutions separate, and
+    For a run without agreement, `unresolved_from` [s] is the time at which the last two solutions separate, and
     `converges` is whether its error falls with the number of steps. `errors` has the error by doubling and run, NaN
     after agreement.
     """

@@ -35,7 +35,7 @@ class OptimalCommands(NamedTuple):
     Attributes
     ----------
     commands
-        Of each control period, shape (periods, 2): pressures [Pa], or openings of valves with `direct` commands.
+        In each control period, shape (periods, 2): pressures [Pa], or openings of valves with `direct` commands.
     cost
         Mean of the squared errors of angle and stiffness over their scales.
     angle_rmse, stiffness_rmse

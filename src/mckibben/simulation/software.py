@@ -50,7 +50,7 @@ def engine_of_job(
 ) -> str:
     """Engine of all results of a job that is stored: "native", "xla" or "cuda".
 
-    Of a new job, XLA if it is among the engines of trial runs; of a continued one, if its `kept` software names it.
+    A new job uses XLA if it is among the engines of trial runs, a continued one if its `kept` software names it.
     """
     if engine == "auto" and kept is not None and kept.get("engine") in ("xla", "cuda"):
         engine = kept["engine"]

@@ -84,7 +84,7 @@ def quiet(text: str) -> ui.label:
 
 
 def results_side() -> ui.column:
-    """A column of results: beside the inputs, and above them on a narrow screen."""
+    """A column of results: next to the inputs, and above them on a narrow screen."""
     return ui.column().classes("w-full results-first").style("gap: 16px")
 
 
