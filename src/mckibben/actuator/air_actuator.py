@@ -96,13 +96,7 @@ class AirActuator(Actuator):
         return rate, passed.rate, passed.drawn
 
     def energy_rates(
-        self,
-        pressure: Scalar,
-        temperature: Scalar,
-        state: Any,
-        command: ArrayLike,
-        volume: AirVolume,
-        inlet: ArrayLike,
+        self, pressure: Scalar, temperature: Scalar, state: Any, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
     ) -> tuple[Array, Array, Any, Array]:
         """Return the rates of pressure [Pa/s], temperature [K/s] and state, and the flow drawn [kg/s]; `muscle_rate`.
 

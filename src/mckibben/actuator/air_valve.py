@@ -17,15 +17,7 @@ from mckibben.component.checks import check_within
 from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.muscle import Domain
-from mckibben.muscle.air import (
-    ATMOSPHERE,
-    DENSITY,
-    ENERGY,
-    CriticalRatio,
-    exchange_rate,
-    flow_of_warm_air,
-    mass_flow,
-)
+from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, CriticalRatio, exchange_rate, flow_of_warm_air, mass_flow
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import (
     Conductance,

@@ -236,11 +236,7 @@ class Actuator(Labelled, Component):
         return tuple(one for one, _ in found), AirState(tuple(one for _, one in found)) if states else ()
 
     def air_rate(
-        self,
-        pressures: Sequence[Scalar],
-        air: AirState,
-        commands: Sequence[ArrayLike],
-        volumes: Sequence[AirVolume],
+        self, pressures: Sequence[Scalar], air: AirState, commands: Sequence[ArrayLike], volumes: Sequence[AirVolume]
     ) -> tuple[tuple[Array, ...], AirState]:
         """Return the rates of the pressures [Pa/s] of all muscles, and of the state; see `AirActuator.muscle_rate`."""
         rates, valve_rates, warming, drawn, reservoir = [], [], [], 0.0, self.reservoir

@@ -233,11 +233,7 @@ def _valves(
         with _running(out, what, on, json) as options:
             recordings = [recording_of(one) for one in run_parts(parts, out, **options).values()]
     found = calibrate_scenario_valves(scenario, recordings, prior)
-    numbers = {
-        "residual_Pa": found.residual,
-        "noise_Pa": found.noise,
-        "quantities": _quantities_json(found.quantities),
-    }
+    numbers = {"residual_Pa": found.residual, "noise_Pa": found.noise, "quantities": _quantities_json(found.quantities)}
     with keeping(out):
         text = _VALVE_HEAD + write_text(valve_for(scenario, found), folder=out, base=Actuator)
         with atomic_write(out / "valve.yaml", overwrite=True) as part:

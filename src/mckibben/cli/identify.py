@@ -50,8 +50,7 @@ def identify(
     profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
     bootstrap: Annotated[int, Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
     hysteresis: Annotated[
-        bool | None,
-        Option(help="Identify friction and drift with the law (default: if loading and unloading differ)."),
+        bool | None, Option(help="Identify friction and drift with the law (default: if loading and unloading differ).")
     ] = None,
     friction_form: Annotated[
         str, Option("--friction", metavar="FORM", help="Form of friction (default: by held-out loops).")

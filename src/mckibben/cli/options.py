@@ -63,8 +63,7 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
         str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', if the file has lengths.")
     ],
     "displacement": Annotated[
-        str,
-        Option(metavar="shortening|lengthening", help="Direction of positive displacements, if the file has them."),
+        str, Option(metavar="shortening|lengthening", help="Direction of positive displacements, if the file has them.")
     ],
     "zero_length": Annotated[
         str, Option(metavar="LENGTH", help="Length of the muscle at displacement 0 (default: the initial length).")
@@ -94,13 +93,7 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
         ),
     ],
 }
-_UNITS = {
-    "initial_length": "m",
-    "zero_length": "m",
-    "slack_force": "N",
-    "contraction": "1",
-    "sample_rate": "Hz",
-}
+_UNITS = {"initial_length": "m", "zero_length": "m", "slack_force": "N", "contraction": "1", "sample_rate": "Hz"}
 _UNSET = {"force_sign": None, "column": None, "skip_corrupt": False, "recipe": None}
 
 

@@ -73,8 +73,7 @@ def plan(
     noise: Annotated[str, Option(metavar="FORCE", help="Error of a point (default: from the residuals).")] = "",
     stroke_error: Annotated[str, Option(metavar="FORCE", help="Error of a stroke (default: from the residuals).")] = "",
     guess: Annotated[
-        str,
-        Option(metavar="LAW", help="Fit file or catalog law to linearise about if the data do not determine one."),
+        str, Option(metavar="LAW", help="Fit file or catalog law to linearise about if the data do not determine one.")
     ] = "",
     specimen: Annotated[
         str, Option(metavar="NAME", help="Specimen, or its file (default: the one named in the data).")

@@ -136,12 +136,7 @@ def _write_statistics(swept: SweepResult, out: Path) -> dict[str, Any]:
 
 def _print(runs: int, numbers: dict[str, Any]) -> None:
     from mckibben.simulation.accuracy import integration_sentence
-    from mckibben.study.sweep.result import (
-        correlation_rows,
-        feasibility_sentence,
-        metric_rows,
-        outcome_rows,
-    )
+    from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
 
     table(f"{numbers['scenario']}: {runs} runs", ("runs", "share", "outcome"), outcome_rows(numbers))
     headers = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "")

@@ -170,8 +170,7 @@ class Part:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         return core_schema.with_info_plain_validator_function(
-            self.read,
-            serialization=core_schema.plain_serializer_function_ser_schema(self._written, info_arg=True),
+            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self._written, info_arg=True)
         )
 
     def _written(self, value: Any, info: Any) -> Any:

@@ -202,12 +202,7 @@ P = TypeVar("P", bound=ConfigModel)
 
 
 def parse_model(
-    kind: type[P],
-    text: str,
-    *,
-    source: str,
-    folder: str | os.PathLike[str] = ".",
-    confined: bool = False,
+    kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".", confined: bool = False
 ) -> tuple[P, Document]:
     """A model from YAML text, and the document with its lines; ScenarioError with every problem of the text.
 

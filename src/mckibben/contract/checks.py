@@ -30,11 +30,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
 
 UNITS = Units(
-    signal=Angle,
-    gain=AngleGain,
-    integral_gain=AngleIntegralGain,
-    derivative_gain=AngleDerivativeGain,
-    scale=AngleScale,
+    signal=Angle, gain=AngleGain, integral_gain=AngleIntegralGain, derivative_gain=AngleDerivativeGain, scale=AngleScale
 )
 """Units of symbolic fields in the file of the round trip: those of a position loop."""
 

@@ -110,11 +110,7 @@ def controller_module(scenario: Scenario, name: str = "controller", most_periods
     columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
                "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
     return ControllerModule(
-        module,
-        UNITS | units_of(source.parameters, "parameters"),
-        columns,
-        np.vstack([first, recording]),
-        left_out,
+        module, UNITS | units_of(source.parameters, "parameters"), columns, np.vstack([first, recording]), left_out
     )
 
 

@@ -99,12 +99,7 @@ class _Driven(NamedTuple):
     limits: Muscle
 
 
-def leg_model(
-    plant: LegPlant,
-    name: str = "leg",
-    timestep: float = 2.5e-4,
-    start: LegState | None = None,
-) -> LegModel:
+def leg_model(plant: LegPlant, name: str = "leg", timestep: float = 2.5e-4, start: LegState | None = None) -> LegModel:
     """MJCF of a leg, and the functions of its muscles.
 
     Parameters

@@ -135,11 +135,7 @@ def joint_model(
 def check_parts(plant: JointPlant) -> None:
     """Raise an error that lists all parts of a plant that MuJoCo does not support."""
     found: list[ExportError] = []
-    for check in (
-        lambda: check_valve(plant.valve),
-        lambda: check_tendon(plant.joint),
-        lambda: mass_point(plant.load),
-    ):
+    for check in (lambda: check_valve(plant.valve), lambda: check_tendon(plant.joint), lambda: mass_point(plant.load)):
         try:
             check()
         except ExportError as error:
@@ -166,12 +162,7 @@ def check_tendon(joint: AntagonisticJoint) -> None:
 
 
 def muscle_module(
-    plant: JointPlant,
-    moved: tuple[Transmission, Transmission],
-    start: PlantState,
-    name: str,
-    *,
-    filters: bool = True,
+    plant: JointPlant, moved: tuple[Transmission, Transmission], start: PlantState, name: str, *, filters: bool = True
 ) -> tuple[SourceModule, tuple[PluginMuscle, PluginMuscle], list[Any]]:
     """The functions of both muscles, their kinds, and their activations at the start; `filters`: with MuJoCo's own."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)

@@ -16,14 +16,7 @@ import warp as wp
 
 from mckibben.errors import ExportError
 from mckibben.export.episodes import example_of
-from mckibben.export.mjcf import (
-    Transmission,
-    check_parts,
-    command_range,
-    gravity_of,
-    mass_point,
-    muscle_module,
-)
+from mckibben.export.mjcf import Transmission, check_parts, command_range, gravity_of, mass_point, muscle_module
 from mckibben.export.warp import check_version, drawn_muscles, drawn_parameters, loaded, warp_muscles, with_strengths
 from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario

@@ -85,11 +85,7 @@ def drawn_muscles(
 
 
 def warp_muscles(
-    module: SourceModule,
-    muscles: tuple[PluginMuscle, ...],
-    title: str,
-    delay: float,
-    left_out: tuple[str, ...],
+    module: SourceModule, muscles: tuple[PluginMuscle, ...], title: str, delay: float, left_out: tuple[str, ...]
 ) -> str:
     """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
     functions = {one.name: one for one in module.functions}

@@ -122,8 +122,7 @@ class HysteresisFit:
         means = dataset.plateau_means()
         if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
             raise IdentificationError(
-                f"{means!r} is not the dataset that the hysteresis was identified from",
-                remedy="give the whole dataset",
+                f"{means!r} is not the dataset that the hysteresis was identified from", remedy="give the whole dataset"
             )
         force = np.where(means.slack, means.force, means.force - self.friction_force - self.offset)
         force = np.where(self.tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
@@ -257,15 +256,7 @@ def identify_hysteresis(
     half_gap = loop_half_width(means, taut)
     template = known or identify(law_type, means).law
     model = PathDependentModel(
-        template,
-        paths,
-        means,
-        bases[0],
-        used,
-        float(levels.mean()),
-        elements,
-        float(means.force[taut].mean()),
-        rate,
+        template, paths, means, bases[0], used, float(levels.mean()), elements, float(means.force[taut].mean()), rate
     )
     of_law = () if known else model.law_names
     _check_count(model, (*of_law, *FrictionForm.CONSTANT.free), bases[-1])

@@ -428,11 +428,7 @@ class PathDependentModel:
         share, stiffness = polygon(self.elements)
         stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
         deflections = play_response(
-            self.paths.travel[..., None],
-            limit[self.paths.place],
-            stiffness,
-            share,
-            side=self.paths.side[:, None],
+            self.paths.travel[..., None], limit[self.paths.place], stiffness, share, side=self.paths.side[:, None]
         )
         force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
         if self.rate is None or not (viscous.any() or by_rate.any()):

@@ -13,12 +13,7 @@ import numpy as np
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit, Outlier, unphysical
-from mckibben.identification.fitting import (
-    ResidualCorrelation,
-    identify,
-    residual_correlation,
-    without_direction_means,
-)
+from mckibben.identification.fitting import ResidualCorrelation, identify, residual_correlation, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
     MOST_BLOCKS,
@@ -191,10 +186,7 @@ class Ranking:
 
 
 def rank(
-    dataset: IsobaricDataset,
-    laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()),
-    *,
-    progress: Progress | None = None,
+    dataset: IsobaricDataset, laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()), *, progress: Progress | None = None
 ) -> Ranking:
     """Fit laws to a dataset and rank them by their cross-validation errors.
 

@@ -14,13 +14,7 @@ from mckibben.errors import FileError, McKibbenError, Problem, RigError, Scenari
 from mckibben.plant import JointPlant
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
 from mckibben.realtime.config import JointRig, RunConditions
-from mckibben.realtime.loop import (
-    RunOutcome,
-    RunPlan,
-    RunProgress,
-    control,
-    realtime_process_settings,
-)
+from mckibben.realtime.loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
 from mckibben.realtime.record import Timing, columns, measured_result
 from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import Backend
@@ -127,12 +121,7 @@ class JointSession:
 
 
 def prepare(
-    scenario: Scenario,
-    rig: JointRig | None = None,
-    *,
-    source: str = "",
-    paced: bool = True,
-    ideal: bool = False,
+    scenario: Scenario, rig: JointRig | None = None, *, source: str = "", paced: bool = True, ideal: bool = False
 ) -> JointSession:
     """Check and compile a scenario for a rig (default: the simulated joint).
 
@@ -202,10 +191,7 @@ def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]
     """Ranges of the commands [Pa] of both muscles: their rated pressures, and the supply if known."""
     valve, muscles = plant.valve, enumerate(plant.muscles)
     (low1, high1), (low2, high2) = (valve.for_muscle(i).command_range(one.specimen.domain) for i, one in muscles)
-    return (
-        (float(low1), float(high1)),
-        (float(low2), float(high2)),
-    )
+    return ((float(low1), float(high1)), (float(low2), float(high2)))
 
 
 def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[float, ...]) -> JointLimits:

@@ -90,13 +90,7 @@ def write_frames(
         frames, webp = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
     with atomic_write(path, overwrite=overwrite) as part:
         frames[0].save(
-            part,
-            format=kind,
-            save_all=True,
-            append_images=frames[1:],
-            duration=max(milliseconds, 20),
-            loop=0,
-            **webp,
+            part, format=kind, save_all=True, append_images=frames[1:], duration=max(milliseconds, 20), loop=0, **webp
         )
     return Path(path)
 

@@ -29,11 +29,7 @@ if TYPE_CHECKING:
     from mckibben.scenario import Scenario
 
 _ANGLES = (-45.0, 45.0)  # deg
-_GAINS = {
-    "kp": ("proportional", "bar/rad"),
-    "ki": ("integral", "bar/(rad*s)"),
-    "kd": ("derivative", "bar*s/rad"),
-}
+_GAINS = {"kp": ("proportional", "bar/rad"), "ki": ("integral", "bar/(rad*s)"), "kd": ("derivative", "bar*s/rad")}
 _ERRORS = "Root mean square error: {angle}° and {stiffness} N·m/rad; {air} L of air."
 _STIFFNESS_GAINS = {"kp": ("proportional", "bar/(N*m/rad)"), "ki": ("integral", "bar/(N*m*s/rad)")}
 

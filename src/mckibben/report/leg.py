@@ -260,11 +260,7 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
             "displacement of the foot under 1 N in each direction (grey: attainable with the planned torques)."
         )
         figures.append(ReportFigure("plan", "", "Plan", what, "Pressures and errors over time", plan_stiffness(study)))
-    tables = [
-        Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()),
-        _energies(study),
-        _published(study),
-    ]
+    tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _energies(study), _published(study)]
     plant = study.scenario.plant()
     runs = {name: (plant, jump.run) for name, jump in study.jumps.items()}
     return _page(Path(folder), "jump.html", study.scenario, text, tables, figures, leg_player(runs))

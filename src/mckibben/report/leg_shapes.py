@@ -90,10 +90,7 @@ def straight_paths(plant: LegPlant, run: xr.Dataset) -> dict[str, list[NDArray[n
         index = leg.index(joint.name)
         above, below = found[index : index + 2]
         fixed, moving = anchors(joint, moved)
-        return _over_time(
-            [below.position + above.axes.apply(fixed), below.position + below.axes.apply(moving)],
-            run,
-        )
+        return _over_time([below.position + above.axes.apply(fixed), below.position + below.axes.apply(moving)], run)
 
     paths: dict[str, list[NDArray[np.float64]]] = {}
     for joint in leg.joints:

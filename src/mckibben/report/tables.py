@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mckibben import catalog
 from mckibben.control import Sine
 from mckibben.paper.identification import FESTO, MARTENS, RIG, TEST_PRESSURES, plant_of
-from mckibben.paper.settings import (
-    AS_PRINTED,
-    BOUND,
-    FREE,
-    LEARNING,
-    SETTINGS,
-    STEP_TIME,
-    Setting,
-    StiffnessReference,
-)
+from mckibben.paper.settings import AS_PRINTED, BOUND, FREE, LEARNING, SETTINGS, STEP_TIME, Setting, StiffnessReference
 from mckibben.paper.tracking import CONTROLLERS, PID
 from mckibben.units import bar, deg, factor, mm, ms, percent
 

@@ -14,16 +14,7 @@ from mckibben.rig.backend import AnalogChannel
 from mckibben.rig.bench import Bench
 from mckibben.rig.protocol import MOST_POINTS, MOST_STEPS
 from mckibben.rig.runner import StepInterpreter
-from mckibben.rig.steps import (
-    Acquire,
-    HoldForce,
-    Move,
-    Pressurise,
-    ProtocolStep,
-    Repeat,
-    Walk,
-    count_steps,
-)
+from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, ProtocolStep, Repeat, Walk, count_steps
 from mckibben.units import bar, mm, percent
 
 _SETTLING = 1.5  # s of a change of pressure, in addition to a ramp

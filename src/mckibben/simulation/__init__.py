@@ -5,15 +5,7 @@ from mckibben.simulation.batch import simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
 from mckibben.simulation.loop import compiled_episode, episode
-from mckibben.simulation.metrics import (
-    SETTLING_PART,
-    Metrics,
-    Trajectory,
-    measure,
-    rms,
-    settling_band,
-    trajectory,
-)
+from mckibben.simulation.metrics import SETTLING_PART, Metrics, Trajectory, measure, rms, settling_band, trajectory
 from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change

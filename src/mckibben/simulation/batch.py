@@ -312,12 +312,7 @@ def _run(shared: Any, lane: Any) -> dict[str, Array]:
     precision = jnp.dtype(asked.precision)
     parts = cast((own.plant, own.controller, begun.setpoints, begun.starts, period), precision)
     streamed = streaming_episode(
-        *parts,
-        substeps,
-        change=cast(begun.changes, precision),
-        split=begun.split,
-        keep=asked.keep,
-        every=asked.stride,
+        *parts, substeps, change=cast(begun.changes, precision), split=begun.split, keep=asked.keep, every=asked.stride
     )
     metrics = {name: jnp.where(begun.exist, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
     deciding = {f"_{name}": metrics[name] for name in _DECIDING}

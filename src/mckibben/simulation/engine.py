@@ -97,13 +97,7 @@ def compute_with(
 
 
 def run_alone(
-    engine: str,
-    plant: Plant,
-    controller: DiscreteTimeSystem,
-    setpoints: Any,
-    start: Any,
-    period: Any,
-    substeps: int,
+    engine: str, plant: Plant, controller: DiscreteTimeSystem, setpoints: Any, start: Any, period: Any, substeps: int
 ) -> tuple[tuple[Any, Record], str]:
     """State after one run with its record, and the engine that computed them; `numeric` parts."""
     parts: Any = plant, controller, setpoints, start, period, np.asarray(substeps)
@@ -227,12 +221,7 @@ def check_count(what: str, count: int) -> int:
 
 
 def chunk_size(
-    chunk: int | None,
-    count: int,
-    workers: int | None,
-    engine: str,
-    precision: Any = np.float64,
-    numbers: int = 1,
+    chunk: int | None, count: int, workers: int | None, engine: str, precision: Any = np.float64, numbers: int = 1
 ) -> int:
     """Runs per chunk: the best number of the engine, fewer where that leaves cores idle or needs too much memory."""
     workers = cores() if workers is None else check_count("workers", workers)

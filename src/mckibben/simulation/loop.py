@@ -64,12 +64,7 @@ def control_period(
 
 
 def episode(
-    plant: Plant,
-    controller: DiscreteTimeSystem,
-    setpoints: Any,
-    initial: Any,
-    period: ArrayLike,
-    substeps: int,
+    plant: Plant, controller: DiscreteTimeSystem, setpoints: Any, initial: Any, period: ArrayLike, substeps: int
 ) -> tuple[Any, Record]:
     """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 

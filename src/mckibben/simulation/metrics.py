@@ -265,11 +265,7 @@ def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
 
 
 def measure(
-    moved: Trajectory,
-    period: ArrayLike,
-    *,
-    settling_part: float = SETTLING_PART,
-    angle_resolution: ArrayLike = 0.0,
+    moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART, angle_resolution: ArrayLike = 0.0
 ) -> Metrics:
     """Metrics of a trajectory with a control period [s].
 

@@ -225,12 +225,7 @@ def _without_noise(plant: JointPlant, period: float) -> JointPlant:
 
 @compiled_as_given
 def _linearised_lanes(
-    lanes: SimulationProblem,
-    shared: SimulationProblem,
-    times: ArrayLike,
-    period: Array,
-    chosen: Array,
-    substeps: int,
+    lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike, period: Array, chosen: Array, substeps: int
 ) -> tuple[LinearLoop, Array]:
     """Linearisations of many runs, leaves of shape (runs, points, ...), and whether each can start."""
 

@@ -53,11 +53,7 @@ def oracle(
     plant, reference = scenario.plant(), scenario.reference()
     initial = scenario.initial(plant)
     substeps = controlled.resolution.substeps if controlled.resolution else scenario.needed_substeps()
-    settings: Any = {
-        "duration": scenario.duration,
-        "control_period": scenario.control_period,
-        "substeps": substeps,
-    }
+    settings: Any = {"duration": scenario.duration, "control_period": scenario.control_period, "substeps": substeps}
     commands = np.stack([controlled["command1"], controlled["command2"]], axis=1)
     first, second = (
         optimal_commands(

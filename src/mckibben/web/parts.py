@@ -132,8 +132,7 @@ CHOICES: Mapping[str, Choice] = {
         "sensors", {"perfect": "perfect", "encoder and noise": "{encoder: 0.088 deg, pressure_noise: 2 kPa}"}
     ),
     "disturbance": _section(
-        "disturbance",
-        {"none": "none", "pulses": "{height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 500 ms}"},
+        "disturbance", {"none": "none", "pulses": "{height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 500 ms}"}
     ),
 }
 """Choices by label."""

@@ -267,14 +267,7 @@ class Machine:
         chamber, stretch = self._chamber, self._carriage.at
         contraction = self.grip.contraction(stretch)
         return Truth(
-            self.now,
-            chamber.pressure,
-            self._pull,
-            stretch,
-            contraction,
-            chamber.flow,
-            chamber.mass,
-            chamber.exhausting,
+            self.now, chamber.pressure, self._pull, stretch, contraction, chamber.flow, chamber.mass, chamber.exhausting
         )
 
     def differs(self, pressure: float) -> bool:

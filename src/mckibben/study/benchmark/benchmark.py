@@ -135,11 +135,7 @@ class BenchmarkResult:
 
 
 def compare(
-    suite: Suite,
-    *,
-    folder: Path | None = None,
-    resume: bool = False,
-    progress: Progress | None = None,
+    suite: Suite, *, folder: Path | None = None, resume: bool = False, progress: Progress | None = None
 ) -> BenchmarkResult:
     """Tune the controllers of a suite and compare them on its evaluation runs.
 

@@ -17,16 +17,7 @@ from mckibben.config.document import Document
 from mckibben.config.fields import Title
 from mckibben.config.model import DocumentModel, explicit_fields, parse_model, read_text
 from mckibben.errors import RangeError
-from mckibben.muscle import (
-    Creep,
-    ForceCorrection,
-    ForceLaw,
-    Friction,
-    Muscle,
-    NoCreep,
-    NoFriction,
-    Specimen,
-)
+from mckibben.muscle import Creep, ForceCorrection, ForceLaw, Friction, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import MovingBackend, MuscleRig
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.ni import NiRig

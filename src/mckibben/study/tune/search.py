@@ -189,13 +189,7 @@ def check_method(method: Method, *, numbers: int, population: int) -> None:
 
 
 def by_gradient(
-    function: CostsAndGradients,
-    first: Points,
-    *,
-    starts: int,
-    iterations: int,
-    seed: int,
-    progress: Fraction,
+    function: CostsAndGradients, first: Points, *, starts: int, iterations: int, seed: int, progress: Fraction
 ) -> None:
     """L-BFGS-B (Byrd et al., SIAM J. Sci. Comput. 16 (1995) 1190) from the first and Sobol points, in parallel."""
     from scipy.optimize import minimize  # 0.3 s at import
