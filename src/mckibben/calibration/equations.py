@@ -187,11 +187,8 @@ def check_recording(recording: JointRecording) -> None:
         raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
     time = recording.time
     if time.size < 50 or time[-1] - time[0] < _SHORTEST:
-        raise IdentificationError(
-            f"a recording of {time.size} samples over {np.ptp(time) if time.size else 0:.3g} s is too short",
-            value=time.size,
-            remedy=f"record at least {_SHORTEST:g} s",
-        )
+        message = f"a recording of {time.size} samples over {np.ptp(time) if time.size else 0:.3g} s is too short"
+        raise IdentificationError(message, value=time.size, remedy=f"record at least {_SHORTEST:g} s")
 
 
 def local_cubic(values: Floats, width: int, derivative: int = 0, period: float = 1.0) -> Floats:
@@ -415,11 +412,8 @@ def sliding_from(problem: CalibrationProblem, samples: JointSamples) -> int:
         travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
         enough = travelled > sliding_length(muscle)
         if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:
-            raise IdentificationError(
-                f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm in a recording",
-                value=float(np.max(travelled)),
-                unit="m",
-                remedy="record sweeps of a larger angle: friction hides the force in small motions",
-            )
+            message = f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm in a recording"
+            remedy = "record sweeps of a larger angle: friction hides the force in small motions"
+            raise IdentificationError(message, value=float(np.max(travelled)), unit="m", remedy=remedy)
         first = max(first, int(np.argmax(enough)))
     return first

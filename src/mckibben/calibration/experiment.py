@@ -301,11 +301,8 @@ def calibrate_scenario(
         raise ParameterError("recordings of commands and of measured pressures", remedy="give recordings of one kind")
     valve: Any = scenario.valve
     if not valve.is_first_order:
-        raise ParameterError(
-            "recordings of commands need a valve with a first-order lag",
-            field="valve",
-            remedy="give the scenario a plausible one, such as `valve: {time_constant: 50 ms}`",
-        )
+        remedy = "give the scenario a plausible one, such as `valve: {time_constant: 50 ms}`"
+        raise ParameterError("recordings of commands need a valve with a first-order lag", field="valve", remedy=remedy)
     delay = scenario.command_delay
     return calibrate_from_commands(joint, load, valve, recordings, prior, friction=scenario.friction, delay=delay)
 

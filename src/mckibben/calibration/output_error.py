@@ -256,12 +256,9 @@ def _motion(recording: JointRecording, highest: float) -> _Motion:
     period = float(np.median(np.diff(recording.time)))
     gap = float(np.diff(recording.time).max())
     if not 0 < period <= _LONGEST_PERIOD or gap > _LARGEST_GAP * period:
-        raise IdentificationError(
-            f"the samples of a recording are {period * 1e3:.3g} ms apart, with a gap of {gap * 1e3:.3g} ms",
-            value=gap,
-            unit="s",
-            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more, and split recordings at gaps",
-        )
+        message = f"the samples of a recording are {period * 1e3:.3g} ms apart, with a gap of {gap * 1e3:.3g} ms"
+        remedy = f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more, and split recordings at gaps"
+        raise IdentificationError(message, value=gap, unit="s", remedy=remedy)
     grid = np.arange(recording.time[0], recording.time[-1], period)
     last = np.searchsorted(recording.time, grid + period / 2, side="right") - 1
     commands = recording.pressures[last].T

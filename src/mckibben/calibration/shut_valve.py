@@ -153,11 +153,7 @@ class AirFit:
 
 
 def identify_air(
-    recordings: Sequence[Recording],
-    specimen: Specimen,
-    *,
-    contraction: float | None = None,
-    dead_volume: float = 0.0,
+    recordings: Sequence[Recording], specimen: Specimen, *, contraction: float | None = None, dead_volume: float = 0.0
 ) -> AirFit:
     r"""Identify the heat to the wall, the leak and the dead volume from tests in which a valve is shut.
 
@@ -313,12 +309,9 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
         return []
     for end, where in saturated_samples(pressure).items():
         if where.mean() > 1 * percent and pressure[where].mean() > _LOWEST:
-            raise IdentificationError(
-                f"the pressure sensor is saturated: {int(where.sum())} samples are at the {end} of its range",
-                value=float(pressure[where][0]),
-                unit="Pa",
-                remedy="fill to a lower pressure, or use a sensor with a wider range",
-            )
+            message = f"the pressure sensor is saturated: {int(where.sum())} samples are at the {end} of its range"
+            remedy = "fill to a lower pressure, or use a sensor with a wider range"
+            raise IdentificationError(message, value=float(pressure[where][0]), unit="Pa", remedy=remedy)
     lengths = recording.contraction
     if lengths is None and contraction is None:
         raise IdentificationError(
@@ -326,13 +319,9 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
         )
     period = float(np.median(np.diff(time)))
     if period > _ROUNDING * _SLOWEST or np.diff(time).max() > _GAP * period:
-        raise IdentificationError(
-            f"the samples of a recording are up to {show(float(np.diff(time).max()), 'ms', 3)} apart",
-            value=float(np.diff(time).max()),
-            upper=_SLOWEST,
-            unit="s",
-            remedy="sample at a constant rate of 100 Hz or more, without gaps",
-        )
+        message = f"the samples of a recording are up to {show(float(np.diff(time).max()), 'ms', 3)} apart"
+        remedy = "sample at a constant rate of 100 Hz or more, without gaps"
+        raise IdentificationError(message, value=float(np.diff(time).max()), upper=_SLOWEST, unit="s", remedy=remedy)
     count = max(round(_BLOCK / period), 1)
     window = max(round(_SMOOTHING / period), 1)
     smooth = np.convolve(pressure, np.ones(window) / window, mode="valid")

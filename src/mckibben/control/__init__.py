@@ -3,16 +3,7 @@
 from mckibben.control.actuator_adaptation import ActuatorAdaptation
 from mckibben.control.adaptation import LawAdaptation
 from mckibben.control.backprop import BackpropPID, Jacobian
-from mckibben.control.base import (
-    Controller,
-    JointModel,
-    LoadModel,
-    Loop,
-    Measurement,
-    Reference,
-    Setpoint,
-    ValveModel,
-)
+from mckibben.control.base import Controller, JointModel, LoadModel, Loop, Measurement, Reference, Setpoint, ValveModel
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
 from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode

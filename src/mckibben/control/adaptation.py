@@ -97,13 +97,9 @@ class LawAdaptation(Component):
     def check_load(self, load: Load) -> None:
         """Raise `RangeError` if the mass is to be estimated of a load that has none among its parameters."""
         if not load.adapted_mass and isinstance(self.mass_spread, Real | np.ndarray) and np.any(self.mass_spread):
-            raise RangeError(
-                f"LawAdaptation: {type(load).__name__} has no mass to estimate",
-                field="mass_spread",
-                value=self.mass_spread,
-                unit="kg",
-                remedy="leave mass_spread out, or give a load with its mass and length",
-            )
+            message = f"LawAdaptation: {type(load).__name__} has no mass to estimate"
+            remedy = "leave mass_spread out, or give a load with its mass and length"
+            raise RangeError(message, field="mass_spread", value=self.mass_spread, unit="kg", remedy=remedy)
 
     def init(self, model: AntagonisticJoint, load: Load, angle: ArrayLike, pressures: Pair) -> AdaptationState:
         """Prior, at rest at a measured angle [rad] and pressures [Pa]."""
@@ -229,11 +225,7 @@ def _filter(lags: tuple[Scalar, ...], signal: Scalar, fraction: Scalar) -> tuple
 
 
 def recursive_least_squares(
-    means: tuple[Scalar, ...],
-    covariance: Covariance,
-    regressors: list[Scalar],
-    value: Scalar,
-    variance: ArrayLike,
+    means: tuple[Scalar, ...], covariance: Covariance, regressors: list[Scalar], value: Scalar, variance: ArrayLike
 ) -> tuple[tuple[Scalar, ...], Covariance]:
     """Mean and covariance after an observation value = regressors . means + noise."""
     count = range(len(means))

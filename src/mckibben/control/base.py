@@ -67,11 +67,9 @@ def check_valve_model(owner: str, valve: Actuator, joint: AntagonisticJoint) -> 
         for muscle in (joint.muscle1, joint.muscle2):
             muscle.specimen.check_volume(f"a {type(valve).__name__} as the model of the valves")
     elif valve.lag is None:
-        raise RangeError(
-            f"{owner}: the time constant of a {type(valve).__name__} is unknown",
-            field="valve",
-            remedy="give the controller a `valve` with a time_constant, or the class a property `lag`",
-        )
+        message = f"{owner}: the time constant of a {type(valve).__name__} is unknown"
+        remedy = "give the controller a `valve` with a time_constant, or the class a property `lag`"
+        raise RangeError(message, field="valve", remedy=remedy)
 
 
 class DiscreteTimeSystem(Labelled, Component):

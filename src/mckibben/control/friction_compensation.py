@@ -51,11 +51,8 @@ class FrictionCompensation(Controller):
     def __check_init__(self) -> None:
         super().__check_init__()
         if isinstance(self.controller, InverseModelControl):
-            raise RangeError(
-                "FrictionCompensation: the learned inverse of its controller includes friction",
-                field="controller",
-                remedy="leave the compensation out",
-            )
+            message = "FrictionCompensation: the learned inverse of its controller includes friction"
+            raise RangeError(message, field="controller", remedy="leave the compensation out")
         if not self.model.has_friction:
             raise RangeError(
                 "FrictionCompensation: no muscle of its model has friction",

@@ -20,16 +20,7 @@ from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp, floating
-from mckibben.units import (
-    AngleScale,
-    AngularAcceleration,
-    Bandwidth,
-    Count,
-    PressureScale,
-    Rate,
-    Seed,
-    StiffnessScale,
-)
+from mckibben.units import AngleScale, AngularAcceleration, Bandwidth, Count, PressureScale, Rate, Seed, StiffnessScale
 
 Scalar = Float[Array, ""]
 
