@@ -307,7 +307,7 @@ class Fit:
         confidence = t_interval(level, value, [of_law, misfit])
         students = float(t_quantile(level, residual_freedom))
         at = (np.broadcast_to(one, value.shape).ravel() for one in (contraction, pressure))
-        quantile = self.calibration.quantile(level, *at, students)
+        quantile = self.calibration.quantile(level, *at, students=students)
         if quantile is None:
             return ForceIntervals(confidence, t_interval(level, value, [of_law, scatter, misfit]))
         model = regression.error_model(Grouping.POINT)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mckibben.control import Reference, Step
 from mckibben.errors import RangeError
 from mckibben.joint.attainable import cocontraction_segment, is_affine
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
