@@ -36,7 +36,7 @@ _SWITCH = 1e-4  # s: longest time for which another thread keeps the interpreter
 VENTED = 0.2 * bar
 """Below this pressure [Pa] a muscle counts as vented."""
 
-_VENTING = 0.5  # s for which the venting is observed
+_VENTING = 5.0  # s for which the venting is observed
 _MOST = 1000  # samples read at once
 _FEW = 50  # periods for which a chunk does not pay
 
