@@ -79,7 +79,14 @@ def test_a_sensor_that_is_lost_at_any_time_vents_within_its_period(stiff, watche
         found = math.ceil(instant / PERIOD - 1e-9)
         assert joint.vented_at == pytest.approx(found * PERIOD, abs=1e-9)
         assert (columns["phase"] < 3).sum() == found + 1
-        assert (outcome.vented_after is None) == (sensor != "angle")
+        assert (outcome.vented_after is None) == (outcome.remaining is None) == (sensor != "angle")
+
+
+def test_pressure_that_falls_slowly_is_told_from_pressure_that_is_not_measured(stiff, watched, monkeypatch):
+    monkeypatch.setattr(loop, "_VENTING", 3 * ms)
+    outcome, _ = stiff.run(watched(faults=[]), plan=stiff.plan(PERIODS))
+    assert outcome.vented_after is None and outcome.remaining > loop.VENTED
+    assert f"{outcome.remaining / bar:.3g} bar" in outcome.venting
 
 
 def test_a_device_that_falls_silent_at_any_time(stiff, watched):

@@ -47,7 +47,7 @@ _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], until residuals are available
 _LEAST_VARIANCE = 1e-8
 _LEAST_RECORDINGS = 3  # for their scatter
 _INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
-_UNEXPLAINED = 3.0  # ratio of residual to noise above which the model does not describe the recordings
+_UNEXPLAINED = 2.0  # ratio of residual to noise above which the model does not describe the recordings
 _NEGLIGIBLE = 1e-3  # ratio of residual to highest torque up to which that is irrelevant
 _CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
@@ -174,7 +174,7 @@ def calibrate_joint(
     -----
     McKibbenWarning
         If the estimates are farther from the model than their prior allows, with a probability of 1e-6; or if the
-        residual is above three times its noise and a thousandth of the highest torque.
+        residual is above twice its noise and a thousandth of the highest torque.
 
     References
     ----------

@@ -108,6 +108,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
         "ended": ran.outcome.kind,
         "reason": ran.outcome.text,
         "vented_after_s": ran.outcome.vented_after,
+        "remaining_Pa": ran.outcome.remaining,
         "outcome": result.outcome.name.lower() if result is not None else None,
         "infeasible": "" if ran.reach.feasible else ran.reach.describe(),
         "metrics": metrics,

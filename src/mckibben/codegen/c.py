@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from mckibben.codegen.graph import Kind, Value
+from mckibben.codegen.graph import Kind, Value, interleave
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.precision import wide_inputs, wide_values
 from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, inputs_of, is_scalar
@@ -60,6 +60,8 @@ class _Writing:
         self._units = units
         self._wide = wide_inputs(module, wide) if single else frozenset[str]()
         known = wide_values(module, self._wide)
+        for scope in module.scopes:
+            interleave(scope)
         self._writer = Writer(module.scopes, self._language, module.results(), known, c_language("double"))
         self._prepared = dict.fromkeys(Kind, 0)  # number of prepared values
 

@@ -342,6 +342,28 @@ class Graph:
         return results
 
 
+_LATENCIES = {"sqrt": 19, "div": 13, "exp": 40, "sin": 45, "cos": 45, "tanh": 90, "max": 6, "min": 6}  # cycles
+
+
+def interleave(scope: Scope) -> None:
+    """Order values by when their arguments are known, so that a processor overlaps independent chains of operations."""
+    ready: dict[int, int] = {}
+    waiting: list[tuple[int, Value]] = []
+    ordered: list[Any] = []
+    for statement in scope.statements:
+        if isinstance(statement, Value):
+            begin = max((ready.get(id(one), 0) for one in statement.arguments), default=0)
+            ready[id(statement)] = begin + _LATENCIES.get(statement.operation, 4)
+            waiting.append((begin, statement))
+            continue
+        ordered += [*(value for _, value in sorted(waiting, key=lambda one: one[0])), statement]
+        waiting = []
+        inside = {ForLoop: lambda one: [one.scope], Branch: lambda one: one.scopes}.get(type(statement), lambda _: [])
+        for inner in inside(statement):
+            interleave(inner)
+    scope.statements = ordered + [value for _, value in sorted(waiting, key=lambda one: one[0])]
+
+
 def needed(results: Sequence[Value | StoredArray]) -> set[int]:
     """Identities of the values, loops, branches and arrays that results depend on."""
     found: set[int] = set()

@@ -268,6 +268,8 @@ class Writer:
             return f"{'-' if name == 'neg' else '!'}{_bound(texts[0], _ATOM)}", _PREFIX
         if name in ("real", "integer", "boolean"):
             return self._language(value).conversion(_bound(texts[0], _ATOM), arguments[0].kind, kind), _COMPARISON
+        if name in ("max", "min") and arguments[1].operation == "constant":
+            texts.reverse()  # C tests whether the first is NAN
         language = self._language(value)
         function = language.functions[name]
         if function in language.helpers:

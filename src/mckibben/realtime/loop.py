@@ -36,7 +36,7 @@ _SWITCH = 1e-4  # s: longest time for which another thread keeps the interpreter
 VENTED = 0.2 * bar
 """Below this pressure [Pa] a muscle counts as vented."""
 
-_VENTING = 0.5  # s for which the venting is observed
+_VENTING = 5.0  # s for which the venting is observed
 _MOST = 1000  # samples read at once
 _FEW = 50  # periods for which a chunk does not pay
 
@@ -107,12 +107,15 @@ class RunOutcome:
         Reason, as a sentence, and the error that stopped it, if any.
     vented_after
         Time from the vent until both pressures were below 0.2 bar [s]; None if that was not measured.
+    remaining
+        The higher pressure [Pa] as last measured after the vent; None if it was not measured.
     """
 
     kind: str
     text: str
     error: McKibbenError | None = None
     vented_after: float | None = None
+    remaining: float | None = None
 
     @property
     def completed(self) -> bool:
@@ -122,8 +125,11 @@ class RunOutcome:
     @property
     def venting(self) -> str:
         """Result of the venting, as a sentence."""
+        if self.remaining is None:
+            return "the valves were commanded to vent, but no sensor confirms it: check before touching it"
         if self.vented_after is None:
-            return "the valves were commanded to vent, but no fall in pressure was measured: check before touching it"
+            left = f"{self.remaining / bar:.3g} bar remain {_VENTING:g} s after the vent"
+            return f"{left}: the valves are slow or do not vent, check before touching it"
         return f"both muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
 
 
@@ -221,7 +227,7 @@ def control(
                 loop.record_venting(block)
 
         found = monitor.observe_venting(record, threshold=VENTED, duration=_VENTING, samples=1, timeout=limits.silence)
-        outcome = RunOutcome(kind, text, error, found.duration)
+        outcome = RunOutcome(kind, text, error, found.duration, found.pressure)
         _note(rows, "vented" if found.duration is not None else "not vented", outcome.venting)
         return outcome
 

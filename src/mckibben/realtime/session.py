@@ -108,7 +108,7 @@ class JointSession:
                 if outcome is None:
                     raise
                 if outcome.completed:  # the end of the record was not written
-                    outcome = RunOutcome("rig", str(error), error, outcome.vented_after)
+                    outcome = dataclasses.replace(outcome, kind="rig", text=str(error), error=error)
         if not segments(folder):  # it was removed
             raise StoppedError(f"stopped: {outcome.text}; {outcome.venting}")
         table = read_record(folder).columns
