@@ -23,6 +23,7 @@ from mckibben.dataset.summaries import (
     labelled_summaries,
     several_specimens,
     summaries,
+    whole_rows,
 )
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, mm, quantity
@@ -232,7 +233,13 @@ class ColumnConverter:
         read = {name: column.unit for name, (_, column) in self.places.items() if name in _MEASURED and name in values}
         if self.problems or not read or kept.sum() > MOST_POINTS:
             return
-        found = summaries({name: (values[name][kept], factor(unit)) for name, unit in read.items()})
+        columns = {name: (values[name][kept], factor(unit)) for name, unit in read.items()}
+        self.suspect += [
+            f"{self.sheet.unit} {lines[kept][row]} has whole numbers alone, and the others decimals: "
+            "if it has ranges, numbers of channels or the like, leave it out"
+            for row in whole_rows(columns)
+        ]
+        found = summaries(columns)
         self.missing += [
             self.sheet.kind(f"is {what}: a summary is not a measurement", line=int(lines[kept][row]))
             for row, what in found.items()
