@@ -234,11 +234,12 @@ class ColumnConverter:
         if self.problems or not read or kept.sum() > MOST_POINTS:
             return
         columns = {name: (values[name][kept], factor(unit)) for name, unit in read.items()}
-        self.suspect += [
-            f"{self.sheet.unit} {lines[kept][row]} has whole numbers alone, and the others decimals: "
-            "if it has ranges, numbers of channels or the like, leave it out"
-            for row in whole_rows(columns)
-        ]
+        for row, certain in whole_rows(columns):
+            what = "has whole numbers alone, unlike the rows next to it: numbers of channels, ranges, or a restart"
+            if certain:
+                self.missing.append(self.sheet.kind(what, line=int(lines[kept][row])))
+            else:
+                self.suspect.append(f"{self.sheet.unit} {lines[kept][row]} {what}; if so, leave it out")
         found = summaries(columns)
         self.missing += [
             self.sheet.kind(f"is {what}: a summary is not a measurement", line=int(lines[kept][row]))

@@ -31,7 +31,7 @@ _COARSE = 0.02  # of the range of a column: largest rounding of a summary
 _SAME = 1e-6  # of the range of a column: rounding of a repeated value
 _LEVEL = 0.05  # of the largest value: rows of one level
 _DECIMALS = 9  # of a number in a file
-_BY_CHANCE = 0.05  # expected rows of whole numbers alone, below which one is no measurement
+_BY_CHANCE = 0.2  # expected rows of whole numbers alone, below which one is no measurement
 
 _GOOD = frozenset("valid ok good gültig valide válido valido".split())
 _NUMBER = re.compile(r"[-+]?[\d.,]+")
@@ -159,22 +159,25 @@ def _equal(rows: Floats, at: int, values: Floats) -> bool:
     return varied > 1
 
 
-def whole_rows(columns: Mapping[str, tuple[Floats, float]]) -> Iterator[int]:
-    """Rows of whole numbers alone where others have decimals: numbers of channels, ranges, zeros of a restart.
+def whole_rows(columns: Mapping[str, tuple[Floats, float]]) -> Iterator[tuple[int, bool]]:
+    """Rows of whole numbers that are far from those next to them, and whether they are certainly no measurement.
 
-    `columns` as for `summaries`. A first or last row of zeros is a muscle at rest.
+    Certain are 0, 0, 0 (not the first or last one), 1, 2, 3, and the largest of all columns.
+
+    `columns` as for `summaries`. Such rows have numbers of channels, ranges, or the first values of a restarted logger.
     """
     rows = np.stack([values / factor for values, factor in columns.values()]).round(_DECIMALS)
-    whole = rows % 1 == 0
     if rows.shape[1] <= _FEWEST:
         return
-    at_rest = ~rows.any(axis=0)
-    at_rest[1:-1] = False
-    found = np.flatnonzero(whole.all(axis=0) & ~at_rest & _apart(rows))
-    count = rows.shape[1] - len(found)
-    shares = (whole.sum(axis=1) - len(found) + 1) / (count + 2)
-    if count * np.prod(shares) < _BY_CHANCE:
-        yield from map(int, found)
+    whole, zero = rows % 1 == 0, ~rows.any(axis=0)
+    at_rest, zero[[0, -1]] = zero.copy(), False
+    counted = (np.diff(rows, axis=0) == 1).all(axis=0) & (rows[0] <= 1)
+    largest = (rows == rows.max(axis=1, keepdims=True)).all(axis=0)
+    found = whole.all(axis=0) & _apart(rows) & ~(at_rest & ~zero)
+    shares = (whole.sum(axis=1) - np.count_nonzero(found) + 1) / (rows.shape[1] + 2)
+    rare = rows.shape[1] * np.prod(shares) < _BY_CHANCE
+    certain = zero | counted | largest
+    yield from ((int(row), bool(certain[row])) for row in np.flatnonzero(found & (certain | rare)))
 
 
 def _words_among_numbers(counts: Mapping[str, int]) -> set[str]:

@@ -21,6 +21,7 @@ _MOST_COLUMNS = 4096
 _OF_PRESSURE = re.compile(r"press|druck|presi|(?<![a-z])(?:bar|psi|[km]?pa)(?![a-z])", re.IGNORECASE)
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
 _SHOWN = 80  # characters of a line in a message
+_SEEN = 2**14  # texts of cells that are stored once
 _JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
@@ -294,9 +295,8 @@ def _remarks(comments: Sequence[_Row], rows: Sequence[_Row], delimiter: str) -> 
         elif rows and rows[0].line < row.line < rows[-1].line and any(map(str.strip, rest)):
             among.append(row)
     if among:
-        words = delimiter.join(among[0].cells).strip()[:_SHOWN]
-        more = f"; {len(among) - 1} more follow" if len(among) > 1 else ""
-        yield f"line {among[0].line} is a comment among the rows, {words!r}, which is not applied to them{more}"
+        words = repr(delimiter.join(among[0].cells).strip()[:_SHOWN])
+        yield f"line {among[0].line} is a comment among the rows, the first of {len(among)}, and not applied: {words}"
 
 
 def _is_remark(row: _Row, columns: int) -> bool:
@@ -346,6 +346,7 @@ def split_numbers(sheet: RawTable, known: _Known) -> Iterator[str]:
 def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
     """Non-blank rows; lines with an unclosed quotation mark are corrupt, the lines after them are not."""
     at = width = 0
+    seen: dict[str, str] = {}  # each text once, as many rows repeat those of others
     while at < len(lines):
         try:
             if sheet.delimiter == " " or '"' in lines[at]:
@@ -362,7 +363,8 @@ def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
         else:
             if not blank:
                 width = width or len(cells)
-                yield _Row(cells, first + at)
+                same = seen.setdefault if len(seen) < _SEEN else seen.get
+                yield _Row([same(cell, cell) for cell in cells], first + at)
         at += count
 
 
