@@ -20,6 +20,7 @@ from typing import NamedTuple
 import messy_labs  # noqa: F401 - adds kinds
 import messy_loggers  # noqa: F401 - adds kinds
 import messy_machines  # noqa: F401 - adds kinds
+import messy_restarts  # noqa: F401 - adds kinds
 import messy_rows  # noqa: F401 - adds kinds
 import messy_sensors  # noqa: F401 - adds kinds
 import numpy as np

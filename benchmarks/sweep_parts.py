@@ -1,12 +1,14 @@
 """Memory, disk and time of a sweep in parts and of their merging, per million runs.
 
-    python benchmarks/sweep_parts.py [--runs 40000] [--parts 4] [--short]
+    python benchmarks/sweep_parts.py [--runs 40000] [--parts 4] [--short] [--undivided]
 
 Each part and the merging is a process of its own, as on a cluster; runs of 0.2 s with one metric, two inputs. With
---short, runs take 0.1 s, with one integration step per control period, in 32 bits: many runs in little time.
+--short, runs take 0.1 s, with one integration step per control period, in 32 bits: many runs in little time. With
+--undivided, the sweep is computed without parts as well, and has to be the same, byte for byte.
 """
 
 import argparse
+import filecmp
 import subprocess
 import sys
 import tempfile
@@ -15,18 +17,23 @@ from pathlib import Path
 
 PART = """
 import sys
+from pathlib import Path
 from mckibben.scenario import Scenario
 from mckibben.study.sweep import merge, summary, sweep
 runs, part, short, out, *folders = sys.argv[1:]
 if folders:
-    summary(merge(folders, out))
+    (Path(out) / "statistics").write_text(repr(summary(merge(folders, out))))
 else:
     short = short == "True"
     changed = {"duration": 0.1, "substeps": 1} if short else {"duration": 0.2}
     scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update=changed)
     over = ["load.mass2=0.2 kg..1.0 kg", "controller.position.kp=0.5..10 bar/rad log"]
     precision = 32 if short else 64
-    sweep(scenario, over, samples=int(runs), metrics=["angle_rmse"], precision=precision, out=out, part=part or None)
+    swept = sweep(
+        scenario, over, samples=int(runs), metrics=["angle_rmse"], precision=precision, out=out, part=part or None
+    )
+    if not part:
+        (Path(out) / "statistics").write_text(repr(summary(swept)))
 import resource
 used = resource.getrusage(resource.RUSAGE_SELF)
 print(used.ru_maxrss / 1e6, used.ru_utime + used.ru_stime)
@@ -39,6 +46,7 @@ def main():
     options.add_argument("--runs", type=int, default=40_000)
     options.add_argument("--parts", type=int, default=4)
     options.add_argument("--short", action="store_true")
+    options.add_argument("--undivided", action="store_true")
     asked = options.parse_args()
     million = asked.runs / 1e6
     with tempfile.TemporaryDirectory() as name:
@@ -57,7 +65,12 @@ def main():
         begin = time.perf_counter()
         merged, _ = taken(asked.runs, "", asked.short, folder / "merged", *(folder / f"{k}" for k in numbers))
         seconds = time.perf_counter() - begin
-        print(f"merging and statistics: {seconds:.1f} s, {merged:.2f} GB of memory")
+        print(f"merging and statistics: {seconds:.1f} s, {merged:.2f} GB of memory", flush=True)
+        if asked.undivided:
+            taken(asked.runs, "", asked.short, folder / "undivided")
+            for file in ("sweep.nc", "statistics"):
+                same = filecmp.cmp(folder / "merged" / file, folder / "undivided" / file, shallow=False)
+                print(f"{file}: {'the same bytes' if same else 'DIFFERENT'} without parts")
 
 
 def taken(*arguments):

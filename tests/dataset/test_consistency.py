@@ -274,3 +274,62 @@ def test_an_offset_that_few_slack_points_show_is_reported(tails, offset, reporte
     data, told = heard(*np.array(rows).T)
     assert ["offset" in one for one in told] == [True] * reported
     assert data.force[0] == pytest.approx(120 + offset)  # not subtracted
+
+
+def test_a_force_that_stands_still_for_some_rows_is_reported(heard):
+    pressure, contraction, force = points()
+    force[91:97] = force[91]
+    assert any("repeat the row before" in text for text in heard(pressure, contraction, force)[1])
+
+
+def test_a_lost_decimal_point_at_the_largest_force_is_reported(heard):
+    pressure, contraction, force = points(bars=(1, 2, 3))
+    at = int(np.argmax(force))
+    force[at] *= 4
+    assert any(f"point {at + 1} " in text for text in heard(pressure, contraction, force)[1])
+
+
+@pytest.mark.parametrize(("factor", "reported"), [(1.0, False), (2.5, True)])
+def test_a_force_that_would_end_beyond_the_reach_of_a_muscle_is_reported(heard, factor, reported):
+    contraction = np.tile(np.linspace(0, 12, 7), 3)
+    pressure = np.repeat([2.0, 3.0, 4.0], 7)
+    force = 80 * pressure * (1 - contraction / 28)
+    said = heard(pressure, factor * contraction, force)[1]
+    assert any("would end at" in text for text in said) == reported
+
+
+def sampled(**changes):
+    """Samples of a taut muscle that is shortened and stretched, with noise; `changes` replace channels."""
+    time = np.arange(0, 12, 0.01)
+    noise = np.random.default_rng(3).normal(0, 1, (3, len(time)))
+    contraction = 0.05 + 0.04 * np.sin(time) + 1e-5 * noise[0]
+    pressure = 3e5 + 200 * noise[1]
+    channels = {
+        "time": time,
+        "pressure": pressure,
+        "force": 600 * (1 - contraction / 0.3) + 0.3 * noise[2],
+        "contraction": contraction,
+    }
+    return Recording.of(**channels | {name: change(channels[name]) for name, change in changes.items()})
+
+
+@pytest.mark.parametrize(
+    ("channel", "change", "said"),
+    [
+        ("force", lambda force: force + 150 * (np.arange(len(force)) > 700), "force alone jumps, at 7.01 s"),
+        ("contraction", lambda eps: np.where(eps > 0.08, eps - 0.05, eps), "contraction alone jumps"),
+        ("pressure", lambda p: np.where(abs(np.arange(len(p)) - 500) < 150, p[350], p), "pressure does not change"),
+        ("time", lambda time: np.floor(time * 20) / 20, "have the time of the one before"),
+    ],
+)
+def test_samples_of_sensors_that_jump_or_stand_still_are_noted(channel, change, said):
+    found = sampled(**{channel: change}).strokes(pressure_tolerance=3e3)
+    assert [said in note for note in found.notes].count(True) == 1
+    assert not sampled().strokes(pressure_tolerance=3e3).notes
+
+
+def test_a_recording_with_the_newest_sample_first_is_refused():
+    backwards = sampled(time=lambda time: time[::-1])
+    for extract in (backwards.plateaus, backwards.strokes):
+        with pytest.raises(RangeError, match="does not advance"):
+            extract()

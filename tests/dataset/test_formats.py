@@ -249,6 +249,25 @@ def test_waveforms_of_tdms_and_lvm_know_their_time(put):
     assert read_recording(put(commas, "b.lvm")).time.tolist() == [0, 0.5, 1, 1.5, 2, 2.5]
 
 
+def test_a_channel_of_tdms_that_begins_later_is_reported(put):
+    stream = io.BytesIO()
+    begin = np.datetime64("2024-03-12T14:00:00", "us")
+    with TdmsWriter(stream) as writer:
+        for number, (name, values) in enumerate(COLUMNS.items()):
+            start = {"wf_start_time": begin + np.timedelta64(2 * (number == 1), "s"), "wf_increment": 0.5}
+            writer.write_segment([ChannelObject("g", name, values, properties=start)])
+    late = [*COLUMNS][1]
+    with pytest.warns(McKibbenWarning, match=f"g/{late}: begins 2 s after the first channel"):
+        read_dataset(put(stream.getvalue(), "a.tdms"))
+
+
+def test_a_short_vector_named_as_a_calibration_is_reported(put):
+    stream = io.BytesIO()
+    savemat(stream, {**COLUMNS, "cal": [1.0, 1.0, 0.1]})
+    with pytest.warns(McKibbenWarning, match="'cal' is not a column"):
+        read_dataset(put(stream.getvalue(), "a.mat"))
+
+
 def test_several_segments_of_an_lvm_file_are_refused(put):
     segment = FILES["rig.lvm"].partition(b"***End_of_Header***")[2]
     assert said_of(put(FILES["rig.lvm"] + segment, "a.lvm")) == [

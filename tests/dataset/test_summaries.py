@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import openpyxl
 import pytest
-from openpyxl.styles import Font
+from openpyxl.styles import Font, PatternFill
 
 from mckibben.dataset import read_dataset
 from mckibben.errors import DatasetError, McKibbenWarning
@@ -215,3 +215,57 @@ def test_words_and_truth_values_that_may_mean_anything_drop_no_row(heard, name, 
     data, told = heard(lines, f"{HEADER},{name}")
     np.testing.assert_allclose(data.force, ROWS[:, 2])
     assert len(told) == 1
+
+
+def test_a_range_is_left_out(heard):
+    data, _ = heard([*written(ROWS), ",".join(f"{value:.6g}" for value in np.ptp(ROWS, axis=0))])
+    assert len(data) == len(ROWS)
+
+
+def test_rows_named_by_words_in_a_column_of_numbers(heard):
+    numbered = [f"{line},{number}" for number, line in enumerate(written(ROWS))]
+    data, said = heard(["0.01,0.2,1.5,Offset", *numbered], f"{HEADER},No")
+    assert len(data) == len(ROWS)
+    _, said = heard([*numbered[:-1], f"{written(ROWS)[-1]},x"], f"{HEADER},No")
+    assert any("'No' is not read" in text and "'x'" in text for text in said)
+
+
+@pytest.mark.parametrize(("place", "row"), [(0, "1,2,3"), (0, "10,30,5000"), (7, "0,0,0"), (len(ROWS), "9,20,4000")])
+def test_rows_of_whole_numbers_far_from_the_others_are_left_out(heard, place, row):
+    lines = written(np.add(ROWS, [0.013, 0.1, 0.17]))
+    data, said = heard([*lines[:place], row, *lines[place:]])
+    assert len(data) == len(ROWS)
+    assert any(f"line {place + 2}: has whole numbers alone" in text for text in said)
+
+
+def test_a_row_of_whole_numbers_that_may_be_a_point_is_reported(heard):
+    lines = written(np.add(ROWS, [0.013, 0.1, 0.17]))
+    data, said = heard(["3,1,2", *lines])
+    assert len(data) == len(ROWS) + 1
+    assert any("line 2 has whole numbers alone" in text for text in said)
+
+
+@pytest.mark.parametrize("first", ["0,0,0", "2,0,167"])
+def test_a_muscle_at_rest_and_whole_points_are_not_reported(heard, first):
+    assert not any("whole" in text for text in heard([first, *written(ROWS)])[1])
+
+
+def test_comments_among_the_rows_are_reported_and_others_are_not(heard):
+    lines = written(ROWS)
+    _, said = heard([*lines[:5], "# tared, 10:30", *lines[5:]])
+    assert any("line 7" in text and "'# tared, 10:30'" in text for text in said)
+    assert not any("comment" in text for text in heard(["# muscle 3", *lines, "# end"])[1])
+
+
+def test_a_few_coloured_rows_are_reported_and_stripes_are_not(tmp_path):
+    for coloured, reported in (([4], True), (range(2, 16, 2), False), ([1], False)):
+        book = openpyxl.Workbook()
+        for row in (HEADER.split(","), *ROWS.tolist()):
+            book.active.append(row)
+        for row in coloured:
+            book.active.cell(row, 1).fill = PatternFill("solid", fgColor="FFFF0000")
+        book.save(tmp_path / "rig.xlsx")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", McKibbenWarning)
+            read_dataset(tmp_path / "rig.xlsx")
+        assert any("coloured cells in rows 4" in str(one.message) for one in caught) == reported

@@ -379,3 +379,11 @@ def test_the_temperature_of_the_air_is_a_state(tmp_path, opened):
     assert temperatures[0] > 300
     assert one.get("temperature1", "temperature2") == pytest.approx(temperatures, rel=1e-9)
     assert one.get("angle").item() == pytest.approx(float(state.angle), rel=1e-9)
+
+
+def test_a_control_character_in_a_name_leaves_the_description_valid(scenario, tmp_path):
+    muscle = scenario.joint.muscle1
+    named = dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, name="a\x01 & <b>"))
+    joint = dataclasses.replace(scenario.joint, muscle1=named, muscle2=named)
+    export(scenario.model_copy(update={"joint": joint}), "fmu-muscle", tmp_path, name="muscle")
+    assert "a\\x01 & <b>" in fmpy.read_model_description(tmp_path / "muscle.fmu").description

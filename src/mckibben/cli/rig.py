@@ -32,7 +32,6 @@ from mckibben.units import bar, deg, percent
 if TYPE_CHECKING:
     from mckibben.realtime import JointRunResult, JointSession, RunProgress
     from mckibben.rig.session import Progress, ProgressCallback
-    from mckibben.scenario import Scenario
     from mckibben.study.rig.running import CheckedTest
 
 
@@ -62,7 +61,9 @@ def control(
     from mckibben.realtime import JointRig, prepare
     from mckibben.scenario import Scenario
 
-    read = _with_duration(Scenario.read(scenario), parse_optional_quantity("--duration", duration, "s"))
+    read = Scenario.read(scenario)
+    if (seconds := parse_optional_quantity("--duration", duration, "s")) is not None:
+        read = read.replace(duration=seconds)
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
@@ -85,16 +86,6 @@ def control(
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
     if ran.result is not None and ran.result.outcome.failed:
         raise typer.Exit(1)
-
-
-def _with_duration(scenario: Scenario, duration: float | None) -> Scenario:
-    """Scenario with a new duration [s]."""
-    if duration is None:
-        return scenario
-    from mckibben.simulation.problem import sampling_times
-
-    sampling_times(duration, scenario.control_period)  # raises an error if they are inconsistent
-    return scenario.model_copy(update={"duration": duration})
 
 
 def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: bool, json: bool) -> None:

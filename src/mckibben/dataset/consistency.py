@@ -23,6 +23,8 @@ _TOLERANCE = 0.25  # of the force that a tenth of the points exceed: more than f
 _NOISE = 0.05  # of the largest force
 _SAME = 0.1 * percent  # contraction
 _LOOP = 2.0  # usual distances between loading and unloading
+_BESIDE, _FAR_ABOVE = 0.25, 2.0  # of the range of contractions; ratio of forces per pressure
+_SHORTEST_STROKE, _LONGEST_REACH = 5 * percent, 45 * percent  # contractions of a line that is extrapolated
 _AGAINST = 3  # points that an outlier contradicts
 _SHARE = 0.1  # of the points: more are not single errors
 _MOST = 1000  # points at a level that are compared in pairs
@@ -61,6 +63,7 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     levels = _levels(dataset.pressure)
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)
+    yield from _reach(dataset, levels)
     yield from _unequal_forces(dataset)
     yield from _held_forces(dataset)
     yield from _saturated(dataset)
@@ -109,11 +112,29 @@ def _rising_forces(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator
         )
 
 
+def _reach(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
+    """Warning if the force would end at a contraction that no muscle reaches.
+
+    It is a convex function of the contraction: a line through its points ends at a smaller one.
+    """
+    contraction, force, stroke = dataset.contraction, dataset.force, np.ptp(dataset.contraction)
+    rows = max(levels, key=lambda rows: (np.ptp(contraction[rows]) >= _STROKE * stroke) * force[rows].mean())
+    if len(rows) < _FEWEST // 2 or np.ptp(contraction[rows]) < max(_STROKE * stroke, _SHORTEST_STROKE):
+        return
+    slope, start = np.polyfit(contraction[rows], force[rows], 1)
+    if slope < 0 and -slope * np.ptp(contraction[rows]) > _TAUT * start and -start / slope > _LONGEST_REACH:
+        yield (
+            f"contraction: the force would end at {-start / slope / percent:.2g} %, but muscles contract by 20 to "
+            "35 %; check the unit and initial_length (command line: --initial-length), and the zero of the load cell"
+        )
+
+
 def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
     """Warning about single points that contradict those of their pressure, or that pull without pressure."""
     pressure, contraction, force = dataset.pressure, dataset.contraction, dataset.force
     tolerance = max(_TOLERANCE * float(np.quantile(force, 0.9)), _NOISE * float(force.max()))
-    vented = (pressure <= _LEVEL / 2 * pressure.max()) & (force > tolerance) & (contraction > _UNSTRETCHED)
+    vented = _alone_at_the_top(pressure, contraction, force)
+    vented |= (pressure <= _LEVEL / 2 * pressure.max()) & (force > tolerance) & (contraction > _UNSTRETCHED)
     found = set(np.flatnonzero(vented).tolist())
     for part in [levels] if len(force) <= _MOST else [[rows] for rows in levels if len(rows) <= _MOST]:
         found |= _against_others(contraction, force, part)
@@ -130,6 +151,17 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
             f"pressure and fall with the contraction, which it does not at point {shown}{more}; "
             + ("check these rows, or leave them out" if single else "they may be of another muscle, unit or sensor")
         )
+
+
+def _alone_at_the_top(pressure: Floats, contraction: Floats, force: Floats) -> NDArray[np.bool_]:
+    """True for a row whose force per pressure is far above all others at about its contraction or a smaller one."""
+    near = np.flatnonzero((pressure > _LEVEL * pressure.max()) & (force > 0))
+    found, share = np.zeros(len(force), bool), force[near] / pressure[near]
+    if len(near) >= _FEWEST:
+        at = near[np.argmax(share)]
+        others = share[(near != at) & (contraction[near] <= contraction[at] + _BESIDE * np.ptp(contraction))]
+        found[at] = len(others) > 1 and share.max() > _FAR_ABOVE * others.max()
+    return found
 
 
 def _against_others(contraction: Floats, force: Floats, levels: Sequence[Rows]) -> set[int]:
@@ -169,7 +201,8 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
     moved = np.abs(np.diff(dataset.contraction)) > _MOVED
     moved &= np.minimum(force[1:], force[:-1]) > _NOISE * force.max()
     held = moved & (change == 0)
-    if not held.sum() > max(_HELD * moved.sum(), _PAIRS):
+    longest = int(np.bincount(np.cumsum(change != 0)[held]).max(initial=0))  # of one value
+    if longest <= _PAIRS and not held.sum() > max(_HELD * moved.sum(), _PAIRS):
         return
     others = np.abs(change[moved & ~held])
     rounded = not others.size or np.median(others) <= _COARSE * resolution(force)

@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,14 @@ import numpy as np
 
 from mckibben.dataset.columns import is_unit
 from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, not_applied, unreadable
+from mckibben.dataset.summaries import MOST_POINTS
 from mckibben.errors import DatasetError, Problem
 
+_LATEST = 1e9  # s
 _HEADER = 60  # rows searched for a header
 _MOST_COLUMNS = 4096
 _LISTED = 10  # hidden rows in a warning
+_FEW = 0.1  # of the rows: coloured ones that may be marked
 _UNIT_FORMAT = re.compile(r'[0#.,]+ ?"\s*([^"]+)"')
 _PERCENT_FORMAT = re.compile(r"[0#.,]+ ?%")  # shows 0.05 as 5 %
 _NOTES = re.compile(r"xl/(?:comments/)?comments?[0-9]*\.xml")
@@ -47,7 +51,8 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
             notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in sheets}
             noted = _noted(archive)
         used: Any = book
-        struck = {sheet.title: _struck(sheet) for sheet in sheets if any(font.strike for font in used._fonts)}
+        styled = any(font.strike for font in used._fonts) or any(fill.fill_type == "solid" for fill in used._fills)
+        marked = {sheet.title: _marked(sheet) for sheet in sheets if styled}
     except (DatasetError, MemoryError):
         raise
     except Exception as error:  # openpyxl raises almost any exception on a damaged file
@@ -65,7 +70,7 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
         sheet.suspect += [f"the hidden sheet {title!r} is not read" for title in skipped]
         filled = {title: channels for title, channels in filled.items() if title not in skipped}
     for title in filled:
-        found = [*(["is hidden"] if title in hidden else []), *filter(None, (notes[title], struck.get(title, "")))]
+        found = [*(["is hidden"] if title in hidden else []), *filter(None, (notes[title], marked.get(title, "")))]
         note = "; ".join(found)
         sheet.suspect += [f"sheet {title!r} {note}"] if note else []
     for title, channels in filled.items():
@@ -107,15 +112,21 @@ def _hidden(archive: zipfile.ZipFile, part: str) -> str:
     return f"has hidden {' and '.join(found)}, which are read" if found else ""
 
 
-def _struck(sheet: Any) -> str:
-    """Rows of a sheet with struck-out cells, which are read as all others; empty if there are none."""
-    rows = [
-        str(number)
-        for number, row in enumerate(sheet.iter_rows(), 1)
-        if any(cell.value is not None and cell.font.strike for cell in row)
-    ]
-    shown = f"{', '.join(rows[:_LISTED])}{' ...' if len(rows) > _LISTED else ''}"
-    return f"has struck-out cells in rows {shown}, which are read" if rows else ""
+def _marked(sheet: Any) -> str:
+    """Rows of a sheet with struck-out cells, or few with coloured ones, which are read as all others; empty if none."""
+    struck, coloured, count = [], [], 0
+    for number, row in enumerate(islice(sheet.iter_rows(), MOST_POINTS), 1):
+        cells = [cell for cell in row if cell.value is not None]
+        if any(isinstance(cell.value, (int, float)) for cell in cells):
+            count += 1
+            coloured += [str(number)] * any(cell.fill.fill_type == "solid" for cell in cells)
+        struck += [str(number)] * any(cell.font.strike for cell in cells)
+    found = {"struck-out": struck, "coloured": coloured if len(coloured) <= _FEW * count else []}
+    return "; ".join(
+        f"has {what} cells in rows {', '.join(rows[:_LISTED])}{' ...' if len(rows) > _LISTED else ''}, which are read"
+        for what, rows in found.items()
+        if rows
+    )
 
 
 def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
@@ -195,6 +206,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
         raise DatasetError(str(path), [Problem("is a TDMS file, and npTDMS is not installed", remedy=remedy)]) from None
     sheet = RawTable(kind=RowProblem)
     intervals: set[float] = set()
+    starts: dict[str, np.datetime64] = {}
     try:
         with _captured_log() as warned:
             file = TdmsFile.read_metadata(io.BytesIO(data))
@@ -204,7 +216,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
             file = TdmsFile.read(io.BytesIO(data))
             for group in file.groups():
                 for channel in group.channels():
-                    _add(sheet, f"{group.name}/{channel.name}", channel, intervals)
+                    _add(sheet, f"{group.name}/{channel.name}", channel, intervals, starts)
             status = file.file_status
     except (DatasetError, MemoryError):
         raise
@@ -220,6 +232,13 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
         raise DatasetError(str(path), [Problem("has no channel with samples")])
     if len(intervals) == 1:
         sheet.interval = intervals.pop()
+    begin = min(starts.values(), default=np.datetime64(0, "us"))
+    sheet.channels = [
+        replace(one, notes=(*one.notes, f"begins {late / np.timedelta64(1, 's'):g} s after the first channel"))
+        if (late := starts.get(one.name, begin) - begin) > np.timedelta64(1, "ms")
+        else one
+        for one in sheet.channels
+    ]
     return sheet
 
 
@@ -257,7 +276,7 @@ def _captured_log() -> Iterator[list[str]]:
             logger.handlers, logger.propagate = handlers, propagate
 
 
-def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float]) -> None:
+def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float], starts: dict[str, np.datetime64]) -> None:
     values = channel[:]
     if values is None or not len(values):
         sheet.ignored.append(name)
@@ -275,6 +294,9 @@ def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float]) -> Non
     step = properties.get("wf_increment")
     if isinstance(step, (int, float)) and np.isfinite(step) and step > 0:
         intervals.add(float(step))
+        offset = properties.get("wf_start_offset", 0.0)
+        if isinstance(start := properties.get("wf_start_time"), np.datetime64) and abs(offset) < _LATEST:
+            starts[name] = start.astype("datetime64[us]") + np.timedelta64(round(1e6 * offset), "us")
     rows = range(1, len(cells) + 1)
     others = {key: value for key, value in properties.items() if not key.startswith(("NI_", "wf_"))}
     notes = at_type_limit(values) + not_applied(others)

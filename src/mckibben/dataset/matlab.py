@@ -68,7 +68,9 @@ def _checked(path: Path, sheet: RawTable) -> RawTable:
     if not sheet.channels and not sheet.problems:
         ignored = f"; it has {', '.join(sheet.ignored[:20])}" if sheet.ignored else ""
         raise DatasetError(str(path), [Problem(f"has no column of numbers{ignored}")])
-    scales = [name for name in sheet.ignored if not_applied({re.split(r"[./]", name)[-1]: None})]
+    most = max((len(channel.cells) for channel in sheet.channels), default=0)
+    short = [channel.name for channel in sheet.channels if len(channel.cells) < most]
+    scales = [name for name in [*sheet.ignored, *short] if not_applied({re.split(r"[./]", name)[-1]: None})]
     sheet.suspect += [f"{name!r} is not a column, and is not applied to others" for name in scales]
     return sheet
 

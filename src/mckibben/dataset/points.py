@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_sign
 from mckibben.dataset.schema import OF_FILE
-from mckibben.errors import DatasetError
+from mckibben.errors import DatasetError, RangeError
 from mckibben.units import show
 
 _LEAST = 10  # samples in a row
@@ -74,6 +74,41 @@ def _stretches(at_end: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return at_end | dense
 
 
+_JUMP, _REST = 0.1, 0.02  # of the largest value: a step from sample to sample, and no motion in it
+_TRAVEL = 0.05  # least contraction that these are compared with
+
+
+def stuck_or_jumping(table: xr.Dataset, broken: NDArray[np.bool_]) -> Iterator[str]:
+    """Notes on a noisy channel that stands still, and on steps of one channel alone while the muscle is taut.
+
+    `broken` marks samples that do not follow the ones before.
+    """
+    time = table["time"].to_numpy()
+    channels = {name: table[name].to_numpy() for name in ("pressure", "force", "contraction") if name in table}
+    for name, values in channels.items():
+        starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0)
+        lengths, heights = np.diff(starts, append=len(values)), values[starts]
+        inside = (heights != heights.min(initial=np.inf)) & (heights != heights.max(initial=-np.inf))
+        if inside.any() and _noisy(heights, inside):
+            at = int(np.argmax(lengths * inside))
+            if lengths[at] >= _LONGER * max(_LEAST, _usual(lengths[inside])):
+                span = f"{time[starts[at]]:.6g} to {time[starts[at] + lengths[at] - 1]:.6g} s"
+                yield f"{name} does not change from {span}, and has noise elsewhere: a stuck sensor?"
+    if len(channels) < 3:
+        return
+    least = {"pressure": 0.0, "force": 0.0, "contraction": _TRAVEL}
+    scales = {name: max(float(np.abs(values).max()), least[name]) for name, values in channels.items()}
+    steps = {name: np.abs(np.diff(values)) / (scales[name] or 1.0) for name, values in channels.items()}
+    taut = np.maximum(channels["force"][1:], channels["force"][:-1]) > _JUMP * scales["force"]
+    for name in channels:
+        rest = [steps[other] < _REST for other in channels if other != name]
+        alone = np.flatnonzero((steps[name] > _JUMP) & rest[0] & rest[1] & taut & ~broken[1:])
+        if len(alone):
+            shown = ", ".join(f"{time[at + 1]:.6g} s" for at in alone[:_NAMED])
+            more = f" and {len(alone) - _NAMED} more" if len(alone) > _NAMED else ""
+            yield f"{name} alone jumps, at {shown}{more}: a sensor that was zeroed, slipped or lost counts?"
+
+
 _GAP = 10  # usual intervals
 _NAMED = 5  # places listed in a note
 
@@ -125,6 +160,7 @@ class SampleAccount:
         self.broken = self._breaks(gap)
         for name in ("pressure", "force"):
             self._ends(name)
+        self.notes += stuck_or_jumping(table, self.broken)
 
     def assign_reason(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
         """Assign a reason to samples that do not have one yet."""
@@ -150,8 +186,10 @@ class SampleAccount:
         broken = np.zeros(len(time), bool)
         forward = steps[steps > 0]
         if not len(forward):
-            return broken
-        longest = _GAP * float(np.median(forward)) if gap is None else gap
+            remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
+            raise RangeError("the time of the recording does not advance", remedy=remedy)
+        self.interval = float(np.median(forward))
+        longest = _GAP * self.interval if gap is None else gap
         for what, where in (("gap", steps > longest), ("clock went back", steps < 0)):
             places = np.flatnonzero(where)
             if len(places):
@@ -159,6 +197,8 @@ class SampleAccount:
                 more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
                 self.notes.append(f"{what}: {shown}{more}; segments end there")
                 broken[places + 1] = True
+        if still := int(np.count_nonzero(steps == 0)):
+            self.notes.append(f"{still} of {len(time)} samples have the time of the one before: durations are inexact")
         return broken
 
     def _ends(self, name: str) -> None:

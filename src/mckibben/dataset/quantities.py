@@ -23,6 +23,7 @@ from mckibben.dataset.summaries import (
     labelled_summaries,
     several_specimens,
     summaries,
+    whole_rows,
 )
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, mm, quantity
@@ -232,7 +233,14 @@ class ColumnConverter:
         read = {name: column.unit for name, (_, column) in self.places.items() if name in _MEASURED and name in values}
         if self.problems or not read or kept.sum() > MOST_POINTS:
             return
-        found = summaries({name: (values[name][kept], factor(unit)) for name, unit in read.items()})
+        columns = {name: (values[name][kept], factor(unit)) for name, unit in read.items()}
+        for row, certain in whole_rows(columns):
+            what = "has whole numbers alone, unlike the rows next to it: numbers of channels, ranges, or a restart"
+            if certain:
+                self.missing.append(self.sheet.kind(what, line=int(lines[kept][row])))
+            else:
+                self.suspect.append(f"{self.sheet.unit} {lines[kept][row]} {what}; if so, leave it out")
+        found = summaries(columns)
         self.missing += [
             self.sheet.kind(f"is {what}: a summary is not a measurement", line=int(lines[kept][row]))
             for row, what in found.items()

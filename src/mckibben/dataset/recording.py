@@ -180,13 +180,7 @@ class Recording(MeasuredTable):
             )
         time, pressure, contraction, force = self.time, self.pressure, self.contraction, self.force
         account = SampleAccount(self.table, gap)
-        forward = np.diff(time)
-        forward = forward[forward > 0]
-        if not len(forward):
-            raise RangeError(
-                "the time of the recording does not advance", remedy="give its sample rate when reading it"
-            )
-        interval = float(np.median(forward))
+        interval = account.interval
         if interval > dwell:
             raise RangeError(
                 f"the samples are {interval:.3g} s apart, more than the dwell of {dwell:.3g} s",

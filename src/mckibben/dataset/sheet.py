@@ -81,7 +81,7 @@ class RawTable:
 
 
 _NOT_APPLIED = re.compile(
-    r"scal|factor|gain|offset|slope|intercept|conver|multipl|sensitiv|calib|resol|coeff|excit|(?<![a-z])(?:lsb|tare)",
+    r"scal|factor|gain|offset|slope|intercept|conver|multipl|sensitiv|calib|resol|coeff|excit|(?<![a-z])(?:lsb|tare|cal(?![a-z]))",
     re.IGNORECASE,
 )
 NOT_APPLIED = re.compile(

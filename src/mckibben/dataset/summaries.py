@@ -22,6 +22,7 @@ _STATISTICS: Mapping[str, Callable[..., Floats]] = {
     "standard deviation": functools.partial(np.std, ddof=1),
     "sum": np.sum,
     "maximum": np.max,
+    "range": np.ptp,
 }
 _FEWEST = 4  # rows that a summary summarises
 _JUMP = 1.5  # usual steps from row to row, beyond which a summary is from its neighbors
@@ -30,6 +31,7 @@ _COARSE = 0.02  # of the range of a column: largest rounding of a summary
 _SAME = 1e-6  # of the range of a column: rounding of a repeated value
 _LEVEL = 0.05  # of the largest value: rows of one level
 _DECIMALS = 9  # of a number in a file
+_BY_CHANCE = 0.2  # expected rows of whole numbers alone, below which one is no measurement
 
 _GOOD = frozenset("valid ok good gültig valide válido valido".split())
 _NUMBER = re.compile(r"[-+]?[\d.,]+")
@@ -53,7 +55,8 @@ _INVALID = frozenset(
     "ungültig fehler fehlerhaft défaut erreur inválido errore invalide".split()
 )
 _SUMMARY = frozenset(
-    "mean average avg median std stdev sum total mittelwert mittel summe moyenne promedio media".split()
+    "mean average avg median std stdev sum total mittelwert mittel summe moyenne promedio media min minimum max "
+    "maximum range offset scale gain factor sensitivity tare calibration unit units channel".split()
 )
 _SPECIMEN = frozenset("specimen muscle actuator dut prüfling muskel probe muestra éprouvette provino".split())
 _NAME = frozenset("specimen muscle name id no nr number num type serial sn".split())
@@ -65,6 +68,7 @@ _TEMPERATURE = re.compile(
 _VALUES = 100  # different numbers in a column of states
 _LONGEST = 40  # characters of a value
 _SHOWN = 4  # values in a warning
+_FEW = 0.1  # of the numbers of a column: words that mark rows
 
 _Candidate = tuple[int, Floats, str]
 """Row, the values of a statistic, and its name."""
@@ -79,15 +83,20 @@ def summaries(columns: Mapping[str, tuple[Floats, float]]) -> dict[int, str]:
     rows = np.stack([values / factor for values, factor in columns.values()])
     if rows.shape[1] <= _FEWEST:
         return {}
-    steps = np.median(np.abs(np.diff(rows, axis=1)), axis=1) + _COARSE * np.ptp(rows, axis=1)
     found: dict[int, str] = {}
-    jumps = (np.abs(np.diff(rows, axis=1)) > _JUMP * steps[:, None]).any(axis=0)
-    apart = np.append(True, jumps) & np.append(jumps, True)  # others may be points of a ramp
+    apart = _apart(rows)
     with np.errstate(over="ignore", invalid="ignore"):
         for at, values, what in (*_ends(rows), *_of_all_before(rows), *_of_levels(rows, [*columns])):
             if at not in found and apart[at] and _equal(rows, at, values) and not _repeated(rows, at):
                 found[at] = what
     return found
+
+
+def _apart(rows: Floats) -> NDArray[np.bool_]:
+    """Rows far from the rows next to them; others may be points of a ramp."""
+    steps = np.median(np.abs(np.diff(rows, axis=1)), axis=1) + _COARSE * np.ptp(rows, axis=1)
+    jumps = (np.abs(np.diff(rows, axis=1)) > _JUMP * steps[:, None]).any(axis=0)
+    return np.append(True, jumps) & np.append(jumps, True)
 
 
 def _ends(rows: Floats) -> Iterator[_Candidate]:
@@ -150,6 +159,35 @@ def _equal(rows: Floats, at: int, values: Floats) -> bool:
     return varied > 1
 
 
+def whole_rows(columns: Mapping[str, tuple[Floats, float]]) -> Iterator[tuple[int, bool]]:
+    """Rows of whole numbers that are far from those next to them, and whether they are certainly no measurement.
+
+    Certain are 0, 0, 0 (not the first or last one), 1, 2, 3, and the largest of all columns.
+
+    `columns` as for `summaries`. Such rows have numbers of channels, ranges, or the first values of a restarted logger.
+    """
+    rows = np.stack([values / factor for values, factor in columns.values()]).round(_DECIMALS)
+    if rows.shape[1] <= _FEWEST:
+        return
+    whole, zero = rows % 1 == 0, ~rows.any(axis=0)
+    at_rest, zero[[0, -1]] = zero.copy(), False
+    counted = (np.diff(rows, axis=0) == 1).all(axis=0) & (rows[0] <= 1)
+    largest = (rows == rows.max(axis=1, keepdims=True)).all(axis=0)
+    found = whole.all(axis=0) & _apart(rows) & ~(at_rest & ~zero)
+    shares = (whole.sum(axis=1) - np.count_nonzero(found) + 1) / (rows.shape[1] + 2)
+    rare = rows.shape[1] * np.prod(shares) < _BY_CHANCE
+    certain = zero | counted | largest
+    yield from ((int(row), bool(certain[row])) for row in np.flatnonzero(found & (certain | rare)))
+
+
+def _words_among_numbers(counts: Mapping[str, int]) -> set[str]:
+    """Words in a few rows of a column of numbers."""
+    words = {text for text in counts if not _NUMBER.fullmatch(text.strip()) and _WORD.search(text)}
+    numbers = {text for text in counts.keys() - words if text.strip()}
+    few = sum(map(counts.__getitem__, words)) <= _FEW * sum(map(counts.__getitem__, numbers))
+    return words if few and len(numbers) >= _FEWEST else set()
+
+
 def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, str], list[str]]:
     """Lines that a column which is not read marks as invalid, with the mark; and warnings of other states."""
     lines: dict[int, str] = {}
@@ -174,7 +212,7 @@ def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, st
                     lines[line] = f"is marked as {text.strip()[:_LONGEST]!r} by {channel.name!r}"
             continue
         marked = invalid or {text for text, found in words.items() if not found.isdisjoint(_INVALID)}
-        marked = marked or summary
+        marked = marked or summary or _words_among_numbers(counts)
         if not marked and status and 1 < len(counts) < max(len(cells) / 2, _FEWEST):
             marked = {*counts} - {counts.most_common(1)[0][0]}
         if marked:
@@ -221,7 +259,7 @@ def drifting_temperatures(channels: Sequence[RawColumn]) -> Iterator[str]:
 def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
     """Lines with a word such as mean in place of a number, and the word."""
     return {
-        channel.lines[row]: f"has {cell.strip()[:_LONGEST]!r} in place of a number: a summary is not a measurement"
+        channel.lines[row]: f"has {cell.strip()[:_LONGEST]!r} in place of a number: it is not a measurement"
         for channel in channels
         if not isinstance(channel.cells, np.ndarray)
         for row, cell in enumerate(channel.cells)

@@ -21,6 +21,7 @@ _MOST_COLUMNS = 4096
 _OF_PRESSURE = re.compile(r"press|druck|presi|(?<![a-z])(?:bar|psi|[km]?pa)(?![a-z])", re.IGNORECASE)
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
 _SHOWN = 80  # characters of a line in a message
+_SEEN = 2**14  # texts of cells that are stored once
 _JOINED = 20  # lines that a quoted cell may span
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
@@ -208,9 +209,12 @@ class _Row(NamedTuple):
 def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> None:
     """Columns of any other file, and its corrupt rows."""
     lines = [*lines, *_LINE.findall(stream.text, stream.at)]
-    rows = [row for row in _rows(lines, first, sheet) if not _is_comment(row, sheet)]
+    rows, comments = [], []
+    for row in _rows(lines, first, sheet):
+        (comments if _COMMENT.match(row.cells[0].lstrip()) else rows).append(row)
     if not rows:
         return
+    sheet.suspect += _remarks(comments, rows[1:], sheet.delimiter)
     header = [cell.strip() for cell in rows[0].cells]
     sheet.header_line = rows[0].line
     skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
@@ -281,14 +285,18 @@ def _is_other_header(row: _Row, known: _Known) -> bool:
 _COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 
 
-def _is_comment(row: _Row, sheet: RawTable) -> bool:
-    """True for a comment, and a warning if it looks like a row; an error of Excel is not a comment."""
-    if not _COMMENT.match(row.cells[0].lstrip()):
-        return False
-    rest = [row.cells[0].lstrip(" #"), *row.cells[1:]]
-    if len(rest) > 1 and all(map(_NUMBER.fullmatch, rest)):
-        sheet.suspect.append(f"line {row.line} is a comment and looks like a row; it is left out")
-    return True
+def _remarks(comments: Sequence[_Row], rows: Sequence[_Row], delimiter: str) -> Iterator[str]:
+    """Warnings of comments that look like rows, and of others among the rows; an error of Excel is not a comment."""
+    among = []
+    for row in comments:
+        rest = [row.cells[0].lstrip(" #"), *row.cells[1:]]
+        if len(rest) > 1 and all(map(_NUMBER.fullmatch, rest)):
+            yield f"line {row.line} is a comment and looks like a row; it is left out"
+        elif rows and rows[0].line < row.line < rows[-1].line and any(map(str.strip, rest)):
+            among.append(row)
+    if among:
+        words = repr(delimiter.join(among[0].cells).strip()[:_SHOWN])
+        yield f"line {among[0].line} is a comment among the rows, the first of {len(among)}, and not applied: {words}"
 
 
 def _is_remark(row: _Row, columns: int) -> bool:
@@ -338,6 +346,7 @@ def split_numbers(sheet: RawTable, known: _Known) -> Iterator[str]:
 def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
     """Non-blank rows; lines with an unclosed quotation mark are corrupt, the lines after them are not."""
     at = width = 0
+    seen: dict[str, str] = {}  # each text once, as many rows repeat those of others
     while at < len(lines):
         try:
             if sheet.delimiter == " " or '"' in lines[at]:
@@ -354,7 +363,8 @@ def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
         else:
             if not blank:
                 width = width or len(cells)
-                yield _Row(cells, first + at)
+                same = seen.setdefault if len(seen) < _SEEN else seen.get
+                yield _Row([same(cell, cell) for cell in cells], first + at)
         at += count
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 import mckibben
+from mckibben.errors import printable
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable
 from mckibben.units import deg, dimensions
 
@@ -33,7 +34,7 @@ def model_description(
             "fmiVersion": f"{version}.0",
             "modelName": unit.module.name,
             "guid" if version == 2 else "instantiationToken": token,
-            "description": unit.title,
+            "description": printable(unit.title),
             "generationTool": f"mckibben {mckibben.__version__}",
             "variableNamingConvention": "structured",
         },
