@@ -293,9 +293,9 @@ def simulate_legs(
 def _run(given: Any, lane: Any) -> LegMetrics:
     """Metrics of one run."""
     shared, times, period, substeps, kind = given
-    run = eqx.combine(lane, shared), times, period
+    run: tuple[Any, ...] = eqx.combine(lane, shared), times, period
     own, times, period = run if kind == "float64" else cast(run, jnp.dtype(kind))
-    return leg_metrics(*own, times, period, substeps)
+    return leg_metrics(own.plant, own.controller, own.start, times, period, substeps)
 
 
 @BatchFunction
