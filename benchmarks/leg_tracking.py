@@ -7,7 +7,8 @@ the others with a step of the stiffness of each joint, at different times. Each 
 encoders are quantised, pressures noisy, and the muscles have friction. In each run all of `SCATTER` differs from what
 the controllers' models hold. The gains are those of leg_tracking.json, written by `--tune`: differential evolution with
 the same population, generations and runs for each controller, in which each joint selects its own gains by its own
-cost; it begins in the middle of the ranges. The table is of other runs: medians, with the 90th percentile, and the
+cost; one candidate begins in the middle of the ranges, and one of a controller that adds a model to another at the
+gains that were found for that. The table is of other runs: medians, with the 90th percentile, and the
 median ratio to the PID with compensation of its delay in the same run, with its 95 % interval (bootstrap). Failed runs
 count as infinite.
 """
@@ -108,6 +109,8 @@ PREDICTION = {"observer.bandwidth": (80.0, 10.0), "pressure_observer.bandwidth":
 POLES = {"feedback.bandwidth": (25.0, 6.0)}
 REFERENCE = "PID, delay compensated"
 NAMES = "PID", REFERENCE, "decoupling per joint", "decoupling of the leg"
+SIMPLER = {REFERENCE: ("PID", "controller."), "decoupling of the leg": ("decoupling per joint", "")}
+"""Controller whose gains a search begins at, and what stands before their names."""
 SEARCH = {"population": 16, "generations": 16, "runs": 8}
 
 
@@ -265,8 +268,17 @@ def addressed(gains, runs):
     }
 
 
-def tuned(setup, plant, name, controller, *, population, generations, runs, seed=99):
-    """Gains of each joint by differential evolution (rand/1/bin); each joint selects by its own cost."""
+def simpler_gains(setup_name, name):
+    """Gains of the joints by name at which the search of a controller begins as well; none without a simpler one."""
+    simpler, before = SIMPLER.get(name, ("", ""))
+    return {f"{before}{gain}": values for gain, values in kept().get(setup_name, {}).get(simpler, {}).items()}
+
+
+def tuned(setup, plant, name, controller, known, *, population, generations, runs, seed=99):
+    """Gains of each joint by differential evolution (rand/1/bin); each joint selects by its own cost.
+
+    One candidate has the `known` gains, others in the middle.
+    """
     rng, ranges = np.random.default_rng(seed), gains_of(name)
     begin, spread = (np.array([one[i] for one in ranges.values()]) for i in (0, 1))
     over = draws(setup, plant, runs, seed)
@@ -279,6 +291,11 @@ def tuned(setup, plant, name, controller, *, population, generations, runs, seed
 
     points = rng.uniform(size=(3, population, len(ranges)))
     points[:, 0] = 0.5
+    if known:
+        points[:, 1] = 0.5
+        for i, gain in enumerate(ranges):
+            if gain in known:
+                points[:, 1, i] += np.log(np.array(known[gain]) / begin[i]) / (2 * np.log(spread[i]))
     best = costs(points)
     for _ in range(generations):
         chosen = np.argsort(rng.uniform(size=(3, population, population)), axis=-1)[..., :3]
@@ -327,7 +344,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--setup", choices=SETUPS, nargs="+", default=list(SETUPS))
     parser.add_argument("--runs", type=int, default=128, help="of the table")
-    parser.add_argument("--tune", choices=NAMES, nargs="*", help="tune these controllers, or all, and write the gains")
+    parser.add_argument("--tune", choices=NAMES, nargs="*", help="tune these, or all in turn, and write the gains")
     given = parser.parse_args()
     for name in given.setup:
         setup = SETUPS[name]
@@ -335,7 +352,7 @@ def main() -> None:
         made = controllers(plant)
         for one in () if given.tune is None else given.tune or NAMES:
             begin = time.perf_counter()
-            gains = tuned(setup, plant, one, made[one], **SEARCH)
+            gains = tuned(setup, plant, one, made[one], simpler_gains(name, one), **SEARCH)
             keep(name, one, gains)
             print(f"  {time.perf_counter() - begin:.0f} s", flush=True)
         if given.runs:

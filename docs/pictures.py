@@ -75,13 +75,27 @@ def _leg() -> None:
         "leg-foot-stiffness": mk.report.foot_ellipses(leg.leg, posture, found=solve_foot_stiffness(leg)),
         "leg-landing": mk.report.landing_forces(mk.leg.study_landing(leg)),
         "leg-jump": mk.report.jump_traces(jumps),
+        "leg-plan": mk.report.plan_stiffness(jumps),
     }
     for name, figure in figures.items():
         _, svg = save(figure, IMAGES, name)
         svg.unlink()  # larger than the PNG
-    for name, jump in (("constant", jumps.constant), ("timed", jumps.timed)):
+    for name, jump in jumps.jumps.items():
         path = IMAGES / f"leg-jump-{name}.webp"
         mk.report.render_leg(leg.plant(), jump.run, path, frames=48, overwrite=True)
+    _leg_in_space()
+
+
+def _leg_in_space() -> None:
+    """Pictures of the leg in space: its best landing with a valve, and the stiffness of its foot."""
+    leg = mk.leg.LegScenario.read(ROOT / "examples" / "leg" / "lei-leg-in-space.yaml")
+    assert leg.stiffness is not None
+    posture = leg.leg.posture_angles(leg.stiffness.posture)
+    figure = mk.report.foot_ellipses(leg.leg, posture, found=solve_foot_stiffness(leg))
+    _, svg = save(figure, IMAGES, "leg-space-foot-stiffness")
+    svg.unlink()
+    plant, run = list(mk.leg.study_landing(leg).compared_runs().values())[-1]
+    mk.report.render_leg(plant, run, IMAGES / "leg-space-landing.webp", overwrite=True)
 
 
 if __name__ == "__main__":

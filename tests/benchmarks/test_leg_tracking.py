@@ -37,6 +37,26 @@ def test_the_gains_that_are_kept_are_of_the_search(tracking):
                 assert begin / factor * 0.999 <= min(own[gain]) <= max(own[gain]) <= begin * factor * 1.001
 
 
+def test_a_search_begins_at_the_gains_of_the_simpler_controller_as_well(tracking, monkeypatch):
+    """Without generations, the cheapest of all candidates for a cost that only these gains make small."""
+    name, setup = next(iter(tracking.SETUPS.items()))
+    known = tracking.simpler_gains(name, tracking.REFERENCE)
+    assert set(known) == {f"controller.{one}" for one in tracking.PID}
+    wanted = np.log(known["controller.position.kp"])
+
+    def simulated(_setup, _plant, _controller, over):
+        columns = [over[f"controller.controllers.{joint}.controller.position.kp"] for joint in range(3)]
+        return {one: np.abs(np.log(columns) - wanted[:, None]) for one in tracking.COST}
+
+    monkeypatch.setattr(tracking, "simulated", simulated)
+    monkeypatch.setattr(tracking, "draws", lambda *_: {})
+    search = {"population": 8, "generations": 0, "runs": 2}
+    found = tracking.tuned(setup, None, tracking.REFERENCE, None, known, **search)
+    for gain, values in known.items():
+        np.testing.assert_allclose(found[gain], values, rtol=1e-3)
+    assert found["observer.bandwidth"] == [tracking.PREDICTION["observer.bandwidth"][0]] * 3
+
+
 @pytest.mark.slow
 def test_with_models_the_joints_follow_better_through_slow_valves(tracking, monkeypatch):
     monkeypatch.setattr(tracking, "DURATION", 1.5)

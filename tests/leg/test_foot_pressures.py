@@ -20,6 +20,7 @@ from mckibben.leg import (
     Leg,
     LegPlant,
     LegScenario,
+    attainable_foot_stiffness,
     foot_matrix,
     foot_stiffness,
     pressures_for_foot_stiffness,
@@ -165,6 +166,35 @@ def test_random_pressures_are_no_nearer_with_a_biarticular_muscle_in_space() -> 
     assert min(errors) >= found.least - 1e-9
     assert found.error - found.least < 1e-6
     assert found.limits
+
+
+@pytest.mark.parametrize("name", list(POSTURES))
+def test_the_attainable_set_holds_what_random_pressures_attain(name: str) -> None:
+    """With a biarticular muscle, in random directions of the joints' stiffness; torques are those of the pressures."""
+    leg, angles = with_rectus(name), POSTURES[name]
+    affine, rng = map_at(leg, angles), np.random.default_rng(2)
+    middle = np.full(len(leg.muscles), 3.5e5)
+    torques = affine.torque_at(middle)
+    null = np.linalg.svd(affine.torque[1])[2][len(angles) :]
+    tried = middle + rng.normal(0, 1e5, (20_000, len(null))) @ null
+    tensions = affine.tension[0] + affine.tension[1] * tried
+    highest = [float(one.domain.pressure_max) for one in leg.muscles]
+    strongest = [float(one.specimen.force_limit) for one in leg.muscles]
+    inside = tried[((tensions >= 1) & (tensions <= strongest) & (tried >= 0) & (tried <= highest)).all(axis=1)]
+    assert len(inside) > 100
+    moved, _ = foot_jacobian(leg, angles)
+
+    def joints(foot: np.ndarray) -> np.ndarray:
+        return moved.T @ np.linalg.inv(foot) @ moved
+
+    levels = 9 if leg.is_planar else 5
+    found = np.array([joints(one.compliance) for one in attainable_foot_stiffness(leg, angles, torques, levels=levels)])
+    random = np.array([affine.stiffness_at(one) for one in inside])
+    assert np.ptp(found[:, -1, -2]) > 1  # the coupling varies
+    for direction in rng.normal(size=(20, *found.shape[1:])):
+        ours, theirs = (np.einsum("nij,ij->n", one, direction) for one in (found, random))
+        slack = 0.02 * np.ptp(ours)
+        assert ours.min() - slack <= theirs.min() and theirs.max() <= ours.max() + slack
 
 
 def test_a_limit_that_is_relaxed_reduces_the_error() -> None:

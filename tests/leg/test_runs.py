@@ -60,6 +60,20 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("engine", ["native", "xla"])
+def test_batches_with_32_bits_are_those_with_64(plant: LegPlant, start: LegStart, engine: str) -> None:
+    given = {"over": {"start.upward_speed": [-0.5, -1.0]}, "substeps": 2, "engine": engine, **STEP}
+    controller = PressureSchedule(tuple((p,) for p in start.pressures))
+    whole, half = (simulate_legs(plant, controller, start, precision=bits, **given) for bits in (64, 32))
+    assert half.table["peak_force"].dtype == np.float32
+    for name in ("peak_force", "peak_trunk_force", "deflection"):
+        np.testing.assert_allclose(half[name], whole[name], rtol=1e-3, err_msg=name)
+        assert (np.asarray(half[name]) != np.asarray(whole[name])).any()
+    with pytest.raises(SimulationError):
+        simulate_legs(plant, controller, start, precision=16, **given)
+
+
+@pytest.mark.slow
 def test_legs_on_cuda_are_those_of_the_c_compiler(
     plant: LegPlant, start: LegStart, cuda_device: Any, nvrtc: Any
 ) -> None:
@@ -177,10 +191,11 @@ def test_biarticular_muscle_turns_both_joints(plant: LegPlant) -> None:
 @pytest.mark.parametrize(
     ("change", "field"),
     [
-        ({"joint1": "ankle"}, "joint1"),
-        ({"joint2": "hip"}, "joint1"),
+        ({"joint1": "ankle"}, "biarticular.0.joint1"),
+        ({"joint2": "hip"}, "biarticular.0.joint2"),
         ({"action1": "pulls"}, "action1"),
-        ({"path1": mk.Pulley(0.03, 0.2)}, "muscle"),
+        ({"path1": mk.Pulley(0.03, 0.2)}, "biarticular.0.muscle"),
+        ({"name": "knee2"}, "biarticular.0.name"),
     ],
 )
 def test_biarticular_muscles_that_do_not_fit(plant: LegPlant, change: dict[str, object], field: str) -> None:

@@ -32,6 +32,26 @@ def test_the_file_of_the_docs_is_a_leg() -> None:
     assert LegScenario.parse(text).plant().leg.muscle_names[-1] == "rectus"
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "line_of", "field"),
+    [
+        ("joint2: knee", "joint2: ankle", "joint2:", "leg.biarticular[0].joint2"),
+        ("joint2: knee", "joint2: hip", "joint2:", "leg.biarticular[0].joint2"),
+        ("- name: knee", "- name: hip", "link_angle: -30 deg", "leg.joints[1].name"),
+        ("- name: rectus", "- name: knee1", "biarticular:", "leg.biarticular[0].name"),
+        ("radius: 20 mm, rest_length: 80", "radius: 20 mm, rest_length: 300", "joint1: hip", "leg.biarticular[0]"),
+    ],
+)
+def test_a_mistake_in_a_part_of_a_leg_has_its_line(old: str, new: str, line_of: str, field: str) -> None:
+    text = Path("docs/leg.md").read_text(encoding="utf-8").split("## Files")[1].split("```yaml\n")[1].split("```")[0]
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse(text.replace(old, new))
+    (problem,) = caught.value.problems
+    near = text[: text.index(line_of)].count("\n") + 1
+    assert problem.field is not None and problem.field.startswith(field) and problem.remedy
+    assert problem.line is not None and abs(problem.line - near) <= (0 if line_of == "joint2:" else 3)
+
+
 def test_changes_of_the_catalog_name_the_joint() -> None:
     read = LegScenario.parse(HEAD + "  trunk: {mass: 2 kg}\n  joints: {knee: {damping: 0.1 N*m*s/rad}}\n")
     leg = read.leg

@@ -315,8 +315,11 @@ class _Diagnosis:
             lines = self.document.lines  # none of arguments in Python
             while lines and place not in lines and place:  # a name is short for `from`, a number for `constant`
                 place = place[:-1]
-            inner = (*place, *error.field.split(".")) if error.field else place
-            place = inner if not lines or inner in lines else place
+            keys = error.field.split(".") if error.field else ()
+            inner = (*place, *(int(key) if key.isdigit() else key for key in keys))
+            while lines and inner not in lines and inner != place:
+                inner = inner[:-1]
+            place = inner
             return Problem.of(error, self.document.line(place), dotted(place))
         if kind == "missing":
             message, remedy = "is missing", f"add it{self.example(place)}"

@@ -1,5 +1,6 @@
 """The musculoskeletal leg: joints with pairs of muscles, biarticular muscles, ground contact; landing and jumping."""
 
+from mckibben.leg.attainable import attainable_foot_stiffness
 from mckibben.leg.control import (
     CoupledControl,
     JointwiseControl,
@@ -9,7 +10,7 @@ from mckibben.leg.control import (
     PressureSchedule,
     TimedReference,
 )
-from mckibben.leg.foot import FootStiffness, attainable_foot_stiffness, foot_stiffness
+from mckibben.leg.foot import FootStiffness, foot_stiffness
 from mckibben.leg.foot_pressures import (
     FootPressures,
     foot_matrix,

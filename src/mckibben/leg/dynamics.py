@@ -60,14 +60,15 @@ class Contact(NamedTuple):
 
 def posture_of(leg: Leg, angles: Sequence[ArrayLike], *, z: ArrayLike = 0.0) -> Posture:
     """Return the posture of an upright trunk with the hip at a height [m], and locked joints at their place."""
-    zero = jnp.zeros(())
+    held = leg.held(angles)
+    zero = jnp.zeros_like(held[0])
     others = {name: zero for name in ("y", "yaw", "roll") if name in leg.trunk.motions}
-    return Posture(zero, jnp.asarray(z), zero, leg.held(angles), **others)
+    return Posture(zero, jnp.asarray(z), zero, held, **others)
 
 
 def at_rest(posture: Posture) -> Velocity:
     """Return the velocity of a leg at rest."""
-    return Velocity(*jax.tree.map(lambda one: jnp.zeros(()), posture))
+    return Velocity(*jax.tree.map(jnp.zeros_like, posture))
 
 
 def _chain(leg: Leg, posture: Posture, velocity: Velocity) -> tuple[Frame, list[Hinge], list[Body]]:
@@ -159,8 +160,8 @@ def acceleration(
     driven = [joint.sign * torque for joint, torque in zip(leg.joints, torques, strict=True) if joint.locked is None]
     rates = iter(made.accelerations([*[0.0] * len(leg.trunk.motions), *driven]))
     of_trunk = {name: next(rates) for name in leg.trunk.motions}
-    of_joints = tuple(jnp.zeros(()) if joint.locked is not None else joint.sign * next(rates) for joint in leg.joints)
-    zero = jnp.zeros(())
+    zero = jnp.zeros_like(posture.x)
+    of_joints = tuple(zero if joint.locked is not None else joint.sign * next(rates) for joint in leg.joints)
     x, z, pitch = (of_trunk.pop(name, zero) for name in ("x", "z", "pitch"))
     return Velocity(x, z, pitch, of_joints, **of_trunk)
 

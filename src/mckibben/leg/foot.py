@@ -42,10 +42,13 @@ class FootStiffness(NamedTuple):
         plane = stiffness_of(self.compliance[np.ix_([0, -1], [0, -1])])
         return float(np.arctan2(plane.axes[1, 0], plane.axes[0, 0]))
 
-    def ellipse(self, force: float = 1.0, points: int = 181) -> Floats:
-        """Return the displacements [m] by forces of one size [N] in the plane of walking, shape (2 or 3, points)."""
+    def ellipse(self, force: float = 1.0, points: int = 181, plane: tuple[int, int] = (0, -1)) -> Floats:
+        """Return the displacements [m] by forces of one size [N] in a plane, shape (2 or 3, points).
+
+        The plane is that of walking, or of two of 0, forwards, 1, to the left, and -1, up.
+        """
         angle = np.linspace(0, 2 * np.pi, points)
-        return self.compliance[:, [0, -1]] @ (force * np.stack([np.cos(angle), np.sin(angle)]))
+        return self.compliance[:, plane] @ (force * np.stack([np.cos(angle), np.sin(angle)]))
 
 
 def stiffness_of(compliance: NDArray[np.floating]) -> FootStiffness:
@@ -148,31 +151,6 @@ def foot_jacobian(leg: Leg, angles: Sequence[float], force: Sequence[float] | No
         )
     jacobian, geometric = _jacobian(leg, tuple(angles), pushed)
     return np.asarray(jacobian), np.asarray(geometric)
-
-
-def attainable_foot_stiffness(
-    leg: Leg, angles: Sequence[float], torques: Sequence[float], *, levels: int = 9
-) -> list[FootStiffness]:
-    """Return the stiffness of the foot over the attainable stiffness of the joints, `levels` of each.
-
-    Parameters
-    ----------
-    angles, torques
-        Angles [rad] and static torques [N*m] of the joints.
-
-    Raises
-    ------
-    UnreachableError
-        If the torque of a joint is not attainable; with its name and the attainable range.
-    """
-    ranges = []
-    for joint, angle, torque in zip(leg.joints, angles, torques, strict=True):
-        low, high = (float(one) for one in joint.muscles.attainable_stiffness(angle, torque))
-        if not np.isfinite(low):
-            leg.pressures_for(angles, torques, [None] * len(leg.joints))  # raises, with the name of the joint
-        ranges.append(np.linspace(low, high, levels))
-    grid = np.stack(np.meshgrid(*ranges, indexing="ij")).reshape(len(ranges), -1)
-    return [foot_stiffness(leg, angles, column) for column in grid.T]  # type: ignore[arg-type]
 
 
 @compiled

@@ -59,6 +59,8 @@ class FootPressures(NamedTuple):
         What keeps the error from being smaller: pairs of muscle and "lowest pressure", "highest pressure", "slack"
         (the lowest tension) or "rated force", the strongest limit first. Empty if the stiffness is exact, or if other
         pressures outside the limits would not be better.
+    force
+        Static force [N] of the ground on the foot.
     """
 
     pressures: tuple[float, ...]
@@ -70,6 +72,7 @@ class FootPressures(NamedTuple):
     error: float
     least: float
     limits: tuple[tuple[str, str], ...]
+    force: tuple[float, ...]
 
     @property
     def exact(self) -> bool:
@@ -236,7 +239,7 @@ def _nearest(
     moved, geometric = square_jacobian(jacobian[:, free]), geometric[np.ix_(free, free)]
     pushed = np.zeros(len(jacobian)) if force is None else np.asarray(force, float)
     holding = -jacobian.T @ pushed if torques is None else np.asarray(torques, float)
-    low, high, names = _pressure_ranges(leg, affine, *limits)
+    low, high, names = pressure_ranges(leg, affine, *limits)
 
     # errors of the stiffness in the norm, as factors @ p - target, with p in bar
     root = np.linalg.inv(np.real(sqrtm(wanted)))
@@ -248,7 +251,7 @@ def _nearest(
     target = twice * (np.eye(len(wanted)) - to_foot @ (offset - geometric) @ to_foot.T)[upper]
     equal, held = affine.torque[1][free] * bar, holding[free] - affine.torque[0][free]
     low, high = low / bar, high / bar
-    _check_torques(leg, equal, held, low, high)
+    check_torques(leg, equal, held, low, high)
 
     scale = _WEIGHT / np.linalg.norm(equal, axis=1)
     centred = _CENTRED / np.maximum(high - low, 1e-9)
@@ -271,6 +274,7 @@ def _nearest(
         error,
         min(least, error),
         () if error <= EXACT else _limits(leg, multipliers, names),
+        tuple(pushed.tolist()),
     )
 
 
@@ -375,7 +379,7 @@ def square_jacobian(jacobian: Floats) -> Floats:
     return jacobian
 
 
-def _pressure_ranges(
+def pressure_ranges(
     leg: Leg, affine: StiffnessMap, domains: list[Domain], supply: float, minimum_tension: float
 ) -> tuple[Floats, Floats, list[tuple[str, str]]]:
     """Lowest and highest pressure [Pa] of each taut muscle, and what limits it below and above."""
@@ -411,7 +415,7 @@ def _pressure_ranges(
     return np.array(lows), np.array(highs), names
 
 
-def _check_torques(leg: Leg, equal: Floats, held: Floats, low: Floats, high: Floats) -> None:
+def check_torques(leg: Leg, equal: Floats, held: Floats, low: Floats, high: Floats) -> None:
     """Raise `UnreachableError` unless pressures within limits give the torques."""
     from scipy.optimize import linprog
 

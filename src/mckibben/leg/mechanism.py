@@ -228,23 +228,29 @@ class Leg(Component):
             raise RangeError(
                 "the last link has no mass", field="links", value=0.0, remedy="give mass and inertia of the last link"
             )
-        names = [joint.name for joint in self.joints]
-        if len(set(self.muscle_names)) < len(self.muscle_names) or len(set(names)) < len(names):
+        names, muscles = [joint.name for joint in self.joints], list(self.muscle_names)
+        twice = [(f"joints.{i}.name", one) for i, one in enumerate(names) if one in names[:i]]
+        others = enumerate(muscles[2 * len(names) :])
+        twice += [(f"biarticular.{i}.name", one) for i, one in others if muscles.count(one) > 1]
+        if twice:
             raise RangeError(
-                f"joints {', '.join(names)}, and muscles {', '.join(self.muscle_names)}: a name is given twice",
-                field="name",
+                f"joints {', '.join(names)}, and muscles {', '.join(muscles)}: a name is given twice",
+                field=twice[0][0],
+                value=twice[0][1],
                 remedy="give each joint and each biarticular muscle a unique name",
             )
-        for one in self.biarticular:
+        for number, one in enumerate(self.biarticular):
+            place = f"biarticular.{number}"
             for field in ("joint1", "joint2"):
-                if getattr(one, field) not in names or one.joint1 == one.joint2:
+                if getattr(one, field) not in names or (field == "joint2" and one.joint1 == one.joint2):
                     raise RangeError(
                         f"{one.name}: {field} is {getattr(one, field)!r}",
-                        field=field,
+                        field=f"{place}.{field}",
                         value=getattr(one, field),
                         remedy=f"name two different joints of {', '.join(names)}",
                     )
-            _check_biarticular(one, *(self.joints[names.index(name)] for name in (one.joint1, one.joint2)))
+            ends = (self.joints[names.index(name)] for name in (one.joint1, one.joint2))
+            _check_biarticular(one, place, *ends)
 
     def __repr__(self) -> str:
         return f"Leg({', '.join(joint.name for joint in self.joints)}; {len(self.muscles)} muscles)"
@@ -311,12 +317,12 @@ class Leg(Component):
 
     def torques(self, angles: Sequence[ArrayLike], pressures: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the torque [N*m] of all muscles' laws on each joint at angles [rad] and gauge pressures [Pa]."""
-        total: list[Array] = [jnp.zeros(())] * len(self.joints)
+        total: list[Any] = [0.0] * len(self.joints)
         for unit, pressure in zip(self.routed_muscles(angles), pressures, strict=True):
             tension = unit.tendon.tension(unit.muscle, unit.path, pressure)
             for joint, slope in unit.slopes.items():
                 total[joint] = total[joint] - tension * slope
-        return tuple(total)
+        return tuple(map(jnp.asarray, total))
 
     def pressures_for(
         self,
@@ -376,17 +382,17 @@ def _check_paths(joint: LegJoint) -> None:
         check_contractions(f"{joint.name}, muscle {number}", muscle, path, [f"{a / deg:.4g} deg" for a in angles])
 
 
-def _check_biarticular(one: BiarticularMuscle, first: LegJoint, second: LegJoint) -> None:
+def _check_biarticular(one: BiarticularMuscle, place: str, first: LegJoint, second: LegJoint) -> None:
     """Raise unless a biarticular muscle is within its domain at all corners of the ranges of its joints."""
     corners = [(a, b) for a in (first.lower, first.upper) for b in (second.lower, second.upper)]
     if not all(isinstance(angle, Real) for corner in corners for angle in corner):
         return
     paths = [sum((part for part, _ in one.parts(*corner)), start=jnp.zeros(())) for corner in corners]
     places = [f"{a / deg:.4g}, {b / deg:.4g} deg" for a, b in corners]
-    check_contractions(one.name, one.muscle, jnp.stack(paths), places)
+    check_contractions(one.name, one.muscle, jnp.stack(paths), places, f"{place}.muscle")
 
 
-def check_contractions(owner: str, muscle: Muscle, paths: Array, places: Sequence[str]) -> None:
+def check_contractions(owner: str, muscle: Muscle, paths: Array, places: Sequence[str], field: str = "muscle") -> None:
     """Raise where a path of a muscle is longer or shorter than its domain permits."""
     numbers = muscle.specimen.initial_length, muscle.domain.contraction_min, muscle.domain.contraction_max
     if not all(isinstance(one, Real) for one in numbers):
@@ -402,7 +408,7 @@ def check_contractions(owner: str, muscle: Muscle, paths: Array, places: Sequenc
             raise RangeError(
                 f"{owner}: at {place} its contraction is {contraction * 100:.3g} %: the muscle is too "
                 f"{'short' if long else 'long'} for its path",
-                field="muscle",
+                field=field,
                 value=float(contraction),
                 lower=float(lower),
                 upper=float(upper),

@@ -419,12 +419,12 @@ class LegPlant(Plant):
 
 def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
     """Rate of the length of a muscle's path [m/s]."""
-    return sum((slope * rates[joint] for joint, slope in unit.slopes.items()), start=jnp.zeros(()))
+    return jnp.asarray(sum(slope * rates[joint] for joint, slope in unit.slopes.items()))
 
 
 def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:
     """Power [W] of forces at the rates of their coordinates."""
-    return sum((force * rate for force, rate in zip(forces, rates, strict=True)), start=jnp.zeros(()))
+    return jnp.asarray(sum(force * rate for force, rate in zip(forces, rates, strict=True)))
 
 
 def _check_count(field: str, given: int, names: Sequence[str]) -> None:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
@@ -19,6 +20,7 @@ from mckibben.leg.control import LegController
 from mckibben.leg.metrics import LegMetrics, MetricSums, measure
 from mckibben.leg.plant import LegPlant, LegSample, LegStart
 from mckibben.notebook import Progress
+from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -37,7 +39,7 @@ from mckibben.simulation.accuracy import (
 from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
 from mckibben.simulation.loop import Record, control_period, initial_loop, positions_over_time
 from mckibben.simulation.outcome import outcomes
-from mckibben.simulation.problem import sampling_times, single_run, split_runs
+from mckibben.simulation.problem import float_type, sampling_times, single_run, split_runs
 from mckibben.simulation.table import Batch, RunResult, batch_table
 
 
@@ -211,6 +213,7 @@ def simulate_legs(
     control_period: float = 0.5e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
+    precision: Any = 64,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
@@ -229,6 +232,8 @@ def simulate_legs(
         As for `simulate_leg`; forces are sampled once per control period.
     accuracy, substeps
         As for `mckibben.simulate_many`; the table has the columns ``substeps``, ``error_estimate`` and ``chaotic``.
+    precision
+        Bits of the numbers, 64 or 32, as for `mckibben.simulate`; with 32, integration steps are chosen with 64.
     chunk, workers, engine, progress
         As for `mckibben.simulate_many`.
 
@@ -239,7 +244,8 @@ def simulate_legs(
     SimulationError
         If the times do not fit together, or the step is too long for ground, stops, friction or air.
     """
-    check_accuracy(accuracy, substeps)
+    kind = float_type(precision)
+    check_accuracy(accuracy, substeps, np.finfo(kind).bits)
     times = sampling_times(duration, control_period)
     lanes, shared, count = split_runs(LegProblem(plant, controller, start), over or {}, control_period, "simulate_leg")
     first = eqx.combine(jax.tree.map(lambda leaf: leaf[0], lanes), shared)
@@ -263,12 +269,13 @@ def simulate_legs(
         first.plant.check_substeps(first.start.angles, None, control_period, substeps)
         steps = StepCounts.given(substeps, count)
     joined, used = compute_groups(
-        lambda lane, number: _run(engine, (*given, dynamic_steps(number)), lane),
+        lambda lane, number: _run(engine, (*given, dynamic_steps(number), kind.name), lane, kind),
         lanes,
         steps.substeps,
         chunk=chunk,
         workers=workers,
         engine=engine,
+        precision=kind,
         progress=progress,
     )
     finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)
@@ -285,8 +292,10 @@ def simulate_legs(
 @BatchFunction
 def _run(given: Any, lane: Any) -> LegMetrics:
     """Metrics of one run."""
-    shared, *rest = given
-    return leg_metrics(*eqx.combine(lane, shared), *rest)
+    shared, times, period, substeps, kind = given
+    run: tuple[Any, ...] = eqx.combine(lane, shared), times, period
+    own, times, period = run if kind == "float64" else cast(run, jnp.dtype(kind))
+    return leg_metrics(own.plant, own.controller, own.start, times, period, substeps)
 
 
 @BatchFunction

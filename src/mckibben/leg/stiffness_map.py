@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -52,16 +52,27 @@ def map_at(leg: Leg, angles: Sequence[float]) -> StiffnessMap:
 
 def check_affine(leg: Leg) -> None:
     """Raise `RangeError` unless laws are affine in pressure and tendons rigid."""
+    for name, kind in _not_affine(leg):
+        raise RangeError(
+            f"{name}: with a {kind} the stiffness is not affine in the pressures",
+            field="muscle",
+            value=kind,
+            remedy="give it a law that is affine in pressure, and a rigid tendon",
+        )
+
+
+def is_affine(leg: Leg) -> bool:
+    """Whether laws are affine in pressure and tendons rigid."""
+    return not any(_not_affine(leg))
+
+
+def _not_affine(leg: Leg) -> Iterator[tuple[str, str]]:
+    """Muscles, and the class of what is not affine in them."""
     tendons = [*(pair.muscles.tendon for pair in leg.joints for _ in (1, 2)), *(RigidTendon() for _ in leg.biarticular)]
     for name, muscle, tendon in zip(leg.muscle_names, leg.muscles, tendons, strict=True):
         for part, kind in ((muscle.law, PressureAffineLaw), (tendon, RigidTendon)):
             if not isinstance(part, kind):
-                raise RangeError(
-                    f"{name}: with a {type(part).__name__} the stiffness is not affine in the pressures",
-                    field="muscle",
-                    value=type(part).__name__,
-                    remedy="give it a law that is affine in pressure, and a rigid tendon",
-                )
+                yield name, type(part).__name__
 
 
 @compiled

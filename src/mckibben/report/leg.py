@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mckibben import catalog
+from mckibben.errors import UnreachableError
+from mckibben.leg.attainable import attainable_foot_stiffness
 from mckibben.leg.dynamics import at_rest, frames, posture_of
-from mckibben.leg.foot import attainable_foot_stiffness, stiffness_of
+from mckibben.leg.foot import stiffness_of
 from mckibben.leg.landing import EDGES, LandingStudy
 from mckibben.report.figures import ReportFigure
 from mckibben.report.leg_player import leg_player
@@ -37,6 +39,7 @@ from mckibben.report.tables import Table
 from mckibben.units import bar, mm, ms
 
 if TYPE_CHECKING:
+    from mckibben.leg.foot import FootStiffness
     from mckibben.leg.foot_pressures import FootPressures
     from mckibben.leg.jumping import JumpStudy
     from mckibben.leg.mechanism import Leg
@@ -84,18 +87,22 @@ def landing_forces(study: LandingStudy) -> Figure:
 def foot_ellipses(
     leg: Leg, angles: Sequence[float], *, force: float = 1.0, found: FootPressures | None = None
 ) -> Figure:
-    """Posture of a leg, and displacements of its foot under a force [N] in all directions of the plane of walking.
+    """Posture of a leg, and displacements of its foot under a force [N] in all directions of a plane.
 
-    Grey: all attainable joint stiffness at zero torque, without muscles over two joints; coloured: the softest and the
-    stiffest joints, or, of the pressures that are `found` for a stiffness of the foot, that and the wanted one.
+    The plane is that of walking, and for a leg in space also that across it. Grey: all attainable stiffness, at zero
+    torque or at the torques that are held; coloured: the softest and the stiffest joints, or, of the pressures that are
+    `found` for a stiffness of the foot, that and the wanted one.
     """
-    levels = 9 if leg.is_planar else 4
-    attainable = attainable_foot_stiffness(leg, angles, [0.0] * len(angles), levels=levels)
+    torques, held = ([0.0] * len(angles), None)
+    if found is not None:
+        torques, held = [float(one) for one in leg.torques(angles, found.pressures)], found.force
+    attainable = attainable_foot_stiffness(leg, angles, torques, levels=9 if leg.is_planar else 4, force=held)
     shown = {"softest joints": attainable[0], "stiffest joints": attainable[-1]}
     if found is not None:
         shown = {"attained": found.stiffness, "wanted": stiffness_of(np.linalg.inv(found.wanted))}
-    figure = blank(DOUBLE * 0.8, 3.0)
-    posture_axes, axes = figure.subplots(1, 2, width_ratios=(1, 1.6))
+    planes = _planes(leg)
+    figure = blank(DOUBLE * (0.8 if leg.is_planar else 1.0), 3.0)
+    posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
     posture = posture_of(leg, angles)
     links = frames(leg, posture, at_rest(posture))[1:]
     points = [*(link.position for link in links), links[-1].point(-leg.links[-1].length)[0]]
@@ -111,16 +118,35 @@ def foot_ellipses(
     posture_axes.set(aspect="equal", xlabel="forwards [mm]", ylabel="up from the hip [mm]")
     posture_axes.margins(x=0.6, y=0.1)
     letter(posture_axes, 0, "posture")
-    for one in attainable:
-        axes.plot(*(one.ellipse(force)[[0, -1]] / mm), color=BAND, linewidth=0.8, zorder=1)
-    for (name, one), colour in zip(shown.items(), (VERMILLION, BLUE), strict=True):
-        axes.plot(*(one.ellipse(force)[[0, -1]] / mm), color=colour, label=name)
-    axes.set(xlabel="forwards [mm]", ylabel="up [mm]")
-    axes.legend(loc="upper right")
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.35 * (high - low))  # space for the legend
-    letter(axes, 1, f"foot under {force:g} N in all directions")
+    for number, (axes, (along, plane)) in enumerate(zip(others, planes.items(), strict=True), 1):
+        _ellipses(axes, plane, attainable, shown, force)
+        axes.set(xlabel=f"{along} [mm]", ylabel="up [mm]" if number == 1 else "")
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.35 * (high - low))  # space for the legend
+        letter(axes, number, f"foot under {force:g} N" + (" in all directions" if leg.is_planar else ""))
+    others[-1].legend(loc="upper right")
     return figure
+
+
+def _planes(leg: Leg) -> dict[str, tuple[int, int]]:
+    """Planes in which the stiffness of the foot is drawn, each with up, by the name of the other direction."""
+    walking = {"forwards": (0, -1)}
+    return walking if leg.is_planar else walking | {"to the left": (1, -1)}
+
+
+def _ellipses(
+    axes: Axes,
+    plane: tuple[int, int],
+    attainable: Sequence[FootStiffness],
+    shown: Mapping[str, FootStiffness],
+    force: float = 1.0,
+) -> None:
+    """Displacements of the foot in a plane: grey what is attainable, and two in colours, the second dashed."""
+    for k, one in enumerate(attainable):
+        outline = one.ellipse(force, plane=plane)[list(plane)] / mm
+        axes.plot(*outline, color=BAND, linewidth=0.8, zorder=1, label=None if k else "attainable")
+    for (name, one), colour, line in zip(shown.items(), (VERMILLION, BLUE), ("-", (0, (4, 2))), strict=True):
+        axes.plot(*(one.ellipse(force, plane=plane)[list(plane)] / mm), color=colour, linestyle=line, label=name)
 
 
 @styled
@@ -158,12 +184,14 @@ def jump_traces(study: JumpStudy) -> Figure:
 def plan_stiffness(study: JumpStudy) -> Figure:
     """Planned pressures, certified error of the stiffness of the foot, and displacements of the foot under 1 N.
 
-    Grey: attainable with the torques of the plan, without muscles over two joints.
+    Displacements are in the plane of walking, and for a leg in space also across it; grey: attainable with the torques
+    of the plan.
     """
     plan, leg = study.plan, study.scenario.leg
     assert plan is not None and plan.foot
-    figure = blank(DOUBLE, 4.8)
-    grid = figure.add_gridspec(2, 4)
+    planes = _planes(leg)
+    figure = blank(DOUBLE, 2.4 * (1 + len(planes)))
+    grid = figure.add_gridspec(1 + len(planes), 4)
     left, right = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:])
     for i, (name, look) in enumerate(looks_of(list(leg.muscle_names)).items()):
         left.plot(plan.times / ms, plan.pressures[i] / bar, label=name, **look)
@@ -181,21 +209,22 @@ def plan_stiffness(study: JumpStudy) -> Figure:
     pushed = int(np.argmax(np.where(plan.times < plan.take_off, plan.ground_force, 0.0)))
     left_at = int(np.searchsorted(plan.times, plan.take_off))
     moments = {"squat": 0, "largest force": pushed, "take-off": left_at, "after landing": plan.times.size - 1}
-    shared: Axes | None = None
+    shared: list[Axes | None] = [None] * len(planes)
     for number, (title, k) in enumerate(moments.items()):
-        axes = figure.add_subplot(grid[1, number], sharex=shared, sharey=shared)
-        shared = shared or axes
         angles, torques = plan.angles[:, k].tolist(), plan.torques[:, k].tolist()
-        for one in attainable_foot_stiffness(leg, angles, torques, levels=7 if leg.is_planar else 4):
-            axes.plot(*(one.ellipse()[[0, -1]] / mm), color=BAND, linewidth=0.8, zorder=1)
-        wanted = stiffness_of(np.linalg.inv(plan.foot[k].wanted))
-        axes.plot(*(plan.foot[k].stiffness.ellipse()[[0, -1]] / mm), color=VERMILLION, label="attained")
-        axes.plot(*(wanted.ellipse()[[0, -1]] / mm), color=BLUE, linestyle=(0, (4, 2)), label="wanted")
-        axes.set_xlabel("forwards [mm]")
-        letter(axes, 2 + number, title)
-        if number == 0:
-            axes.set_ylabel("up, under 1 N [mm]")
-            axes.legend(loc="upper right", fontsize="x-small")
+        attainable = attainable_foot_stiffness(leg, angles, torques, levels=7 if leg.is_planar else 4)
+        shown = {"attained": plan.foot[k].stiffness, "wanted": stiffness_of(np.linalg.inv(plan.foot[k].wanted))}
+        for row, (along, plane) in enumerate(planes.items()):
+            axes = figure.add_subplot(grid[1 + row, number], sharex=shared[row], sharey=shared[row])
+            shared[row] = shared[row] or axes
+            _ellipses(axes, plane, attainable, shown)
+            axes.set_xlabel(f"{along} [mm]")
+            if row == 0:
+                letter(axes, 2 + number, title)
+            if number == 0:
+                axes.set_ylabel("up, under 1 N [mm]")
+            if number == row == 0:
+                axes.legend(loc="upper right", fontsize="x-small")
     return figure
 
 
@@ -212,17 +241,18 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
         "stiffness, by valve. Bands: 90 % of the draws. Triangles: best stiffness. Soft joints bottom out, and the "
         "closed valve compresses its air, so that the best stiffness moves with the valve and the drop."
     )
-    figure = ReportFigure("landing", "", "Landings", caption, "Forces over stiffness", landing_forces(study))
-    leg, posture = study.scenario.leg, study.angles
-    ellipses = ReportFigure(
-        "foot",
-        "",
-        "Stiffness of the foot",
-        "Displacement of the foot at touchdown, with the trunk held, under 1 N in each direction; the scales "
-        "of both axes differ. Grey: over the attainable stiffness of all joints.",
-        "Ellipses of the foot's displacement",
-        foot_ellipses(leg, posture),
-    )
+    figures = [ReportFigure("landing", "", "Landings", caption, "Forces over stiffness", landing_forces(study))]
+    try:
+        ellipses = foot_ellipses(study.scenario.leg, study.angles)
+    except UnreachableError as error:
+        text += f" The stiffness of the foot at touchdown is not drawn: {error.message}."
+    else:
+        what = (
+            "Displacement of the foot at touchdown, with the trunk held, under 1 N in each direction; the scales "
+            "of both axes differ. Grey: over the attainable stiffness of all joints."
+        )
+        name = "Ellipses of the foot's displacement"
+        figures.append(ReportFigure("foot", "", "Stiffness of the foot", what, name, ellipses))
     tables = [Table("Landings at the best stiffness", *study.rows())]
     return _page(
         Path(folder),
@@ -230,7 +260,7 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
         study.scenario,
         text,
         tables,
-        [figure, ellipses],
+        figures,
         leg_player(study.compared_runs()),
     )
 
