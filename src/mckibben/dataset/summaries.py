@@ -169,8 +169,9 @@ def whole_rows(columns: Mapping[str, tuple[Floats, float]]) -> Iterator[tuple[in
     rows = np.stack([values / factor for values, factor in columns.values()]).round(_DECIMALS)
     if rows.shape[1] <= _FEWEST:
         return
-    whole, zero = rows % 1 == 0, ~rows.any(axis=0)
-    at_rest, zero[[0, -1]] = zero.copy(), False
+    whole, at_rest = rows % 1 == 0, np.logical_not(np.any(rows, axis=0))
+    inside = np.arange(rows.shape[1]) % (rows.shape[1] - 1) > 0
+    zero = at_rest & inside
     counted = (np.diff(rows, axis=0) == 1).all(axis=0) & (rows[0] <= 1)
     largest = (rows == rows.max(axis=1, keepdims=True)).all(axis=0)
     found = whole.all(axis=0) & _apart(rows) & ~(at_rest & ~zero)
