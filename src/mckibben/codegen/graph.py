@@ -358,9 +358,11 @@ def interleave(scope: Scope) -> None:
             continue
         ordered += [*(value for _, value in sorted(waiting, key=lambda one: one[0])), statement]
         waiting = []
-        inside = {ForLoop: lambda one: [one.scope], Branch: lambda one: one.scopes}.get(type(statement), lambda _: [])
-        for inner in inside(statement):
-            interleave(inner)
+        if isinstance(statement, ForLoop):
+            interleave(statement.scope)
+        elif isinstance(statement, Branch):
+            for inner in statement.scopes:
+                interleave(inner)
     scope.statements = ordered + [value for _, value in sorted(waiting, key=lambda one: one[0])]
 
 
