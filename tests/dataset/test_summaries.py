@@ -8,6 +8,7 @@ import pytest
 from openpyxl.styles import Font, PatternFill
 
 from mckibben.dataset import read_dataset
+from mckibben.dataset.summaries import integer_rows
 from mckibben.errors import DatasetError, McKibbenWarning
 
 HEADER = "pressure_bar,contraction_percent,force_N"
@@ -230,24 +231,48 @@ def test_rows_named_by_words_in_a_column_of_numbers(heard):
     assert any("'No' is not read" in text and "'x'" in text for text in said)
 
 
-@pytest.mark.parametrize(("place", "row"), [(0, "1,2,3"), (0, "10,30,5000"), (7, "0,0,0"), (len(ROWS), "9,20,4000")])
-def test_rows_of_whole_numbers_far_from_the_others_are_left_out(heard, place, row):
-    lines = written(np.add(ROWS, [0.013, 0.1, 0.17]))
-    data, said = heard([*lines[:place], row, *lines[place:]])
+DECIMALS = written(np.add(ROWS, [0.013, 0.1, 0.17]))
+
+
+@pytest.mark.parametrize(("place", "row"), [(0, "1,2,3"), (0, "10,30,5000"), (len(ROWS), "9,20,4000")])
+def test_channel_numbers_and_full_scales_are_left_out(heard, place, row):
+    data, said = heard([*DECIMALS[:place], row, *DECIMALS[place:]])
     assert len(data) == len(ROWS)
-    assert any(f"line {place + 2}: has whole numbers alone" in text for text in said)
+    assert any(f"line {place + 2}: contains only integers" in text for text in said)
 
 
-def test_a_row_of_whole_numbers_that_may_be_a_point_is_reported(heard):
-    lines = written(np.add(ROWS, [0.013, 0.1, 0.17]))
-    data, said = heard(["3,1,2", *lines])
+@pytest.mark.parametrize(("place", "row"), [(0, "3,1,2"), (7, "0,0,0"), (7, "9,20,4000")])
+def test_a_row_of_integers_that_may_be_a_point_is_reported(heard, place, row):
+    data, said = heard([*DECIMALS[:place], row, *DECIMALS[place:]])
     assert len(data) == len(ROWS) + 1
-    assert any("line 2 has whole numbers alone" in text for text in said)
+    assert any(f"line {place + 2} contains only integers" in text for text in said)
 
 
 @pytest.mark.parametrize("first", ["0,0,0", "2,0,167"])
-def test_a_muscle_at_rest_and_whole_points_are_not_reported(heard, first):
-    assert not any("whole" in text for text in heard([first, *written(ROWS)])[1])
+def test_a_muscle_at_rest_and_points_of_integers_are_not_reported(heard, first):
+    assert not any("integers" in text for text in heard([first, *written(ROWS)])[1])
+
+
+def test_a_vented_muscle_between_levels_is_a_point(heard):
+    lines = [line for at in range(0, len(DECIMALS), 4) for line in ("0,0,0", *DECIMALS[at : at + 4])]
+    data, said = heard(lines)
+    assert len(data) == len(lines)
+    assert not any("integers" in text for text in said)
+
+
+def test_whole_kilopascals_millimetres_and_newtons_are_points():
+    pressure, length = (one.ravel() for one in np.meshgrid([200, 300, 400, 500, 600], np.arange(150, 200, 8)))
+    force = np.round(pressure * (length - 130.0) ** 1.5 / 600)
+    order = np.random.default_rng(2).permutation(len(force))
+    columns = {"pressure": (pressure * 1e3, 1e3), "length": (length * 1e-3, 1e-3), "force": (force, 1.0)}
+    assert not list(integer_rows({name: (values[order], unit) for name, (values, unit) in columns.items()}))
+
+
+@pytest.mark.parametrize("value", ["NaN", "n/a", "1e-05", ""])
+def test_a_missing_value_in_a_column_that_is_not_read_is_no_mark(heard, value):
+    marks = ["21.5", "21.6", value, *["21.7"] * len(ROWS)]
+    _, said = heard([f"{line},{mark}" for line, mark in zip(DECIMALS, marks, strict=False)], f"{HEADER},temperature_C")
+    assert not any("temperature_C" in text and "marks" in text for text in said)
 
 
 def test_comments_among_the_rows_are_reported_and_others_are_not(heard):

@@ -318,7 +318,7 @@ def test_the_file_of_a_plan_becomes_data_with_a_column_of_forces(law, tmp_path):
     found.to_csv(tmp_path / "plan.csv")
     head, *rows = (tmp_path / "plan.csv").read_text(encoding="utf-8").splitlines()
     values = [dict(zip(head.split(","), row.split(","), strict=True)) for row in rows]
-    forces = [float(one["pressure_bar"]) * (100 - float(one["contraction_percent"])) for one in values]
+    forces = [float(one["pressure_bar"]) * (30 - float(one["contraction_percent"])) for one in values]
     filled = [f"{head},force_N"] + [f"{row},{force:.3f}" for row, force in zip(rows, forces, strict=True)]
     (tmp_path / "done.csv").write_text("\n".join(filled) + "\n", encoding="utf-8")
     read = read_dataset(tmp_path / "done.csv")

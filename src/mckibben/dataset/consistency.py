@@ -24,6 +24,7 @@ _NOISE = 0.05  # of the largest force
 _SAME = 0.1 * percent  # contraction
 _LOOP = 2.0  # usual distances between loading and unloading
 _BESIDE, _FAR_ABOVE = 0.25, 2.0  # of the range of contractions; ratio of forces per pressure
+_PRESSURIZED = 0.25  # of the largest pressure: at less, most of the force may be that of stretched rubber
 _SHORTEST_STROKE, _LONGEST_REACH = 5 * percent, 45 * percent  # contractions of a line that is extrapolated
 _AGAINST = 3  # points that an outlier contradicts
 _SHARE = 0.1  # of the points: more are not single errors
@@ -155,7 +156,7 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
 
 def _alone_at_the_top(pressure: Floats, contraction: Floats, force: Floats) -> NDArray[np.bool_]:
     """True for a row whose force per pressure is far above all others at about its contraction or a smaller one."""
-    near = np.flatnonzero((pressure > _LEVEL * pressure.max()) & (force > 0))
+    near = np.flatnonzero((pressure > _PRESSURIZED * pressure.max()) & (force > 0))
     found, share = np.zeros(len(force), bool), force[near] / pressure[near]
     if len(near) >= _FEWEST:
         at = near[np.argmax(share)]

@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -115,9 +114,9 @@ def _hidden(archive: zipfile.ZipFile, part: str) -> str:
 def _marked(sheet: Any) -> str:
     """Rows of a sheet with struck-out cells, or few with coloured ones, which are read as all others; empty if none."""
     struck, coloured, count = [], [], 0
-    for number, row in enumerate(islice(sheet.iter_rows(), MOST_POINTS), 1):
+    for number, row in enumerate(sheet.iter_rows(), 1):
         cells = [cell for cell in row if cell.value is not None]
-        if any(isinstance(cell.value, (int, float)) for cell in cells):
+        if number <= MOST_POINTS and any(isinstance(cell.value, (int, float)) for cell in cells):
             count += 1
             coloured += [str(number)] * any(cell.fill.fill_type == "solid" for cell in cells)
         struck += [str(number)] * any(cell.font.strike for cell in cells)

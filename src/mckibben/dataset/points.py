@@ -187,7 +187,9 @@ class SampleAccount:
         forward = steps[steps > 0]
         if not len(forward):
             remedy = "give its sample rate when reading it; a file with the newest sample first has to be reversed"
-            raise RangeError("the time of the recording does not advance", remedy=remedy)
+            if len(time) < 2:
+                remedy = "record a test of more than one sample"
+            raise RangeError("the time of the recording does not advance", field="time", remedy=remedy)
         self.interval = float(np.median(forward))
         longest = _GAP * self.interval if gap is None else gap
         for what, where in (("gap", steps > longest), ("clock went back", steps < 0)):

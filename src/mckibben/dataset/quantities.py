@@ -18,12 +18,12 @@ from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.dataset.summaries import (
     MOST_POINTS,
     drifting_temperatures,
+    integer_rows,
     invalid_rows,
     is_status,
     labelled_summaries,
     several_specimens,
     summaries,
-    whole_rows,
 )
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, mm, quantity
@@ -234,12 +234,14 @@ class ColumnConverter:
         if self.problems or not read or kept.sum() > MOST_POINTS:
             return
         columns = {name: (values[name][kept], factor(unit)) for name, unit in read.items()}
-        for row, certain in whole_rows(columns):
-            what = "has whole numbers alone, unlike the rows next to it: numbers of channels, ranges, or a restart"
+        for row, certain in integer_rows(columns):
+            line = int(lines[kept][row])
             if certain:
-                self.missing.append(self.sheet.kind(what, line=int(lines[kept][row])))
+                what = "contains only integers, unlike the others: numbers of channels, or full scales"
+                self.missing.append(self.sheet.kind(what, line=line))
             else:
-                self.suspect.append(f"{self.sheet.unit} {lines[kept][row]} {what}; if so, leave it out")
+                what = "contains only integers, unlike the others: if it is no measurement, leave it out"
+                self.suspect.append(f"{self.sheet.unit} {line} {what}")
         found = summaries(columns)
         self.missing += [
             self.sheet.kind(f"is {what}: a summary is not a measurement", line=int(lines[kept][row]))

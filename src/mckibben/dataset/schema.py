@@ -171,7 +171,8 @@ def _settled(name: str, values: np.ndarray, dims: tuple[str, ...]) -> np.ndarray
 def _owned(values: np.ndarray, dtype: Any) -> np.ndarray:
     """Copy of an array, or the array itself if nothing can change it, as those of a table that was normalised."""
     owner = values if values.base is None else values.base
-    unchanging = isinstance(owner, np.ndarray) and owner.flags.owndata and not owner.flags.writeable
+    frozen = isinstance(owner, np.ndarray) and owner.flags.owndata and not owner.flags.writeable
+    unchanging = frozen and not values.flags.writeable
     return np.array(values, dtype, copy=None if unchanging else True)
 
 

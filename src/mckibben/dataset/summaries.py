@@ -61,6 +61,7 @@ _SUMMARY = frozenset(
 _SPECIMEN = frozenset("specimen muscle actuator dut prüfling muskel probe muestra éprouvette provino".split())
 _NAME = frozenset("specimen muscle name id no nr number num type serial sn".split())
 _WORD = re.compile(r"[^\W\d_]+")
+_NO_VALUE = frozenset(("n/a", "na", "#n/a", "null", "none", "missing"))
 _WARMING = 5.0  # K
 _TEMPERATURE = re.compile(
     r"temp[eé]ratur.*?(?:(?<![a-z])(?:deg|°)?\s*([ckf])(?![a-z])|(celsius|kelvin|fahrenheit))", re.IGNORECASE
@@ -159,34 +160,42 @@ def _equal(rows: Floats, at: int, values: Floats) -> bool:
     return varied > 1
 
 
-def whole_rows(columns: Mapping[str, tuple[Floats, float]]) -> Iterator[tuple[int, bool]]:
-    """Rows of whole numbers that are far from those next to them, and whether they are certainly no measurement.
+def integer_rows(columns: Mapping[str, tuple[Floats, float]]) -> Iterator[tuple[int, bool]]:
+    """One or two rows of integers in a file of decimals, far from those next to them, and whether they are no points.
 
-    Certain are 0, 0, 0 (not the first or last one), 1, 2, 3, and the largest of all columns.
-
-    `columns` as for `summaries`. Such rows have numbers of channels, ranges, or the first values of a restarted logger.
+    Certain are numbers of channels, 1, 2, 3, and full scales, the largest of all columns before the first point or
+    after the last: a muscle pulls least where it is shortest. `columns` as for `summaries`.
     """
     rows = np.stack([values / factor for values, factor in columns.values()]).round(_DECIMALS)
-    if rows.shape[1] <= _FEWEST:
+    count = rows.shape[1]
+    if count <= _FEWEST:
         return
-    whole, at_rest = rows % 1 == 0, np.logical_not(np.any(rows, axis=0))
-    inside = np.arange(rows.shape[1]) % (rows.shape[1] - 1) > 0
-    zero = at_rest & inside
+    whole, outermost = rows % 1 == 0, np.arange(count) % (count - 1) == 0
+    found = whole.all(axis=0) & ~(outermost & (rows == 0).all(axis=0))
+    if not 0 < found.sum() <= 2 or not _apart(rows)[found].all():
+        return
+    shares = (whole.sum(axis=1) - found.sum() + 1) / (count + 2)
+    if count * np.prod(shares) >= _BY_CHANCE:
+        return
     counted = (np.diff(rows, axis=0) == 1).all(axis=0) & (rows[0] <= 1)
-    largest = (rows == rows.max(axis=1, keepdims=True)).all(axis=0)
-    found = whole.all(axis=0) & _apart(rows) & ~(at_rest & ~zero)
-    shares = (whole.sum(axis=1) - np.count_nonzero(found) + 1) / (rows.shape[1] + 2)
-    rare = rows.shape[1] * np.prod(shares) < _BY_CHANCE
-    certain = zero | counted | largest
-    yield from ((int(row), bool(certain[row])) for row in np.flatnonzero(found & (certain | rare)))
+    scales = outermost & (rows == rows.max(axis=1, keepdims=True)).all(axis=0) & ("contraction" in columns)
+    yield from ((int(row), bool((counted | scales)[row])) for row in np.flatnonzero(found))
 
 
 def _words_among_numbers(counts: Mapping[str, int]) -> set[str]:
     """Words in a few rows of a column of numbers."""
-    words = {text for text in counts if not _NUMBER.fullmatch(text.strip()) and _WORD.search(text)}
+    words = {text for text in counts if _is_word(text)}
     numbers = {text for text in counts.keys() - words if text.strip()}
     few = sum(map(counts.__getitem__, words)) <= _FEW * sum(map(counts.__getitem__, numbers))
     return words if few and len(numbers) >= _FEWEST else set()
+
+
+def _is_word(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))  # also of nan and inf
+    except ValueError:
+        return bool(_WORD.search(text)) and text.strip().lower() not in _NO_VALUE
+    return False
 
 
 def invalid_rows(channels: Sequence[RawColumn], unit: str) -> tuple[dict[int, str], list[str]]:

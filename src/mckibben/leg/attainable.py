@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mckibben.errors import UnreachableError
 from mckibben.leg.foot import Floats, FootStiffness, foot_jacobian, movable, stiffness_through
 from mckibben.leg.foot_pressures import check_torques, pressure_ranges
 from mckibben.leg.mechanism import Leg
@@ -23,9 +24,10 @@ def attainable_foot_stiffness(
 ) -> list[FootStiffness]:
     """Return stable values of the stiffness of the foot over what the joints can attain.
 
-    They are those of a grid, `levels` of each joint from the softest to the stiffest, without muscles over two joints.
-    With such muscles, and laws that are affine in pressure, the attainable matrices are a polytope: as many values as
-    the grid has are at its corners, found by linear programs, and on lines between them.
+    They are those of a grid, `levels` of each joint from the softest to the stiffest. With muscles over two joints, and
+    laws that are affine in pressure, the attainable matrices are a polytope: half of as many values as the grid has are
+    at its corners in random directions, found by linear programs with all muscles taut by 1 N, the others on lines
+    between them. With other laws the grid is that of the pairs, and muscles over two joints are left out.
 
     Parameters
     ----------
@@ -38,7 +40,7 @@ def attainable_foot_stiffness(
     ------
     UnreachableError
         If the torque of a joint is not attainable, with its name and the attainable range; or if a muscle over two
-        joints cannot be taut.
+        joints cannot be taut; or if none of the values is stable.
     """
     corners = leg.biarticular and is_affine(leg)
     count = levels ** len(leg.joints)
@@ -46,6 +48,8 @@ def attainable_foot_stiffness(
     (jacobian, geometric), free = foot_jacobian(leg, angles, force), movable(leg)
     inner = np.ix_(free, free)
     stable = [one for one in matrices if np.linalg.eigvalsh((one - geometric)[inner]).min(initial=np.inf) > 0]
+    if not stable:
+        raise UnreachableError("the foot is unstable at every stiffness of the joints that was tried")
     return [stiffness_through(jacobian, geometric, free, one) for one in stable]
 
 
@@ -70,10 +74,11 @@ def _between_corners(leg: Leg, angles: Sequence[float], torques: Sequence[float]
     check_torques(leg, equal, held, low / bar, high / bar)
     slopes = affine.stiffness[1][np.ix_(free, free)] * bar
     corners = []
-    for direction in rng.normal(size=(count // 2, *slopes.shape[:2])):
+    aims = max(count // 2, 1)
+    for direction in rng.normal(size=(aims, *slopes.shape[:2])):
         goal = np.einsum("ij,ijm->m", direction + direction.T, slopes)
         found = linprog(goal, A_eq=equal, b_eq=held, bounds=np.stack([low, high], axis=-1) / bar)
         corners.append(affine.stiffness_at(found.x * bar))
-    first, second = (rng.integers(count // 2, size=count - count // 2) for _ in range(2))
+    first, second = (rng.integers(aims, size=count - aims) for _ in range(2))
     parts = rng.uniform(size=first.size)
     return [*corners, *(p * corners[i] + (1 - p) * corners[j] for p, i, j in zip(parts, first, second, strict=True))]

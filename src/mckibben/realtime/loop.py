@@ -128,7 +128,7 @@ class RunOutcome:
         if self.remaining is None:
             return "the valves were commanded to vent, but no sensor confirms it: check before touching it"
         if self.vented_after is None:
-            left = f"{self.remaining / bar:.3g} bar remain {_VENTING:g} s after the vent"
+            left = f"{self.remaining / bar:.3g} bar were last measured after the vent, within {_VENTING:g} s"
             return f"{left}: the valves are slow or do not vent, check before touching it"
         return f"both muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
 

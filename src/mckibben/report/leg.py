@@ -90,16 +90,17 @@ def foot_ellipses(
     """Posture of a leg, and displacements of its foot under a force [N] in all directions of a plane.
 
     The plane is that of walking, and for a leg in space also that across it. Grey: all attainable stiffness, at zero
-    torque or at the torques that are held; coloured: the softest and the stiffest joints, or, of the pressures that are
-    `found` for a stiffness of the foot, that and the wanted one.
+    torque or at the torques that are held; coloured: the softest and the stiffest on average over the directions, or,
+    of the pressures `found` for a stiffness of the foot, that and the desired one.
     """
     torques, held = ([0.0] * len(angles), None)
     if found is not None:
         torques, held = [float(one) for one in leg.torques(angles, found.pressures)], found.force
     attainable = attainable_foot_stiffness(leg, angles, torques, levels=9 if leg.is_planar else 4, force=held)
-    shown = {"softest joints": attainable[0], "stiffest joints": attainable[-1]}
+    ordered = sorted(attainable, key=lambda one: np.trace(one.compliance))
+    shown = {"softest": ordered[-1], "stiffest": ordered[0]}
     if found is not None:
-        shown = {"attained": found.stiffness, "wanted": stiffness_of(np.linalg.inv(found.wanted))}
+        shown = {"attained": found.stiffness, "desired": stiffness_of(np.linalg.inv(found.wanted))}
     planes = _planes(leg)
     figure = blank(DOUBLE * (0.8 if leg.is_planar else 1.0), 3.0)
     posture_axes, *others = figure.subplots(1, 1 + len(planes), width_ratios=(1, *(1.6 for _ in planes)))
@@ -213,7 +214,7 @@ def plan_stiffness(study: JumpStudy) -> Figure:
     for number, (title, k) in enumerate(moments.items()):
         angles, torques = plan.angles[:, k].tolist(), plan.torques[:, k].tolist()
         attainable = attainable_foot_stiffness(leg, angles, torques, levels=7 if leg.is_planar else 4)
-        shown = {"attained": plan.foot[k].stiffness, "wanted": stiffness_of(np.linalg.inv(plan.foot[k].wanted))}
+        shown = {"attained": plan.foot[k].stiffness, "desired": stiffness_of(np.linalg.inv(plan.foot[k].wanted))}
         for row, (along, plane) in enumerate(planes.items()):
             axes = figure.add_subplot(grid[1 + row, number], sharex=shared[row], sharey=shared[row])
             shared[row] = shared[row] or axes

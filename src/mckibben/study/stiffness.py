@@ -37,7 +37,7 @@ SHOWN = {
 class StiffnessTests:
     """Stiffness over amplitude and rate of a motion about the angle held by a scenario's controller."""
 
-    scenario: Scenario  # scenario
+    scenario: Scenario
     # angle, pressures, asked: angle [rad] and gauge pressures [Pa] held, and the stiffness setpoint [N*m/rad]
     angle: float
     pressures: tuple[float, float]

@@ -370,7 +370,8 @@ class ControllerTuning:
                 progress((number + part) / (self._starts + 1))
 
             for number, points in enumerate(candidates):
-                start = points[np.argmin(searched_costs(points))] if len(points) > 1 else points[0]
+                several = tuning.candidates or (tuned and number == 0)
+                start = points[np.argmin(searched_costs(points))] if several else points[0]
                 self._search(searched_costs, start, tuning.seed + number, partial(report, number=number))
             air, stiffness = air_of(searched) if self.air is None else self.air, stiffness_limit(searched)
             failed = fewest_failed(searched)
