@@ -228,21 +228,21 @@ def _weak_zeros(pressure: Floats, contraction: Floats, force: Floats) -> Iterato
     if not (stroke > 0 and zeros.size):
         return
     sides = [np.clip(zeros + step, 0, len(force) - 1) for step in (-1, 1)]
-    far = np.flatnonzero(contraction >= stroke / 2)
-    far = far[np.argsort(pressure[far], kind="stable")]
-    most = np.maximum.accumulate(np.append(-np.inf, force[far]))  # of shortened points up to a pressure
-    most = most[np.searchsorted(pressure[far], (1 + REPEATED) * pressure[zeros], side="right")]
+
+    def most(rows: NDArray[np.intp]) -> Floats:
+        """Largest force of rows up to the pressure of each contraction of 0."""
+        rows = rows[np.argsort(pressure[rows], kind="stable")]
+        largest = np.maximum.accumulate(np.append(-np.inf, force[rows]))
+        return largest[np.searchsorted(pressure[rows], pressure[zeros] + REPEATED * pressure.max(), side="right")]
+
     shortened = np.minimum(*(contraction[one] for one in sides)) >= stroke / 4
-    weak = shortened & (force[zeros] < most - _NOISE * force.max())
+    far = np.flatnonzero(contraction >= stroke / 2)
+    weak = shortened & (force[zeros] < most(far) - _NOISE * force.max())
     for one in sides:  # a jump by more than half the stroke at the same pressure
         jump = (contraction[one] >= 0.6 * stroke) & (pressure[one] <= (1 + REPEATED) * pressure[zeros])
         weak |= jump & (force[zeros] < force[one] - _STEADY * force.max())
-    level = np.round(pressure[zeros] / max(REPEATED * pressure.max(), 1.0)).astype(int)
-    level -= level.min()
-    largest = np.full(level.max() + 1, -np.inf)  # of the rows at 0 and about the same pressure
-    np.maximum.at(largest, level, force[zeros])
-    own, overall = UNEQUAL
-    weak |= force[zeros] < largest[level] - np.maximum(own * largest[level], overall * force.max())
+    (own, overall), others = UNEQUAL, most(zeros)
+    weak |= force[zeros] < others - np.maximum(own * others, overall * force.max())
     weak = zeros[weak]
     if weak.size:
         at = weak[0]

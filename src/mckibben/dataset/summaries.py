@@ -161,25 +161,26 @@ def _equal(rows: Floats, at: int, values: Floats) -> bool:
 
 
 def integer_rows(columns: Mapping[str, tuple[Floats, float]]) -> Iterator[tuple[int, bool]]:
-    """One or two rows of integers in a file of decimals, far from those next to them, and whether they are no points.
+    """Rows of integers that may be no points, far from those next to them; and whether they certainly are none.
 
-    Certain are numbers of channels, 1, 2, 3, and full scales, the largest of all columns before the first point or
-    after the last: a muscle pulls least where it is shortest. `columns` as for `summaries`.
+    Certain are channel numbers 1, 2, 3 in the first row; and full scales, the largest of all columns before the first
+    point or after the last, as a muscle pulls least where it is shortest. Others are a single 0, 0, 0 between points
+    under pressure, and one or two rows in a file of decimals. `columns` as for `summaries`.
     """
     rows = np.stack([values / factor for values, factor in columns.values()]).round(_DECIMALS)
     count = rows.shape[1]
     if count <= _FEWEST:
         return
     whole, outermost = rows % 1 == 0, np.arange(count) % (count - 1) == 0
-    found = whole.all(axis=0) & ~(outermost & (rows == 0).all(axis=0))
-    if not 0 < found.sum() <= 2 or not _apart(rows)[found].all():
-        return
-    shares = (whole.sum(axis=1) - found.sum() + 1) / (count + 2)
-    if count * np.prod(shares) >= _BY_CHANCE:
-        return
-    counted = (np.diff(rows, axis=0) == 1).all(axis=0) & (rows[0] <= 1)
-    scales = outermost & (rows == rows.max(axis=1, keepdims=True)).all(axis=0) & ("contraction" in columns)
-    yield from ((int(row), bool((counted | scales)[row])) for row in np.flatnonzero(found))
+    rest = (rows == 0).all(axis=0)
+    integers = whole.all(axis=0) & ~(outermost & rest)
+    shares = (whole.sum(axis=1) - integers.sum() + 1) / (count + 2)
+    rare = integers & (0 < integers.sum() <= 2) & (count * np.prod(shares) < _BY_CHANCE)
+    numbers = (np.diff(rows, axis=0) == 1).all(axis=0) & (rows[0] == 1) & (np.arange(count) == 0)
+    scales = integers & outermost & (rows == rows.max(axis=1, keepdims=True)).all(axis=0) & ("contraction" in columns)
+    restart = rest & ~outermost & (np.count_nonzero(rows[0] == 0) == 1)
+    found = _apart(rows) & (rare | numbers | scales | restart)
+    yield from ((int(row), bool((numbers | scales)[row])) for row in np.flatnonzero(found))
 
 
 def _words_among_numbers(counts: Mapping[str, int]) -> set[str]:
