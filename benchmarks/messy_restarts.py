@@ -35,7 +35,7 @@ def numbers_of_channels_under_the_names(p, rng):
 
 @kind
 def ranges_under_the_names(p, rng):
-    return csv(p, text([["10", "30", "5000"], *cells(p)]))
+    return csv(p, text([["10", "30", "5000" if p.force.max() < 5000 else "20000"], *cells(p)]))
 
 
 @kind
