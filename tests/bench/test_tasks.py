@@ -13,14 +13,14 @@ from mckibben.bench.tasks import JOINT, SOFT
 from mckibben.errors import ParameterError
 
 DIGESTS = {
-    "map-dmsp-10": "f6000dd76f910edb",
-    "map-dmsp-20": "de8ac6711aa3e513",
-    "map-wall": "2829fb13fc079f2f",
-    "map-four-lengths": "cbe9aabb8318bf4e",
-    "hysteresis": "913f2767e99af662",
-    "isometric": "4f1424d5142608c3",
-    "transfer": "5b6b30ee365810f9",
-    "joint": "d7fa2d06e23741a0",
+    "map-dmsp-10": "0b11e34224112a59",
+    "map-dmsp-20": "29e7822fc9337528",
+    "map-wall": "ac6ababdcd6ebb86",
+    "map-four-lengths": "b04cc29af4c5a42a",
+    "hysteresis": "2f1ed8d6b057c263",
+    "isometric": "6aa64090c3a8bc59",
+    "transfer": "bd652ce27442a9cb",
+    "joint": "a7191cd9c0f2afcf",
 }
 QUICK = ("map-dmsp-10", "map-dmsp-20", "map-wall", "map-four-lengths", "transfer")
 

@@ -185,7 +185,7 @@ class ForeignJoint:
             return [rate, turning, *changes, *slides]
 
         return solve_ivp(
-            slope, (0.0, times[-1]), first, t_eval=times, max_step=period, rtol=1e-4, atol=1e-6, method="LSODA"
+            slope, (0.0, times[-1]), first, t_eval=times, max_step=period, rtol=1e-8, atol=1e-10, method="LSODA"
         ).y[0]
 
     def _flow(self, pressure: float, opening: float) -> float:
