@@ -115,13 +115,22 @@ _NAMED = 5  # places listed in a note
 
 @dataclass(frozen=True, eq=False)
 class ExtractedPoints:
-    """Points extracted from a recording (for `identify`), with an account of all samples."""
+    """Points extracted from a recording (for `identify`), with an account of all samples.
+
+    Attributes
+    ----------
+    samples
+        Number of samples of each point, shape (points,).
+    counts
+        Number of samples by use or reason for exclusion; they sum to the length of the recording.
+    notes
+        Findings: gaps, sensor saturation, levels not reached.
+    """
 
     dataset: IsobaricDataset
-    samples: NDArray[np.int64] = field(repr=False)  # number of samples of each point, shape (points,)
-    # number of samples by use or reason for exclusion; they sum to the length of the recording
+    samples: NDArray[np.int64] = field(repr=False)
     counts: Mapping[str, int]
-    notes: tuple[str, ...]  # findings: gaps, sensor saturation, levels not reached
+    notes: tuple[str, ...]
 
     def describe(self) -> str:
         """Counts of samples by use, and the notes, as text."""

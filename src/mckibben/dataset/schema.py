@@ -279,14 +279,20 @@ _MEANT = dict.fromkeys(("fit", "identify"), "mk.identify(mk.ExponentialLaw, data
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredTable:
-    """Base of datasets: a table of measured points or samples that fits its schema."""
+    """Base of datasets: a table of measured points or samples that fits its schema.
+
+    Attributes
+    ----------
+    table
+        Variables of `schema` with ``units`` and ``long_name``, read-only, and attributes of the test.
+    """
 
     schema: ClassVar[Mapping[str, Variable]]
     """Variables; the first gives the length."""
     word: ClassVar[str] = "dataset"
     """Name in errors."""
 
-    table: xr.Dataset  # variables of `schema` with ``units`` and ``long_name``, read-only, and attributes of the test
+    table: xr.Dataset
 
     if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
 

@@ -35,16 +35,23 @@ _SIGNIFICANT = 0.01  # probability of a misfit of a right law
 
 @dataclass(frozen=True, eq=False)
 class IntervalCalibration:
-    """Scores of left-out points, and the misfit of the law."""
+    """Scores of left-out points, and the misfit of the law.
 
-    # pressure, contraction: ascending scores at left-out pressures and at left-out inner contractions; empty if there
-    # are too few
+    Attributes
+    ----------
+    pressure, contraction
+        Ascending scores at left-out pressures and at left-out inner contractions; empty if there are too few.
+    levels, measured
+        Ascending pressure levels [Pa] and contractions [-] of the points.
+    misfit
+        Variance [N^2] of the law's systematic error at left-out points, and its degrees of freedom; 0 if the scatter
+        about the law is that about a smooth surface.
+    """
+
     pressure: Floats = field(repr=False)
     contraction: Floats = field(repr=False)
-    levels: Floats = field(repr=False)  # ascending pressure levels of the points [Pa]
-    measured: Floats = field(repr=False)  # ascending contractions of the points [-]
-    # variance [N^2] of the law's systematic error at left-out points, and its degrees of freedom; 0 if the scatter
-    # about the law is that about a smooth surface
+    levels: Floats = field(repr=False)
+    measured: Floats = field(repr=False)
     misfit: tuple[float, float]
 
     @classmethod

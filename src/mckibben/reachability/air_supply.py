@@ -23,16 +23,31 @@ _TUBES = (2.5, 4.0, 5.7, 7.0, 8.0, 9.0, 11.0, 13.0)  # mm, inner diameters of co
 
 
 class AirSupply(NamedTuple):
-    """Air supply of a joint: conductances C [m^3/(s*Pa)], lengths [m], volumes [m^3]; 20 degrees C, 1 bar (ANR)."""
+    """Air supply of a joint: conductances C [m^3/(s*Pa)], lengths [m], volumes [m^3], at 20 degrees C and 1 bar (ANR).
 
-    needed: float  # largest C that the motion needs, of filling and venting, in the worse muscle
-    # valve, valve_name: smallest proportional valve of the catalog with twice that
+    Attributes
+    ----------
+    needed
+        Largest C that the motion needs, of filling and venting, in the worse muscle.
+    valve, valve_name
+        Smallest proportional valve of the catalog with twice that.
+    tube
+        Smallest inner diameter of a tube of the given length with four times that.
+    air
+        Air of a cycle (ANR).
+    reservoir
+        Volume at the inlets of the valves from which a cycle takes 5 % of the absolute pressure.
+    compressor
+        Flow of the compressor [m^3/s (ANR)], 1.3 times the mean consumption.
+    """
+
+    needed: float
     valve: AirValve
     valve_name: str
-    tube: float  # smallest inner diameter of a tube of the given length with four times that
-    air: float  # air of a cycle (ANR)
-    reservoir: float  # volume at the inlets of the valves from which a cycle takes 5 % of the absolute pressure
-    compressor: float  # flow of the compressor [m^3/s (ANR)], 1.3 times the mean consumption
+    tube: float
+    air: float
+    reservoir: float
+    compressor: float
 
 
 def tube_conductance(diameter: float, length: float) -> float:

@@ -35,18 +35,37 @@ class Preserved(enum.Enum):
 
 @dataclass(frozen=True)
 class FeasibleReference:
-    """A trackable reference close to one that is not."""
+    """A trackable reference close to one that is not.
+
+    Attributes
+    ----------
+    preserved
+        Property preserved.
+    reference
+        Angle of the same kind of signal (samples for a step); stiffness unchanged or as samples.
+    trackability
+        The check that it passed, with the margin.
+    times
+        Sample times of its run [s].
+    amplitude, speed
+        Factors on amplitude and speed, 0 to 1.
+    shift
+        Displacement of the centre of the angle [rad].
+    stiffness_change
+        Largest change of the desired stiffness [N*m/rad], away from its jumps.
+    step_smoothing
+        Time [s] over which a step of the angle is smoothed; 0 without a step.
+    """
 
     preserved: Preserved
-    reference: Reference  # angle of the same kind of signal (samples for a step); stiffness unchanged or as samples
-    trackability: Trackability  # with the margin
-    times: Values  # sample times of its run [s]
-    # amplitude, speed: factors on amplitude and speed, 0 to 1
+    reference: Reference
+    trackability: Trackability
+    times: Values
     amplitude: float
     speed: float
-    shift: float  # displacement of the centre of the angle [rad]
-    stiffness_change: float  # largest change of the desired stiffness [N*m/rad], away from its jumps
-    step_smoothing: float = 0.0  # time [s] over which a step of the angle is smoothed; 0 without a step
+    shift: float
+    stiffness_change: float
+    step_smoothing: float = 0.0
 
     def __repr__(self) -> str:
         return f"<FeasibleReference: {self.describe()}>"

@@ -55,22 +55,33 @@ _REACHED, _HELD = 0.02, 0.05  # relative errors of angle and stiffness of a run 
 
 
 class Candidate(NamedTuple):
-    """A joint that meets a requirement."""
+    """A joint that meets a requirement.
 
-    # make, plant: make of the muscles, and joint and load with the valve of the air supply
+    Attributes
+    ----------
+    make, plant
+        Make of the muscles, and joint and load with the valve of the air supply.
+    length, radius, contraction
+        Initial length of the muscles and radius of the pulleys [m]; contraction [-] in the middle of the motion.
+    limiting
+        Requirement or limit that leaves the least margin.
+    torque
+        Torque [N*m] in either direction in excess of gravity and of the muscles' friction that is attainable
+        throughout: with the lowest, nominal and highest forces within the uncertainty of the make.
+    stiffness
+        Lowest and highest stiffness [N*m/rad] attainable throughout, at these forces; the first is the higher one if no
+        stiffness is.
+    supply
+        The air supply.
+    """
+
     make: Make
     plant: JointPlant
-    # length, radius, contraction: initial length of the muscles and radius of the pulleys [m]; contraction [-] in the
-    # middle of the motion
     length: float
     radius: float
     contraction: float
-    limiting: str  # requirement or limit that leaves the least margin
-    # torque [N*m] in either direction in excess of gravity and of the muscles' friction that is attainable throughout:
-    # with the lowest, nominal and highest forces within the uncertainty of the make
+    limiting: str
     torque: tuple[float, float, float]
-    # lowest and highest stiffness [N*m/rad] attainable throughout, at these forces; the first is the higher one if no
-    # stiffness is
     stiffness: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
     supply: AirSupply
 

@@ -137,15 +137,25 @@ def _range_of(values: Values) -> AttainableRange:
 
 @dataclass(frozen=True)
 class Trackability:
-    """Result of the trackability check of a reference."""
+    """Result of the trackability check of a reference.
 
-    trajectory: ReferenceTrajectory  # the reference with jumps and corners smoothed
-    bands: StiffnessBands  # attainable stiffness along it
-    # breakpoints, smoothing_sufficient: times of its jumps and corners [s], and whether they are trackable when
-    # smoothed
+    Attributes
+    ----------
+    trajectory
+        The reference with jumps and corners smoothed.
+    bands
+        Attainable stiffness along it.
+    breakpoints, smoothing_sufficient
+        Times of its jumps and corners [s], and whether they are trackable when smoothed.
+    deviation
+        Largest deviation of the angle [rad] due to smoothing, away from jumps.
+    """
+
+    trajectory: ReferenceTrajectory
+    bands: StiffnessBands
     breakpoints: Values
     smoothing_sufficient: bool
-    deviation: float  # largest deviation of the angle [rad] due to smoothing, away from jumps
+    deviation: float
 
     def __repr__(self) -> str:
         return f"<Trackability: {self.describe()}>"

@@ -22,21 +22,33 @@ _STATES = {"angle": "plant.angle", "velocity": "plant.velocity"}
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """Deviations from an operating point over a control period: x' = A x + B u, y = C x + D u."""
+    """Deviations from an operating point over a control period: x' = A x + B u, y = C x + D u.
 
-    # a, b, c, d: matrices, in SI
+    Attributes
+    ----------
+    a, b, c, d
+        Matrices, in SI.
+    states, inputs, outputs
+        Names, such as "plant.angle" of a state; the outputs are both commands of the controller [Pa], the angle [rad]
+        and its velocity [rad/s].
+    period
+        Control period [s].
+    time
+        Operating point, the start of a control period [s].
+    closed
+        Whether the loop is closed; open, the inputs are the commands that the valves receive.
+    """
+
     a: Floats
     b: Floats
     c: Floats
     d: Floats
-    # states, inputs, outputs: names, such as "plant.angle" of a state; the outputs are both commands of the controller
-    # [Pa], the angle [rad] and its velocity [rad/s]
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    period: float  # control period [s]
-    time: float  # operating point, the start of a control period [s]
-    closed: bool  # whether the loop is closed; open, the inputs are the commands that the valves receive
+    period: float
+    time: float
+    closed: bool
 
     def __repr__(self) -> str:
         kind = "closed" if self.closed else "open"

@@ -15,13 +15,19 @@ from mckibben.units import deg
 
 @dataclass(frozen=True)
 class OracleResult:
-    """A run of a controller, and the same run with optimal commands."""
+    """A run of a controller, and the same run with optimal commands.
 
-    # controlled, optimal: results of both runs
+    Attributes
+    ----------
+    controlled, optimal
+        Results of both runs.
+    starts
+        Optima found from the commands of the controller, and from commands that stay as they begin; the optimal run is
+        that of least cost.
+    """
+
     controlled: Result
     optimal: Result
-    # optima found from the commands of the controller, and from commands that stay as they begin; the optimal run is
-    # that of least cost
     starts: tuple[OptimalCommands, OptimalCommands]
 
     @property

@@ -35,26 +35,38 @@ SHOWN = {
 
 @dataclass(frozen=True)
 class StiffnessTests:
-    """Stiffness over amplitude and rate of a motion about the angle held by a scenario's controller."""
+    """Stiffness over amplitude and rate of a motion about the angle held by a scenario's controller.
+
+    Attributes
+    ----------
+    scenario
+        Scenario.
+    angle, pressures, asked
+        Angle [rad] and gauge pressures [Pa] held, and the stiffness setpoint [N*m/rad].
+    isobaric, closed_valve
+        Slopes without friction (Eq. 8), at constant pressures and with closed valves [N*m/rad].
+    polytropic_index
+        n of the closed valves; for air with a temperature that of fast motion.
+    secant, closed_secant
+        Closed forms with friction (`AntagonisticJoint.secant_stiffness`) over the amplitudes of the tests [N*m/rad].
+    tests
+        Simulated tests by name: constant pressures, closed valves, constant commands (with an `AirValve`, which lets
+        the pressure vary), and the active controller.
+    closed_dynamic
+        Closed form of K' + i K'' with closed valves over the rates, without friction [N*m/rad], for air with a
+        temperature (`wall_conductance`); else None.
+    """
 
     scenario: Scenario
-    # angle, pressures, asked: angle [rad] and gauge pressures [Pa] held, and the stiffness setpoint [N*m/rad]
     angle: float
     pressures: tuple[float, float]
     asked: float
-    # isobaric, closed_valve: slopes without friction (Eq. 8), at constant pressures and with closed valves [N*m/rad].
     isobaric: float
     closed_valve: float
-    polytropic_index: float  # n of the closed valves; for air with a temperature that of fast motion
-    # secant, closed_secant: closed forms with friction (`AntagonisticJoint.secant_stiffness`) over the amplitudes of
-    # the tests [N*m/rad]
+    polytropic_index: float
     secant: Values
     closed_secant: Values
-    # simulated tests by name: constant pressures, closed valves, constant commands (with an `AirValve`, which lets the
-    # pressure vary), and the active controller
     tests: dict[str, DynamicStiffness]
-    # closed form of K' + i K'' with closed valves over the rates, without friction [N*m/rad], for air with a
-    # temperature (`wall_conductance`); else None
     closed_dynamic: NDArray[np.complex128] | None = None
 
     def __repr__(self) -> str:

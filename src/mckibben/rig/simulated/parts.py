@@ -43,26 +43,43 @@ class Regulator:
     the regulator and vents the muscle.
 
     Numbers "of the maker" are quoted from memory from the data sheet of the ITV0000 series, unverified.
+
+    Parameters
+    ----------
+    supply
+        Gauge pressure [Pa] of the compressed air: 8 bar (ours; the maker allows 10).
+    conductance, critical
+        C [m^3/(s*Pa)] and b [-] of the fully open regulator, in both directions: 0.0091 dm^3/(s*bar), with which it
+        passes the maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours).
+    band
+        Pressure error at which it is fully open [Pa]: 0.1 bar (ours).
+    lag
+        Time constant of the command [s]: 30 ms (ours), a third of the maker's response of 0.1 s without a load.
+    hysteresis
+        Width of the command's play [Pa]: 4.5 kPa, the maker's 0.5 % of 9 bar.
+    repeatability
+        Largest offset [Pa], drawn at each new command: 4.5 kPa, the maker's 0.5 % of 9 bar.
+    highest
+        Highest command [Pa]: 9 bar (the maker).
+    dead_volume
+        Volume of tube and fittings [m^3]: 5 cm^3 (ours; a metre of tube with 2.5 mm inside).
+    exhaust, exhaust_delay
+        C [m^3/(s*Pa)] of the vent valve with its tube, 0.1 dm^3/(s*bar), and its opening time [s], 20 ms; both ours.
+    leak
+        C [m^3/(s*Pa)] of all leaks: 1e-5 dm^3/(s*bar) (ours).
     """
 
-    supply: PositivePressure = 8 * bar  # gauge pressure [Pa] of the compressed air: 8 bar (ours; the maker allows 10)
-    # conductance, critical: C [m^3/(s*Pa)] and b [-] of the fully open regulator, in both directions: 0.0091
-    # dm^3/(s*bar), with which it passes the maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours)
+    supply: PositivePressure = 8 * bar
     conductance: Conductance = 0.0091 * L_PER_S_BAR
     critical: CriticalRatio = 0.3
-    band: PressureScale = 0.1 * bar  # pressure error at which it is fully open [Pa]: 0.1 bar (ours)
-    # time constant of the command [s]: 30 ms (ours), a third of the maker's response of 0.1 s without a load
+    band: PressureScale = 0.1 * bar
     lag: PositiveTime = 30 * ms
-    hysteresis: PressureNoise = 4.5 * kPa  # width of the command's play [Pa]: 4.5 kPa, the maker's 0.5 % of 9 bar
-    # largest offset [Pa], drawn at each new command: 4.5 kPa, the maker's 0.5 % of 9 bar
+    hysteresis: PressureNoise = 4.5 * kPa
     repeatability: PressureNoise = 4.5 * kPa
-    highest: PositivePressure = 9 * bar  # highest command [Pa]: 9 bar (the maker)
-    dead_volume: Volume = 5e-6  # volume of tube and fittings [m^3]: 5 cm^3 (ours; a metre of tube with 2.5 mm inside)
-    # exhaust, exhaust_delay: C [m^3/(s*Pa)] of the vent valve with its tube, 0.1 dm^3/(s*bar), and its opening time
-    # [s], 20 ms; both ours
+    highest: PositivePressure = 9 * bar
+    dead_volume: Volume = 5e-6
     exhaust: Conductance = 0.1 * L_PER_S_BAR
     exhaust_delay: ShortTime = 20 * ms
-    # C [m^3/(s*Pa)] of all leaks: 1e-5 dm^3/(s*bar) (ours)
     leak: Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4)] = 1e-5 * L_PER_S_BAR
 
     def __post_init__(self) -> None:
@@ -171,14 +188,25 @@ _ROUNDING = 1e-6  # pulses
 
 @dataclass(frozen=True, kw_only=True)
 class Stretcher:
-    """Motor, reducer, lead screw and guide rails."""
+    """Motor, reducer, lead screw and guide rails.
 
-    drive: Drive = field(default_factory=Drive)  # motor and lead screw
-    # backlash of the nut [m]: 0.02 mm (ours). A force above the friction of the guide takes it up: with a taut muscle
-    # the carriage follows the screw, with a slack one it stays.
+    Parameters
+    ----------
+    drive
+        Motor and lead screw.
+    backlash
+        Backlash of the nut [m]: 0.02 mm (ours). A force above the friction of the guide takes it up: with a taut
+        muscle the carriage follows the screw, with a slack one it stays.
+    guide_friction
+        Friction of the guide rails [N]: 5 N (ours).
+    acceleration
+        Of the motor [Hz/s]: infinite; at 80 Hz it needs no ramp.
+    """
+
+    drive: Drive = field(default_factory=Drive)
     backlash: Distance = 0.02 * mm
-    guide_friction: Force = 5 * N  # friction of the guide rails [N]: 5 N (ours)
-    acceleration: float = math.inf  # of the motor [Hz/s]: infinite; at 80 Hz it needs no ramp
+    guide_friction: Force = 5 * N
+    acceleration: float = math.inf
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -26,14 +26,21 @@ Column = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Runs whose plants differ only in numbers and can be batched."""
+    """Runs whose plants differ only in numbers and can be batched.
 
-    rows: NDArray[np.int64]  # indices of these runs. Shape (count,).
-    # joint, reference_name: names of the joint and the reference of each run
+    Attributes
+    ----------
+    rows
+        Indices of these runs. Shape (count,).
+    joint, reference_name
+        Names of the joint and the reference of each run.
+    plant, reference
+        Batches with arrays of shape (count, ...) where runs differ, as for `simulate_many`; references are sampled.
+    """
+
+    rows: NDArray[np.int64]
     joint: Sequence[str]
     reference_name: Sequence[str]
-    # plant, reference: batches with arrays of shape (count, ...) where runs differ, as for `simulate_many`; references
-    # are sampled
     plant: JointPlant
     reference: Reference
 
