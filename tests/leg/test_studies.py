@@ -27,9 +27,12 @@ def test_text_reads_back(scenario: LegScenario) -> None:
     assert LegScenario.parse(scenario.dumps()) == scenario
 
 
+def file_of_the_docs() -> str:
+    return Path("docs/leg.md").read_text(encoding="utf-8").split("## Files")[1].split("```yaml\n")[1].split("```")[0]
+
+
 def test_the_file_of_the_docs_is_a_leg() -> None:
-    text = Path("docs/leg.md").read_text(encoding="utf-8").split("## Files")[1].split("```yaml\n")[1].split("```")[0]
-    assert LegScenario.parse(text).plant().leg.muscle_names[-1] == "rectus"
+    assert LegScenario.parse(file_of_the_docs()).plant().leg.muscle_names[-1] == "rectus"
 
 
 @pytest.mark.parametrize(
@@ -43,7 +46,7 @@ def test_the_file_of_the_docs_is_a_leg() -> None:
     ],
 )
 def test_a_mistake_in_a_part_of_a_leg_has_its_line(old: str, new: str, line_of: str, field: str) -> None:
-    text = Path("docs/leg.md").read_text(encoding="utf-8").split("## Files")[1].split("```yaml\n")[1].split("```")[0]
+    text = file_of_the_docs()
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(text.replace(old, new))
     (problem,) = caught.value.problems

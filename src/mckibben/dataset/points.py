@@ -104,13 +104,17 @@ def stuck_or_jumping(table: xr.Dataset, broken: NDArray[np.bool_]) -> Iterator[s
         rest = [steps[other] < _REST for other in channels if other != name]
         alone = np.flatnonzero((steps[name] > _JUMP) & rest[0] & rest[1] & taut & ~broken[1:])
         if len(alone):
-            shown = ", ".join(f"{time[at + 1]:.6g} s" for at in alone[:_NAMED])
-            more = f" and {len(alone) - _NAMED} more" if len(alone) > _NAMED else ""
-            yield f"{name} alone jumps, at {shown}{more}: a sensor that was zeroed, slipped or lost counts?"
+            shown = _listed([f"{time[at + 1]:.6g} s" for at in alone])
+            yield f"{name} alone jumps, at {shown}: a sensor that was zeroed, slipped or lost counts?"
 
 
 _GAP = 10  # usual intervals
 _NAMED = 5  # places listed in a note
+
+
+def _listed(places: list[str]) -> str:
+    more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
+    return f"{', '.join(places[:_NAMED])}{more}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,9 +208,8 @@ class SampleAccount:
         for what, where in (("gap", steps > longest), ("clock went back", steps < 0)):
             places = np.flatnonzero(where)
             if len(places):
-                shown = ", ".join(f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places[:_NAMED])
-                more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
-                self.notes.append(f"{what}: {shown}{more}; segments end there")
+                shown = _listed([f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places])
+                self.notes.append(f"{what}: {shown}; segments end there")
                 broken[places + 1] = True
         if still := int(np.count_nonzero(steps == 0)):
             self.notes.append(f"{still} of {len(time)} samples have the time of the one before: durations are inexact")

@@ -95,8 +95,9 @@ def summaries(columns: Mapping[str, tuple[Floats, float]]) -> dict[int, str]:
 
 def _apart(rows: Floats) -> NDArray[np.bool_]:
     """Rows far from the rows next to them; others may be points of a ramp."""
-    steps = np.median(np.abs(np.diff(rows, axis=1)), axis=1) + _COARSE * np.ptp(rows, axis=1)
-    jumps = (np.abs(np.diff(rows, axis=1)) > _JUMP * steps[:, None]).any(axis=0)
+    steps = np.abs(np.diff(rows, axis=1))
+    usual = np.median(steps, axis=1) + _COARSE * np.ptp(rows, axis=1)
+    jumps = (steps > _JUMP * usual[:, None]).any(axis=0)
     return np.append(True, jumps) & np.append(jumps, True)
 
 

@@ -97,9 +97,10 @@ def foot_ellipses(
     if found is not None:
         torques, held = [float(one) for one in leg.torques(angles, found.pressures)], found.force
     attainable = attainable_foot_stiffness(leg, angles, torques, levels=9 if leg.is_planar else 4, force=held)
-    ordered = sorted(attainable, key=lambda one: np.trace(one.compliance))
-    shown = {"softest": ordered[-1], "stiffest": ordered[0]}
-    if found is not None:
+    if found is None:
+        ordered = sorted(attainable, key=lambda one: np.trace(one.compliance))
+        shown = {"softest": ordered[-1], "stiffest": ordered[0]}
+    else:
         shown = {"attained": found.stiffness, "desired": stiffness_of(np.linalg.inv(found.wanted))}
     planes = _planes(leg)
     figure = blank(DOUBLE * (0.8 if leg.is_planar else 1.0), 3.0)
