@@ -51,8 +51,9 @@ _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
 _LONGEST = 3_000_000  # characters of a source
-_COMPILING = 60.0, 5000.0  # s: time limit of the compiler, plus a second per so many characters
-_TRYING = 20.0  # s: time limit of a first call
+_COMPILING = 60.0, 5000.0  # s of processor time for the compiler, plus a second per so many characters
+_TRYING = 20.0  # s of processor time for a first call
+_WALL = 6.0  # times the processor time: other programs may use the processors
 _TRIAL = "import ctypes; ctypes.CDLL('./library.so').run(None, None, None, ctypes.c_int64(0))"  # of no runs
 _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
 _OTHER_FOLDER = (
@@ -390,13 +391,19 @@ def compile_library(source: str, flags: Sequence[str]) -> bytes:
 
 
 def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> None:
-    """Run a command in a folder; raises `CompilerError` if it fails or takes longer than a time limit."""
+    """Run a command in a folder; raises `CompilerError` if it fails or takes longer than a processor time."""
+    limited = ["sh", "-c", f'ulimit -S -t {math.ceil(seconds)} && exec "$@"', "sh"] if os.name == "posix" else []
     with Path(folder, "messages.txt").open("w+b") as messages:  # not a pipe, which a hanging child would hold open
         process = subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages, start_new_session=True
+            [*limited, *command],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=messages,
+            stderr=messages,
+            start_new_session=True,
         )
         try:
-            status = process.wait(seconds)
+            status = process.wait(_WALL * seconds)
         except subprocess.TimeoutExpired:
             status = None
         finally:
@@ -410,7 +417,7 @@ def _call(command: Sequence[str], folder: str, seconds: float, failure: str, rem
     if command[0] == sys.executable:
         reason = lines[-1]  # of a traceback
     if status is None:
-        reason = f"it takes longer than {seconds:.0f} s"
+        reason = f"it takes longer than {_WALL * seconds:.0f} s"
     elif status < 0:
         reason = f"it ends by signal {-status}"
     error = CompilerError(f"{failure}: {reason}", value=command[0], remedy=remedy)

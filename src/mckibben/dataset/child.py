@@ -29,6 +29,7 @@ LIMIT_REMEDY = f"give fewer rows or columns, or, if you trust the file, set {_VA
 _LARGE = 2**28  # bytes: a child process with more is replaced after the file
 _WALL = 6.0  # times the processor time: other programs may use the processors, or a disk be slow
 _STARTED = 60.0  # s: until the child process has imported its modules
+_ENDED = 5.0  # s: until the child process has ended by itself
 _OUT_OF_MEMORY = 99  # exit status
 
 Result = TypeVar("Result")
@@ -111,7 +112,11 @@ class _Child:
         if kill:
             process.kill()
         with contextlib.suppress(OSError):
-            process.communicate()
+            try:
+                process.communicate(timeout=_ENDED)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
         return process.returncode
 
 
