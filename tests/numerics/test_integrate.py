@@ -105,13 +105,21 @@ def test_a_semi_implicit_step_is_stable_at_any_stiffness(steps):
     assert relaxed(1e7, steps) == pytest.approx(np.cos(1.0), abs=np.sin(1.0) / steps)  # the change in one step
 
 
-def test_inputs_of_a_semi_implicit_step_are_taken_at_its_stages():
+@pytest.mark.parametrize("rolled", [False, True])
+def test_inputs_of_a_semi_implicit_step_are_taken_at_its_stages(rolled):
     given = lambda t: (jnp.asarray(5 * t**3 - 2 * t**2 + 1),)  # noqa: E731
-    x = semi_implicit(
-        lambda x, slope, ahead: slope + 0 * x, jnp.asarray(0.0), 1.5, (given(0.5), given(1.25), given(2.0))
-    )
+    rate = lambda x, slope, ahead: slope + 0 * x  # noqa: E731
+    with batched_program(rolled=rolled):
+        x = semi_implicit(rate, jnp.asarray(0.0), 1.5, (given(0.5), given(1.25), given(2.0)))
     exact = lambda t: 5 / 4 * t**4 - 2 / 3 * t**3 + t  # noqa: E731
     assert float(x) == pytest.approx(exact(2.0) - exact(0.5), rel=1e-14)
+
+
+def test_stages_of_a_semi_implicit_step_are_the_same_rolled():
+    start = jnp.asarray(0.2), jnp.asarray(0.0)
+    plain = semi_implicit(relaxing(30.0), start, 0.1)
+    with batched_program():
+        np.testing.assert_allclose(semi_implicit(relaxing(30.0), start, 0.1), plain, rtol=1e-14)
 
 
 def test_the_explicit_part_of_a_semi_implicit_step_is_stable_to_its_limit():
