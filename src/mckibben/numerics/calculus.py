@@ -130,18 +130,18 @@ def semi_implicit(
 
     if trace_mode()[1]:
         kind = jnp.result_type(step)
-        rows = jnp.asarray(_EXPLICIT, kind), jnp.asarray(_IMPLICIT, kind)
+        explicit, implicit = jnp.asarray(_EXPLICIT, kind), jnp.asarray(_IMPLICIT, kind)
 
         def next_stage(i: Array, slopes: tuple[State, ...]) -> tuple[State, ...]:
             here = jax.tree.map(lambda b, m, e: jnp.where(i < 2, b, jnp.where(i == 3, m, e)), *inputs)
-            new = stage(*(tuple(row[i]) for row in rows), slopes, here)
+            new = stage(tuple(explicit[i]), tuple(implicit[i]), slopes, here)
             each = enumerate(slopes)
             return tuple(jax.tree.map(lambda x, old, j=j: jnp.where(i == j, x, old), new, one) for j, one in each)
 
         return moved(_WEIGHTS, lax.fori_loop(0, 4, next_stage, (zero,) * 4))
     slopes: list[State] = []
-    for explicit, implicit, given in zip(_EXPLICIT, _IMPLICIT, (beginning, beginning, end, middle), strict=True):
-        slopes.append(stage(explicit, implicit, slopes, given))
+    for row, ahead, given in zip(_EXPLICIT, _IMPLICIT, (beginning, beginning, end, middle), strict=True):
+        slopes.append(stage(row, ahead, slopes, given))
     return moved(_WEIGHTS, slopes)
 
 
