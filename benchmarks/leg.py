@@ -1,7 +1,11 @@
-"""Landings of a leg on one core: our batches against MuJoCo with the plugin for the same muscles."""
+"""Landings of a leg on one core: our batches against MuJoCo with the plugin for the same muscles.
+
+`python benchmarks/leg.py --errors` prints our errors by step, with explicit and with implicit friction.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -37,8 +41,8 @@ DURATION, PERIOD, STEP = 0.3, 2 * ms, 0.25 * ms
 SUBSTEPS = round(PERIOD / STEP)
 IN_SPACE = ", in space"
 GROUNDS = {
-    "friction 0.8 from 100 mm/s": Ground(friction=0.8),
-    "friction 0.8 from 30 mm/s": Ground(friction=0.8, slip_speed=30 * mm),
+    "friction 0.8 from 100 mm/s": Ground(friction=0.8, implicit_friction=True),
+    "friction 0.8 from 30 mm/s": Ground(friction=0.8, slip_speed=30 * mm, implicit_friction=True),
     "no friction": Ground(friction=0.0),
 }
 ANGLES = {"": (2 * deg, -5 * deg), IN_SPACE: (2 * deg, 2 * deg, -5 * deg)}
@@ -80,7 +84,7 @@ def leg(folder: Path, *, quick: bool) -> Table:
         inverted(bench.timed()),
         (
             "Vertical slider, hip and knee with four muscles, valves of 20 ms, contact; one core. In space: `lei-leg`, "
-            "side swing, hip and knee with six muscles. Friction from a slip speed as given. Ours: "
+            "side swing, hip and knee with six muscles. Friction from a slip speed as given, ours implicit. Ours: "
             f"{LANES} landings of different speeds in a batch, with all metrics. MuJoCo: the emitted plugin, `mj_step` "
             "with `nstep`, its own contact.",
             f"Equal accuracy: the largest step with which the angle of the knee is within {ANGLE_ERROR / deg:g} deg, "
@@ -100,13 +104,6 @@ def _add(bench: Bench, folder: Path, where: str, model_name: str) -> None:
 
     def named(engine: str, count: int, accuracy: str = "") -> str:
         return ", ".join(filter(None, (engine, f"{PERIOD / count / ms:.3g} ms", accuracy, where)))
-
-    def traced(count: int) -> tuple[NDArray[np.float64], float]:
-        try:
-            run = simulate_leg(plant, controller, start, duration=DURATION, control_period=PERIOD, substeps=count)
-        except SimulationError:  # too long a step
-            return np.full(round(DURATION / PERIOD), np.nan), np.nan
-        return run["angle"][-1], float(run["ground_up"].max())
 
     def batch(count: int, engine: str, precision: int = 64) -> Callable[[], Any]:
         given = {"duration": DURATION, "control_period": PERIOD, "substeps": count, "workers": 1, "engine": engine}
@@ -132,7 +129,7 @@ def _add(bench: Bench, folder: Path, where: str, model_name: str) -> None:
         return found
 
     def ours() -> list[Candidate]:
-        count, angle = coarsest(traced)
+        count, angle = coarsest(lambda count: traced(plant, count))
         fastest = min(fast, key=lambda name: fast[name]) if fast else ""
         name = named("ours", count, EQUAL)
         whole, half = batch(count, "native"), batch(count, "native", 32)
@@ -156,6 +153,15 @@ def _add(bench: Bench, folder: Path, where: str, model_name: str) -> None:
 
     bench.add(f"MuJoCo, {where}", others, install="mujoco")
     bench.add(f"ours, {where}", ours)
+
+
+def traced(plant: LegPlant, count: int) -> tuple[NDArray[np.float64], float]:
+    """Angle of the knee [rad] over time and peak force [N] of our landing; NaN if the step is refused."""
+    try:
+        run = simulate_leg(plant, *_given(plant), duration=DURATION, control_period=PERIOD, substeps=count)
+    except SimulationError:
+        return np.full(round(DURATION / PERIOD), np.nan), np.nan
+    return run["angle"][-1], float(run["ground_up"].max())
 
 
 def _given(plant: LegPlant) -> tuple[PressureSchedule, LegStart]:
@@ -246,6 +252,22 @@ def first_batch(folder: Path) -> float:
     return float(done.stdout)
 
 
+def errors() -> None:
+    """Largest error of the knee's angle [deg] in space by step, against explicit steps of 1/64 ms."""
+    counts = 3, 4, 8, 16, 32
+    print("| step [ms] |", *(f"{PERIOD / count / ms:.2g} |" for count in counts))
+    for name, ground in GROUNDS.items():
+        for implicit in (False, True)[: 1 + ground.implicit_friction]:
+            plant = leg_plant(name + IN_SPACE)
+            plain, own = (
+                dataclasses.replace(plant, ground=dataclasses.replace(ground, implicit_friction=one))
+                for one in (False, implicit)
+            )
+            true = traced(plain, FINER * SUBSTEPS)[0]
+            found = (np.abs(traced(own, count)[0] - true).max() / deg for count in counts)
+            print(f"| {name}, {'implicit' if implicit else 'explicit'} |", *(f"{one:.1g} |" for one in found))
+
+
 def main() -> None:
     """Seconds of the first batch of this process."""
     plant = leg_plant(next(iter(GROUNDS)))
@@ -258,4 +280,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    errors() if "--errors" in sys.argv else main()

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.writer import Text, Writer
+from mckibben.numerics.runtime import vector_bits
 
-_BITS = 512  # of a vector: one register, or several smaller ones
 _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
 _BROADCAST = {Kind.REAL: "real", Kind.INTEGER: "integer", Kind.BOOLEAN: "mask"}
 _ATOM, _PREFIX = 8, 7
@@ -57,7 +57,7 @@ INLINE V v_from_bits_32(I x) { return __builtin_convertvector((F)__builtin_conve
 
 def width(single: bool) -> int:
     """Number of runs per vector."""
-    return _BITS // (32 if single else 64)
+    return vector_bits() // (32 if single else 64)
 
 
 def prelude(single: bool) -> str:

@@ -135,12 +135,27 @@ def motion(leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike) -
 
 
 def _equations(
-    leg: Leg, posture: Posture, velocity: Velocity, gravity: ArrayLike, force: Vector = ZERO, normal: Vector = Z
+    leg: Leg,
+    posture: Posture,
+    velocity: Velocity,
+    gravity: ArrayLike,
+    force: Vector = ZERO,
+    normal: Vector = Z,
+    slip_mass: ArrayLike = 0.0,
 ) -> Equations:
     base, hinges, bodies = _chain(leg, posture, velocity)
     found = frames_of(base, hinges)
     slides = [SLIDES[name] for name in leg.trunk.motions if name in SLIDES]
-    return equations(slides, hinges, bodies, found, gravity, force, contact(leg, found, normal).arm)
+    point = contact(leg, found, normal)
+    made = equations(slides, hinges, bodies, found, gravity, force, point.arm)
+    pairs = zip(found[1:], hinges, strict=True)
+    moved = [*slides, *(at.axis.cross(point.position - at.position) for at, hinge in pairs if hinge.free)]
+    slips = [one - normal.scaled(one.dot(normal)) for one in moved]  # of the point, per rate of each motion
+    rows = [
+        [total(entry, product(slip_mass, slips[i].dot(slips[j]))) for j, entry in enumerate(row)]
+        for i, row in enumerate(made.matrix)
+    ]
+    return made._replace(matrix=rows)
 
 
 def acceleration(
@@ -151,12 +166,14 @@ def acceleration(
     force: Vector,
     gravity: ArrayLike,
     normal: Vector = Z,
+    slip_mass: ArrayLike = 0.0,
 ) -> Velocity:
     """Return the accelerations under torques [N*m] of the joints and a force [N] at the foot's point of contact.
 
-    Locked joints, and motions that the trunk lacks, have an acceleration of 0.
+    `slip_mass` [kg] is added to the inertia of that point along the ground. Locked joints, and motions that the trunk
+    lacks, have an acceleration of 0.
     """
-    made = _equations(leg, posture, velocity, gravity, force, normal)
+    made = _equations(leg, posture, velocity, gravity, force, normal, slip_mass)
     driven = [joint.sign * torque for joint, torque in zip(leg.joints, torques, strict=True) if joint.locked is None]
     rates = iter(made.accelerations([*[0.0] * len(leg.trunk.motions), *driven]))
     of_trunk = {name: next(rates) for name in leg.trunk.motions}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
@@ -42,6 +43,9 @@ class Ground(Component):
         ground.
     slope, side_slope
         Angles [rad] by which the ground rises forwards and to the left. Default: level.
+    implicit_friction
+        Whether integration steps are implicit in the slip velocity (`semi_implicit`), so that friction does not limit
+        their length. Default: classical Runge-Kutta.
     """
 
     stiffness: ContactStiffness = 20e3
@@ -50,6 +54,7 @@ class Ground(Component):
     slip_speed: Speed = 100 * mm
     slope: Slope | None = None
     side_slope: Slope | None = None
+    implicit_friction: bool = eqx.field(static=True, default=False)
 
     @property
     def normal(self) -> Vector:
@@ -61,9 +66,21 @@ class Ground(Component):
 
     def force(self, point: Contact) -> Vector:
         """Return the force [N] on the foot: forwards, to the left, and up."""
+        pressed = self.normal_force(point)
+        return self.normal.scaled(pressed) - self.along(point.velocity).scaled(self.drag(pressed, point.velocity))
+
+    def normal_force(self, point: Contact) -> Any:
+        """Return the force [N] normal to the ground."""
         normal = self.normal
         speed = point.velocity.dot(normal)
-        pressed = compliant_force(-point.position.dot(normal), -speed, self.stiffness, self.damping)
-        along = point.velocity - normal.scaled(speed)
-        slip = jnp.sqrt(total(along.dot(along), self.slip_speed * self.slip_speed))
-        return normal.scaled(pressed) - along.scaled(self.friction * pressed / slip)
+        return compliant_force(-point.position.dot(normal), -speed, self.stiffness, self.damping)
+
+    def drag(self, pressed: Any, velocity: Vector) -> Any:
+        """Return the friction per slip velocity [N*s/m] at a normal force [N] and a velocity of the foot [m/s]."""
+        along = self.along(velocity)
+        return self.friction * pressed / jnp.sqrt(total(along.dot(along), self.slip_speed * self.slip_speed))
+
+    def along(self, vector: Vector) -> Vector:
+        """Return the part of a vector along the ground."""
+        normal = self.normal
+        return vector - normal.scaled(vector.dot(normal))

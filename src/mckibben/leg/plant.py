@@ -5,10 +5,11 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from numbers import Real
 from typing import Annotated, Any, NamedTuple, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -19,6 +20,7 @@ from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement, RigidTendon
 from mckibben.leg.dynamics import (
+    Contact,
     Posture,
     Velocity,
     acceleration,
@@ -34,7 +36,7 @@ from mckibben.leg.mechanism import Leg, RoutedMuscle
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
-from mckibben.numerics.calculus import value_and_derivative
+from mckibben.numerics.calculus import SEMI_IMPLICIT_LIMIT, rk4, semi_implicit, value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
 from mckibben.plant.base import STABILITY_LIMIT, IOState, Motion, Plant
@@ -45,6 +47,7 @@ Scalar = Float[Array, ""]
 
 _MOST_MOBILE = 1e9  # of a joint [1/(kg*m^2)]
 _ROUNDING = {"rad": 1e-9, "Pa": 1e-3}
+_PASSES = 2  # of reweighting in a step with implicit friction
 _LONGEST = 0.5  # of a step, times the circular frequency of ground, stops or friction
 
 
@@ -247,11 +250,13 @@ class LegPlant(Plant):
         }
         rates = {what: math.sqrt(square) * STABILITY_LIMIT / _LONGEST for what, square in stiffnesses.items()}
         weight, sideways = float(leg.total_mass) * self.gravity, np.linalg.eigvalsh(mobility[:2, :2])[-1]
-        rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
+        if not ground.implicit_friction:
+            rates["the friction of the ground"] = ground.friction * weight / ground.slip_speed * sideways
         if self.valve.holds_air:
             muscles = (muscle for muscle in leg.muscles if not isinstance(muscle.law, SpringLaw))
             volumes = (float(muscle.specimen.volume(muscle.domain.contraction_min)) for muscle in muscles)
-            rates["the air"] = self.valve.fastest_rate_in(min(volumes))
+            limit = SEMI_IMPLICIT_LIMIT if ground.implicit_friction else STABILITY_LIMIT
+            rates["the air"] = self.valve.fastest_rate_in(min(volumes)) * STABILITY_LIMIT / limit
         return rates
 
     def init_state(
@@ -366,11 +371,19 @@ class LegPlant(Plant):
         found = frames(self.leg, state.posture, state.velocity)
         return self.ground.force(contact(self.leg, found, self.ground.normal))
 
-    def rate(self, state: LegState) -> Motion:
+    @property
+    def integrator(self) -> Callable[..., Motion]:
+        return semi_implicit if self.ground.implicit_friction else rk4
+
+    def rate(self, state: LegState, ahead: tuple[Motion, ArrayLike] | None = None) -> Motion:
+        """Return the time derivative of the motion; with implicit friction where `ahead` is that of `semi_implicit`."""
         forces, velocity = self.forces(state), state.velocity
-        moved = acceleration(
-            self.leg, state.posture, velocity, forces.torques, forces.ground, self.gravity, self.ground.normal
-        )
+        if ahead is None:
+            moved = acceleration(
+                self.leg, state.posture, velocity, forces.torques, forces.ground, self.gravity, self.ground.normal
+            )
+        else:
+            velocity, moved = self._with_implicit_friction(state, forces.torques, ahead[0].velocity, ahead[1])
         creep = tuple(
             muscle.state_rate(held, rate, pressure).creep
             for muscle, held, rate, pressure in zip(
@@ -378,6 +391,26 @@ class LegPlant(Plant):
             )
         )
         return Motion(Posture(*velocity), moved, creep)
+
+    def _with_implicit_friction(
+        self, state: LegState, torques: Sequence[Array], begun: Velocity, length: ArrayLike
+    ) -> tuple[Velocity, Velocity]:
+        """Velocity ``begun + length * acceleration``, at which the ground's friction acts, and the acceleration."""
+        leg, ground = self.leg, self.ground
+
+        def foot(velocity: Velocity) -> Contact:
+            return contact(leg, frames(leg, state.posture, velocity), ground.normal)
+
+        pressed, at_begun = ground.normal_force(foot(state.velocity)), foot(begun).velocity
+        after, moved = state.velocity, begun
+        for _ in range(_PASSES):
+            drag = ground.drag(pressed, foot(after).velocity)
+            force = ground.normal.scaled(pressed) - ground.along(at_begun).scaled(drag)
+            moved = acceleration(
+                leg, state.posture, state.velocity, torques, force, self.gravity, ground.normal, length * drag
+            )
+            after = jax.tree.map(lambda one, change: one + length * change, begun, moved)
+        return after, moved
 
     def air_volumes(self, state: LegState) -> list[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import equinox as eqx
@@ -147,6 +147,11 @@ class Plant(Component):
     def disturbing_torque(self, time: ArrayLike) -> Any:
         """Return the torque [N*m] of the disturbances at a time [s] since the start."""
 
+    @property
+    def integrator(self) -> Callable[..., Motion]:
+        """Method of one integration step, called as `rk4`."""
+        return rk4
+
     @abc.abstractmethod
     def rate(self, state: Any) -> Motion:
         """Return the time derivative of the motion at the pressures of a state."""
@@ -269,7 +274,7 @@ class Plant(Component):
         return after._replace(sent=sent)
 
     def advance(self, state: S, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int) -> S:
-        """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
+        """Return the state after a duration [s] under constant commands [Pa], by integration steps of equal length.
 
         The pressures follow from a closed form if there is one; motion, creep and air are integrated.
         """
@@ -284,13 +289,13 @@ class Plant(Component):
     def _step(self, valve: Any, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
         """State after a step [s] with the pressures of a closed form."""
 
-        def rate(motion: Motion, *pressures: Scalar) -> Motion:
-            return self.rate(motion.applied_to(state, pressures))
+        def rate(motion: Motion, *pressures: Scalar, **ahead: Any) -> Motion:
+            return self.rate(motion.applied_to(state, pressures), **ahead)
 
         end, held = valve.all_after(state.pressures, state.air, commands, step)
         middle, _ = valve.all_after(state.pressures, state.air, commands, step / 2)
         state = state._replace(air=())
-        motion = rk4(rate, Motion.of(state), step, (state.pressures, middle, end))
+        motion = self.integrator(rate, Motion.of(state), step, (state.pressures, middle, end))
         return self.project(motion.applied_to(state, end))._replace(air=held)
 
     def _step_with_air(self, valve: Any, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
@@ -298,13 +303,13 @@ class Plant(Component):
         assert isinstance(state.air, AirState)
         state = state._replace(air=valve.before_steps(state.air, commands, state.pressures, step))
 
-        def rate(motion: Motion) -> Motion:
+        def rate(motion: Motion, **ahead: Any) -> Motion:
             at = motion.applied_to(state, state.pressures)
             assert isinstance(at.air, AirState)
             pressures, air = valve.air_rate(at.pressures, at.air, commands, self.air_volumes(at))
-            return self.rate(at)._replace(pressures=pressures, air=air)
+            return self.rate(at, **ahead)._replace(pressures=pressures, air=air)
 
-        return self.project(rk4(rate, Motion.of(state), step).applied_to(state, state.pressures))
+        return self.project(self.integrator(rate, Motion.of(state), step).applied_to(state, state.pressures))
 
     def commands_for(self, state: State, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite if there are none."""

@@ -1,0 +1,120 @@
+"""Steps that are implicit in the slip of the foot: the same motion, in steps that friction does not limit."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mckibben as mk
+from mckibben.errors import SimulationError
+from mckibben.leg import Ground, LegPlant, LegStart, PressureSchedule, read_leg, simulate_leg, simulate_legs
+from mckibben.leg.dynamics import motion
+from mckibben.leg.plant import LegState
+from mckibben.plant.base import Motion
+from mckibben.units import deg, mm, ms
+
+ANGLES = 2 * deg, 2 * deg, -5 * deg
+
+
+def with_ground(ground: Ground) -> tuple[LegPlant, LegStart]:
+    """The catalog's leg in space, as it touches the ground with a middle stiffness."""
+    leg = read_leg("lei-leg")
+    pressures = leg.pressures_for(ANGLES, (0.0,) * 3, (None, None, 17.0))
+    return LegPlant(leg, mk.FirstOrderValve(20 * ms), ground), LegStart(ANGLES, pressures, 0.0, -0.9)
+
+
+def pressed(plant: LegPlant, start: LegStart) -> LegState:
+    """The start with the foot 3 mm in the ground."""
+    state = plant.begin(start)
+    return state._replace(posture=state.posture._replace(z=state.posture.z - 3 * mm))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slip_speed", [100 * mm, 10 * mm])
+def test_the_motion_is_that_of_a_stiff_solver(slip_speed: float) -> None:
+    plant, start = with_ground(Ground(slip_speed=slip_speed, implicit_friction=True))
+    state, duration = pressed(plant, start), 4 * ms
+
+    def numbers(position, velocity):
+        return jnp.stack([position.z, *position.angles, velocity.z, *velocity.angles])
+
+    @jax.jit
+    def rate(y):
+        posture = state.posture._replace(z=y[0], angles=tuple(y[1:4]))
+        moving = plant.rate(
+            state._replace(posture=posture, velocity=state.velocity._replace(z=y[4], angles=tuple(y[5:])))
+        )
+        return numbers(moving.position, moving.velocity)
+
+    slopes = jax.jit(jax.jacfwd(rate))
+    solved = solve_ivp(
+        lambda _, y: np.asarray(rate(y)),
+        (0, duration),
+        np.asarray(numbers(state.posture, state.velocity)),
+        method="Radau",
+        jac=lambda _, y: np.asarray(slopes(y)),
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    advance = jax.jit(lambda count: plant.advance(state, start.pressures, duration, count))
+    ends = (advance(count) for count in (8, 32, 64, 128))
+    errors = [np.abs(np.asarray(numbers(one.posture, one.velocity)) - solved.y[:, -1]).max() for one in ends]
+    assert errors[0] < 1e-3  # rad/s; steps of 0.5 ms
+    assert errors[-1] < errors[0] / 20
+    if slip_speed == 100 * mm:  # at 10 mm/s all of these steps are long for the friction
+        assert np.all(np.log2(np.array(errors[1:-1]) / errors[2:]) > 2.5)
+
+
+def test_friction_takes_energy_in_steps_of_any_length() -> None:
+    rng = np.random.default_rng(5)
+    plant, start = with_ground(Ground(slip_speed=1 * mm, implicit_friction=True))
+    free = dataclasses.replace(plant, ground=dataclasses.replace(plant.ground, friction=0.0))
+
+    @jax.jit
+    def energy(plant: LegPlant, state: LegState, length: float) -> jax.Array:
+        change = plant.rate(state, ahead=(Motion.of(state), length)).velocity
+        after = jax.tree.map(lambda one, rate: one + length * rate, state.velocity, change)
+        return motion(plant.leg, state.posture, after, plant.gravity).kinetic
+
+    state = pressed(plant, start)
+    for length in 10.0 ** rng.uniform(-5, 0, 30):
+        velocity = state.velocity._replace(angles=tuple(map(jnp.asarray, rng.normal(0.0, 5.0, 3))))
+        moving = state._replace(velocity=velocity)
+        assert float(energy(plant, moving, length)) <= float(energy(free, moving, length)) * (1 + 1e-12)
+
+
+@pytest.mark.slow
+def test_friction_does_not_limit_the_step() -> None:
+    ground = Ground(slip_speed=30 * mm)
+    plant, start = with_ground(ground)
+    implicit = dataclasses.replace(plant, ground=dataclasses.replace(ground, implicit_friction=True))
+    schedule = PressureSchedule(tuple((one,) for one in start.pressures))
+    given = {"duration": 0.1, "control_period": 2 * ms}
+    fine = simulate_leg(plant, schedule, start, substeps=64, **given)
+    run = simulate_leg(implicit, schedule, start, substeps=3, **given)
+    assert np.abs(run["angle"] - fine["angle"]).max() < 0.03 * deg
+    assert run["ground_up"].max() == pytest.approx(fine["ground_up"].max(), rel=2e-3)
+    with pytest.raises(SimulationError) as caught:
+        simulate_leg(plant, schedule, start, substeps=3, **given)
+    assert (caught.value.field, caught.value.lower) == ("substeps", 8)
+
+
+@pytest.mark.slow
+def test_batches_are_single_runs_in_both_engines() -> None:
+    plant, start = with_ground(Ground(side_slope=5 * deg, implicit_friction=True))
+    schedule = PressureSchedule(tuple((one,) for one in start.pressures))
+    given = {"duration": 0.05, "control_period": 1 * ms, "substeps": 2}
+    speeds = [-0.5, -0.9]
+    tables = [
+        simulate_legs(plant, schedule, start, over={"start.upward_speed": speeds}, engine=engine, **given)
+        for engine in ("native", "xla")
+    ]
+    for name in tables[0].table:
+        np.testing.assert_allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, err_msg=name)
+    run = simulate_leg(plant, schedule, start, **given)
+    assert float(tables[0]["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-9)
