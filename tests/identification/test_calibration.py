@@ -1,7 +1,5 @@
 """Intervals calibrated on left-out pressures and contractions."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -44,18 +42,16 @@ def test_scores_are_those_of_what_is_new(smaller):
     np.testing.assert_allclose(found.quantile(0.9, eps[:1], np.array([9 * bar]), 1.7), [scores["pressure"][0]])
 
 
-def test_points_as_near_as_left_out_ones_are_of_a_new_pressure():
-    """Where no pressure is repeated, blocks are bands, whose edges are next to other points."""
+def test_where_no_pressure_is_repeated_every_pressure_is_a_new_one():
+    """The blocks are then bands, whose edges are next to other points."""
     rng = np.random.default_rng(0)
     eps, p = np.tile(np.linspace(0, 0.15, 5), 24), rng.uniform(2, 6, 120) * bar
     points = IsobaricDataset.of(pressure=p, contraction=eps, force=forces(BRAID, eps, p) + rng.standard_normal(120))
     found = identify(ExponentialLaw, points).calibration
-    levels = pressure_blocks(points)[0]
-    assert len(found.levels) == len(np.unique(levels)) < 10 and found.apart[0] < 0.9
-    rest = dataclasses.replace(found, levels=found.levels[found.levels != found.levels[3]])
-    own = levels == found.levels[3]
-    width = rest.quantile(0.95, eps[own], p[own], 1.98)
-    np.testing.assert_allclose(width, found.pressure[int(np.ceil(0.95 * (len(found.pressure) + 1))) - 1])
+    assert len(np.unique(pressure_blocks(points)[0])) < 10
+    width = found.quantile(0.95, eps, rng.uniform(2, 6, 120) * bar, 1.98)
+    left_out = found.pressure[int(np.ceil(0.95 * (len(found.pressure) + 1))) - 1]
+    assert np.isclose(width, left_out).mean() > 0.9  # all but those next to a measured one
 
 
 def test_too_few_scores_for_the_level_give_students_t_or_the_largest_score():

@@ -63,13 +63,13 @@ class IntervalCalibration:
     def of(cls, regression: Regression) -> IntervalCalibration:
         """Calibration of a regression; its law is fitted once for each block left out."""
         points = regression.points
-        levels = pressure_blocks(points)[0]
-        levels = np.empty(0) if levels is None else levels
-        blocks, measured = contraction_blocks(points), points.contraction
-        pressure, contraction = _left_out(regression, levels.astype(str)), _left_out(regression, blocks)
-        apart = _apart(points.pressure, levels, levels.astype(str)), _apart(measured, measured, blocks)
+        found = pressure_blocks(points)[0]
+        kinds = np.full(len(points), "") if found is None else found.astype(str), contraction_blocks(points)
+        pressure, contraction = (_left_out(regression, labels) for labels in kinds)
+        measured = points.levels, points.contraction
+        apart = _apart(points.pressure, measured[0], kinds[0]), _apart(measured[1], measured[1], kinds[1])
         misfit = _misfit(regression, pressure)
-        return cls(pressure.scores, contraction.scores, np.unique(levels), np.unique(measured), misfit, apart)
+        return cls(pressure.scores, contraction.scores, *map(np.unique, measured), misfit, apart)
 
     def quantile(self, level: float, contraction: Floats, pressure: Floats, students: float) -> Floats | None:
         """Half widths of prediction intervals in standard deviations; None without enough scores.
