@@ -66,10 +66,10 @@ class IntervalCalibration:
         found = pressure_blocks(points)[0]
         kinds = np.full(len(points), "") if found is None else found.astype(str), contraction_blocks(points)
         pressure, contraction = (_left_out(regression, labels) for labels in kinds)
-        measured = points.levels, points.contraction
-        apart = _apart(points.pressure, measured[0], kinds[0]), _apart(measured[1], measured[1], kinds[1])
+        levels, measured = points.levels, points.contraction
+        apart = _apart(points.pressure, levels, kinds[0]), _apart(measured, measured, kinds[1])
         misfit = _misfit(regression, pressure)
-        return cls(pressure.scores, contraction.scores, *map(np.unique, measured), misfit, apart)
+        return cls(pressure.scores, contraction.scores, np.unique(levels), np.unique(measured), misfit, apart)
 
     def quantile(self, level: float, contraction: Floats, pressure: Floats, students: float) -> Floats | None:
         """Half widths of prediction intervals in standard deviations; None without enough scores.
