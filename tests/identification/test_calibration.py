@@ -42,6 +42,18 @@ def test_scores_are_those_of_what_is_new(smaller):
     np.testing.assert_allclose(found.quantile(0.9, eps[:1], np.array([9 * bar]), 1.7), [scores["pressure"][0]])
 
 
+def test_where_no_pressure_is_repeated_every_pressure_is_a_new_one():
+    """The blocks are then bands, whose edges are next to other points."""
+    rng = np.random.default_rng(0)
+    eps, p = np.tile(np.linspace(0, 0.15, 5), 24), rng.uniform(2, 6, 120) * bar
+    points = IsobaricDataset.of(pressure=p, contraction=eps, force=forces(BRAID, eps, p) + rng.standard_normal(120))
+    found = identify(ExponentialLaw, points).calibration
+    assert len(np.unique(pressure_blocks(points)[0])) < 10
+    width = found.quantile(0.95, eps, rng.uniform(2, 6, 120) * bar, 1.98)
+    left_out = found.pressure[int(np.ceil(0.95 * (len(found.pressure) + 1))) - 1]
+    assert np.isclose(width, left_out).mean() > 0.9  # all but those next to a measured one
+
+
 def test_too_few_scores_for_the_level_give_students_t_or_the_largest_score():
     scores, eps, at = np.linspace(0.1, 2.0, 30), np.array([0.0, 0.05]), np.full(2, 1.5 * bar)
     found = calibration(scores, np.array([1.0]))

@@ -57,6 +57,9 @@ def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
     )
     eq_2, found = (identify(law, data) for law in (ExponentialLaw, GaussianProcessLaw))
     assert type(found.law) is GaussianProcessLaw
+    names = {p.name for p in found.law.parameters() if p.penalised}
+    assert names and not names & set(found.report().split())  # 36 coefficients without a meaning of their own
+    assert min(found.robust.degrees_of_freedom.values()) >= 1  # also of coefficients that the prior holds at 0
     assert found.leave_one_pressure_out.rmse < 0.2 * eq_2.leave_one_pressure_out.rmse
 
 

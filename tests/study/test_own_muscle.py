@@ -212,6 +212,12 @@ def test_a_muscle_file_is_written_from_what_is_known(tmp_path):
     muscle = built("muscle.yaml", tmp_path)
     assert (muscle.specimen.name, muscle.specimen.initial_length) == ("mine", 0.3)
     assert float(muscle.friction.half_width) == 7.0
+    guessed = muscle_text(
+        law, specimen="mine", initial_length=0.3, friction=friction, undetermined=["presliding_length"]
+    )
+    (tmp_path / "guessed.yaml").write_text(guessed)
+    assert float(built("guessed.yaml", tmp_path).friction.presliding_length) == 0.5 * mm
+    assert any(line.startswith("#") and "presliding_length" in line for line in guessed.splitlines())
     assert "specimen: DMSP-10-250" in muscle_text(law, specimen="DMSP-10-250", initial_length=None)
     assert muscle_text(law, specimen="mine", initial_length=None) == ""
 

@@ -271,6 +271,12 @@ def _wall_area(specimen: Specimen, contraction: float) -> float:
     return 2 * math.sqrt(math.pi * float(specimen.volume(contraction)) * float(specimen.length_at(contraction)))
 
 
+_CONTRADICTED = (
+    "check the contraction of each recording and the volume of the specimen; if the heat to the wall does not grow "
+    "with its area, identify each length by itself with a measured dead volume"
+)
+
+
 def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
     """Raise `IdentificationError` for estimates that no muscle can have."""
     dead, spread = float(z[2]) * _DEAD, float(deviations[2]) * _DEAD
@@ -286,8 +292,7 @@ def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
             lower=0.0,
             upper=highest,
             unit="m^3",
-            remedy="check the contraction of each recording and the volume of the specimen, or identify each length by "
-            "itself with a measured dead volume",
+            remedy=_CONTRADICTED,
         )
 
 

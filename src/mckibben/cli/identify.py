@@ -32,8 +32,8 @@ from mckibben.units import bar, show
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
-    from mckibben.identification import Fit, FrictionForm, RankedLaw, Ranking, ThresholdFit
-    from mckibben.muscle import ForceLaw, MaxwellSlip
+    from mckibben.identification import Fit, FrictionForm, HysteresisFit, RankedLaw, Ranking, ThresholdFit
+    from mckibben.muscle import ForceLaw
 
 
 _ALL, _LEVEL = "all", 0.95
@@ -158,7 +158,7 @@ def identify(
             for other in {"fit.yaml", _EFFECTIVE} - {fit_name}:  # of an earlier run
                 (out / other).unlink(missing_ok=True)
             fit.to_yaml(out / fit_name)
-            kept = _keep_muscle(out, data, points, fit, inner, found.friction, threshold_fit)
+            kept = _keep_muscle(out, data, points, fit, inner, loops, threshold_fit)
             reading.recipe.to_yaml(out / "recipe.yaml")
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
@@ -233,7 +233,7 @@ def _keep_muscle(
     points: IsobaricDataset,
     fit: Fit,
     inner: _Inner,
-    friction: MaxwellSlip | None = None,
+    loops: HysteresisFit | None = None,
     threshold_fit: ThresholdFit | None = None,
 ) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
@@ -249,7 +249,10 @@ def _keep_muscle(
     law: Any = "fit.yaml"
     if threshold_fit and threshold_fit.is_significant:
         law = {"class": "threshold", "law": _EFFECTIVE, "threshold": show(threshold_fit.threshold, "bar", 15)}
-    text = muscle_text(law, specimen=name, initial_length=length, friction=friction, volume_terms=terms)
+    slip, unknown = (loops.friction, loops.undetermined) if loops else (None, ())
+    text = muscle_text(
+        law, specimen=name, initial_length=length, friction=slip, undetermined=unknown, volume_terms=terms
+    )
     if not text:
         return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
     with atomic_write(out / "muscle.yaml", overwrite=True) as part:

@@ -30,6 +30,7 @@ from mckibben.identification.smooth import surface
 from mckibben.identification.uncertainty import Floats
 
 _FEWEST = 20  # left-out points of a kind: a quantile of 95 % needs them
+_NEAREST = 1e-3  # distance of a new point from measured ones
 _SIGNIFICANT = 0.01  # probability of a misfit of a right law
 
 
@@ -46,6 +47,9 @@ class IntervalCalibration:
     misfit
         Variance [N^2] of the law's systematic error at left-out points, and its degrees of freedom; 0 if the scatter
         about the law is that about a smooth surface.
+    apart
+        Smallest distance of left-out points from the levels and from the contractions of the others, 1 in the middle
+        between two: from there on, a point counts as one of a new pressure or contraction.
     """
 
     pressure: Floats = field(repr=False)
@@ -53,31 +57,34 @@ class IntervalCalibration:
     levels: Floats = field(repr=False)
     measured: Floats = field(repr=False)
     misfit: tuple[float, float]
+    apart: tuple[float, float] = (1.0, 1.0)
 
     @classmethod
     def of(cls, regression: Regression) -> IntervalCalibration:
         """Calibration of a regression; its law is fitted once for each block left out."""
         points = regression.points
-        levels = pressure_blocks(points)[0]
-        levels = np.empty(0) if levels is None else levels
-        pressure = _left_out(regression, levels.astype(str))
-        contraction = _left_out(regression, contraction_blocks(points))
+        found = pressure_blocks(points)[0]
+        kinds = np.full(len(points), "") if found is None else found.astype(str), contraction_blocks(points)
+        pressure, contraction = (_left_out(regression, labels) for labels in kinds)
+        levels, measured = points.levels, points.contraction
+        apart = _apart(points.pressure, levels, kinds[0]), _apart(measured, measured, kinds[1])
         misfit = _misfit(regression, pressure)
-        return cls(pressure.scores, contraction.scores, np.unique(levels), np.unique(points.contraction), misfit)
+        return cls(pressure.scores, contraction.scores, np.unique(levels), np.unique(measured), misfit, apart)
 
     def quantile(self, level: float, contraction: Floats, pressure: Floats, students: float) -> Floats | None:
         """Half widths of prediction intervals in standard deviations; None without enough scores.
 
-        In the middle between two pressures, at a measured contraction, it is that of left-out pressures, and vice versa
-        for contractions; in the middle between both the larger, and at measured ones the smaller of the two. Where
-        there are too few scores for the level, it is that of Student's t, `students`, or the largest score, if that is
-        larger.
+        Between two pressures, at a measured contraction, it is that of left-out pressures, and vice versa for
+        contractions; between both the larger, and at measured ones the smaller of the two. Nearer to measured ones than
+        any left-out point was, it is interpolated. Where there are too few scores for the level, it is that of
+        Student's t, `students`, or the largest score, if that is larger.
         """
         check_level(level)
         if len(self.pressure) < _FEWEST:
             return None
         new_pressure, new_contraction = (_quantile(one, level, students) for one in (self.pressure, self.contraction))
-        across, along = _distance(pressure, self.levels), _distance(contraction, self.measured)
+        distances = _distance(pressure, self.levels), _distance(contraction, self.measured)
+        across, along = (np.minimum(one / least, 1.0) for one, least in zip(distances, self.apart, strict=True))
         at_level = (1 - along) * min(new_pressure, new_contraction) + along * new_contraction
         between = (1 - along) * new_pressure + along * max(new_pressure, new_contraction)
         return (1 - across) * at_level + across * between
@@ -89,6 +96,13 @@ def _distance(values: Floats, measured: Floats) -> Floats:
     low, high = measured[above - 1], measured[np.minimum(above, len(measured) - 1)]
     apart = np.minimum(np.abs(values - low), np.abs(values - high))
     return np.clip(2 * apart / np.maximum(high - low, np.finfo(float).eps), 0.0, 1.0)
+
+
+def _apart(values: Floats, measured: Floats, labels: NDArray[np.str_]) -> float:
+    """Smallest distance of the values of a block from the measured ones of the others."""
+    blocks = [labels == one for one in np.unique(labels).tolist() if one != ""]
+    least = [_distance(values[own], np.unique(measured[~own])).min() for own in blocks if not own.all()]
+    return max(min(least, default=1.0), _NEAREST)
 
 
 @dataclass(frozen=True, eq=False)

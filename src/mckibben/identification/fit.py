@@ -358,6 +358,7 @@ class Fit:
             f"domain: {self.law.domain}",
             "",
             *text_table(self._rows(level), (0, 3, 4, 5)),
+            *self._deviations(),
             self._error_note(),
             "",
             f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
@@ -370,6 +371,12 @@ class Fit:
             )
         if lopo := self.leave_one_pressure_out:
             lines.append(f"leave-one-pressure-out: RMSE {lopo.rmse:.3g} N, maximum {lopo.max_error:.3g} N")
+            needed = np.ceil(level / (1 - level) - _ROUNDING)  # fewer have no conformal quantile at this level
+            if len(lopo.by_pressure) < needed:
+                lines.append(
+                    f"prediction intervals hold {100 * level:g} % of the points at new pressures if these err like the "
+                    f"{len(lopo.by_pressure)} measured ones, which takes {needed:.0f} or more to verify"
+                )
         if pairs := self.strongest_correlations():
             lines.append("strongest correlations: " + ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs))
         lines += [f"warning: {warning}" for warning in self.warnings]
@@ -379,6 +386,8 @@ class Fit:
         errors, intervals = self._errors(None)[0], self.intervals(level)
         rows = [("parameter", "estimate", "standard error", "unit", f"{100 * level:g} % interval", "meaning")]
         for p in type(self.law).parameters():
+            if p.penalised:
+                continue
             scale = factor(p.shown)
             error, (low, high) = errors[p.name] / scale, intervals[p.name]
             known = bool(np.isfinite(error))
@@ -394,13 +403,21 @@ class Fit:
             )
         return rows
 
+    def _deviations(self) -> list[str]:
+        """Line on the penalised parameters, which have no meaning one by one; none without them."""
+        count = sum(p.penalised for p in type(self.law).parameters())
+        if not count:
+            return []
+        solution = self.regression and self.regression.solution
+        effective = f"; all parameters are {solution.effective_parameters:.1f} effective ones" if solution else ""
+        return [f"deviations from Eq. 2: {count} coefficients, in `estimates` and the file{effective}"]
+
     def _error_note(self) -> str:
         if self.robust is None:
             return "standard errors: classical, for independent points"
-        ratios = [
-            e / self.standard_errors[n] for n, e in self.robust.standard_errors.items() if self.standard_errors[n]
-        ]
-        freedom = list(self.robust.degrees_of_freedom.values())
+        names = [p.name for p in type(self.law).parameters() if not p.penalised]
+        ratios = [self.robust.standard_errors[n] / self.standard_errors[n] for n in names if self.standard_errors[n]]
+        freedom = [self.robust.degrees_of_freedom[n] for n in names]
         return (
             f"standard errors: cluster-robust (CR2) by {self.robust.by.value} "
             f"({self.robust.by.counted(self.robust.groups)}, {np.nanmin(freedom):.1f}..{np.nanmax(freedom):.1f} "
@@ -417,7 +434,7 @@ class Fit:
 
     def _repr_html_(self) -> str:
         header, *rows = self._rows(0.95)
-        return html_table(repr(self), header, rows, (self._error_note(), *self.warnings))
+        return html_table(repr(self), header, rows, (*self._deviations(), self._error_note(), *self.warnings))
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a file that `from_yaml` reads back exactly, with the points if there are at most 5000."""

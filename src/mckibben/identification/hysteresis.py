@@ -106,6 +106,12 @@ class HysteresisFit:
         """Modelled force at each point [N], shape (points,)."""
         return self.tension + self.friction_force + self.offset
 
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Parameters of the friction that a simulation needs and the data do not determine."""
+        unknown = "half_width" in self.form.free and bool(np.isnan(self.standard_errors["presliding_length"]))
+        return ("presliding_length",) if unknown else ()
+
     def plot(self, data: IsobaricDataset) -> Any:
         """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
         return draw("loops", data, self)

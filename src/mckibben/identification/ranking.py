@@ -22,7 +22,7 @@ from mckibben.identification.regression import (
     contraction_blocks,
     pressure_blocks,
 )
-from mckibben.muscle import LAWS, ForceLaw
+from mckibben.muscle import LAWS, ForceLaw, GaussianProcessLaw, SmoothLaw
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.units import show
 
@@ -223,7 +223,9 @@ def rank(
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))
-        entries.append(_ranked(kind, means, blocks))
+        same = GaussianProcessLaw if kind is SmoothLaw else kind  # `identify` chooses among the same laws for both
+        found = next((one for one in entries if one.law == same.__name__), None) or _ranked(same, means, blocks)
+        entries.append(dataclasses.replace(found, law=kind.__name__))
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)

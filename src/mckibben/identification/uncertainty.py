@@ -186,10 +186,11 @@ class ClusterRobustErrors:
         w = np.einsum("gij,mj->mgi", self.shared, z)
         squares = np.einsum("mgi,mgi->mg", w, w)
         total = np.einsum("mgi,mgj->mij", w, w)
-        trace = np.sum(own - squares, axis=1)
-        square_sum = np.sum((own - squares) ** 2 - squares**2, axis=1) + np.sum(total**2, axis=(1, 2))
+        diagonal = np.maximum(own - squares, 0.0)
+        between = np.sum(total**2, axis=(1, 2)) - np.sum(squares**2, axis=1)
+        trace, square_sum = np.sum(diagonal, axis=1), np.sum(diagonal**2, axis=1) + np.maximum(between, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):  # a zero gradient: no variance
-            return variance, np.where(trace > 0, trace**2 / square_sum, np.inf)
+            return variance, np.where(trace > 0, np.maximum(trace**2 / square_sum, 1.0), np.inf)
 
 
 ErrorModel = IndependentErrors | ClusterRobustErrors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,10 @@ _HEAD = """\
 # `domain: {contraction_max: 25 %, pressure_max: 8 bar}`, its limits; without one, they are 0 bar and the law's points.
 # The law is used at the pressures of its points; with `extrapolate: true` of the muscle, up to the limits of the
 # specimen. The stiffness beyond the points is then a guess, and results say so.
+"""
+_UNDETERMINED = """\
+# The data do not determine {}: its value is a guess, of at most one step of the length. Stiffness for small
+# motion and the width of small loops depend on it; measure a reversal in smaller steps.
 """
 _VOLUME = """\
 # The volume is assumed: from that at contraction 0 and the law's work per pressure, mckibben.muscle.air.volume_terms.
@@ -35,11 +40,13 @@ def muscle_text(
     specimen: str,
     initial_length: float | None,
     friction: MaxwellSlip | None = None,
+    undetermined: Sequence[str] = (),
     volume_terms: tuple[float, ...] | None = None,
 ) -> str:
     """Return the text of a muscle's file, its law a reference or a section.
 
-    It is empty if neither the catalog nor the data give the initial length [m].
+    It is empty if neither the catalog nor the data give the initial length [m]. A comment names the undetermined
+    parameters of the friction.
     """
     name = specimen or "my muscle"
     known = catalog.specimen(name) if name in catalog.names("specimens") else None
@@ -57,5 +64,6 @@ def muscle_text(
     return (
         _HEAD
         + (_VOLUME if volume_terms else "")
+        + (_UNDETERMINED.format(" and ".join(undetermined)) if undetermined else "")
         + to_text(data if friction is None else {**data, "friction": write(friction)})
     )

@@ -19,9 +19,9 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import DatasetError, McKibbenError, ParameterError, printable
-from mckibben.identification import Fit, FitWithFriction, Ranking, identify_with_friction, rank
+from mckibben.identification import Fit, FitWithFriction, HysteresisFit, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
-from mckibben.muscle import MaxwellSlip, Muscle
+from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
 from mckibben.units import Length, Quantity, bar, factor, percent
@@ -133,12 +133,15 @@ def read(path: Path, fields: ReadingFields) -> IsobaricDataset:
         raise DatasetError(path.name, error.problems) from None
 
 
-def keep_muscle(fit: Fit, friction: MaxwellSlip | None, data: IsobaricDataset, folder: Path) -> Muscle | None:
+def keep_muscle(fit: Fit, loops: HysteresisFit | None, data: IsobaricDataset, folder: Path) -> Muscle | None:
     """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown."""
     fit.to_yaml(folder / "fit.yaml")
     attrs = data.table.attrs
     length = attrs.get("initial_length")
-    text = muscle_text("fit.yaml", specimen=attrs["specimen"], initial_length=length, friction=friction)
+    slip, unknown = (loops.friction, loops.undetermined) if loops else (None, ())
+    text = muscle_text(
+        "fit.yaml", specimen=attrs["specimen"], initial_length=length, friction=slip, undetermined=unknown
+    )
     if not text:
         return None
     (folder / "muscle.yaml").write_text(text, encoding="utf-8")
@@ -257,7 +260,7 @@ class _Page(JobPage[IdentificationState]):
 
         def compute(_: Callable[[str, float], None]) -> tuple[FitWithFriction, Muscle | None, Path]:
             found, kept = identify_with_friction(law, data), Path(tempfile.mkdtemp(dir=folder))
-            return found, keep_muscle(found.fit, found.friction, data, kept), kept
+            return found, keep_muscle(found.fit, found.hysteresis, data, kept), kept
 
         def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
             state.found, state.muscle, kept = found
