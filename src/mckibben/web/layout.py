@@ -32,7 +32,7 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-_ELSEWHERE = re.compile(r" \(command line: [^)]*\)")  # remedies name arguments, as fields do, and options
+_ELSEWHERE = re.compile(r" \(command line: (?:'[^']*'|[^)'])*\)")  # remedies name arguments, as fields do, and options
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
