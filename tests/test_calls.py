@@ -155,3 +155,9 @@ def test_the_default_cost_of_tuning_is_that_of_the_command():
     from mckibben.cli.sweep import tune
 
     assert inspect.signature(tune).parameters["cost"].default == DEFAULT_COST
+
+
+def test_a_scenario_runs_with_changes_and_is_shown_in_a_line():
+    assert 2 * SCENARIO.simulate(duration=0.1).times.size == SCENARIO.simulate().times.size
+    parts = "KneeGeometry, KneeLoad, PositionStiffnessControl"
+    assert repr(SCENARIO) == f"<Scenario {SCENARIO.name!r}: {parts}, 0.2 s>"

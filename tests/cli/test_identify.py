@@ -420,3 +420,10 @@ def test_points_of_two_kinds_of_test_are_refused(cli, tmp_path):
     (tmp_path / "raw.csv").write_text("time_s,pressure_bar,contraction_percent,force_N\n0,1,0,10\n", encoding="utf-8")
     refused = cli("points", "raw.csv", "--isometric", "--strokes")
     assert refused.code == 2 and all(option in refused.err for option in ("--isometric", "--strokes"))
+
+
+def test_a_remedy_gives_the_option_of_a_header_with_parentheses(cli, tmp_path):
+    path = tmp_path / "b.csv"
+    path.write_text("pressure_bar,contraction_percent,Load cell (lbf)\n1,0,20\n1,10,10\n", encoding="utf-8")
+    found = cli("identify", str(path))
+    assert found.code == 2 and "--column 'Load cell (lbf)=force_lbf'" in found.err

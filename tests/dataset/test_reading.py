@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from mckibben.dataset import read_dataset, read_recording
+from mckibben.dataset import formats, read_dataset, read_recording
 from mckibben.dataset.columns import parse_header
 from mckibben.dataset.large_text import read_large_text
 from mckibben.dataset.text import decode, read_text
@@ -302,7 +302,7 @@ def test_files_that_are_no_tables(file, content, expected):
 
 def test_no_file_and_a_directory(tmp_path):
     assert problems(tmp_path / "none.csv") == ["there is no such file"]
-    assert problems(tmp_path) == ["is a directory; name a file in it"]
+    assert problems(tmp_path) == [f"is a directory; {formats.FILES_REMEDY}"]
     assert "cannot be read" in problems(tmp_path / "a\0b.csv")[0]
 
 
@@ -482,3 +482,23 @@ def test_a_large_text_in_doubt_is_not_read_in_pieces(tmp_path):
     assert large(tmp_path / "large.csv", HEAD + whole_numbers) is not None
     assert large(tmp_path / "large.csv", HEAD + whole_numbers + "1.234;2;40\n") is None  # may be 1234
     assert large(tmp_path / "large.csv", LARGE, decimal=",") is None
+
+
+def test_a_header_without_a_quantity_is_suggested_by_its_unit_or_spelling(file):
+    path = file("Supply (psi),Load cell (lbf),contraction_percent\n30,20,0\n30,10,10\n")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path, columns={"Suply (psi)": "pressure_psi"})
+    remedies = [problem.remedy for problem in caught.value.problems]
+    assert any("'Supply (psi)'" in one for one in remedies)
+    assert any("'Load cell (lbf)': 'force_lbf'" in one for one in remedies)
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(file("force_N,contraction_percent\n20,0\n10,10\n"))
+    assert [problem.remedy.count("from_name") for problem in caught.value.problems] == [1]
+
+
+def test_a_wrong_initial_length_is_not_a_problem_of_each_row(file):
+    rows = "\n".join(f"1,{180 + k},{50 - k}" for k in range(30))
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(file(f"pressure_bar,length_mm,force_N\n{rows}"), initial_length=0.018)
+    (problem,) = caught.value.problems
+    assert problem.line == 2 and "29 rows more" in problem.message

@@ -68,3 +68,16 @@ def test_reversed_directions_are_named(rig):
         ExponentialLaw, mk.IsobaricDataset(rig.table.assign(direction=("point", directions)))
     )
     assert found.hysteresis is None and "below" in found.note
+
+
+def test_the_muscle_has_law_and_friction_of_the_fit(rig):
+    found = identify_with_friction(ExponentialLaw, rig)
+    muscle = found.muscle(mk.Specimen("mine", 0.2))
+    assert (muscle.law, muscle.friction) == (found.fit.law, found.friction)
+    assert float(found.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
+    assert repr(found.fit) in repr(found) and repr(found.hysteresis) in repr(found)
+    assert found.plot().axes
+    unknown = identify_with_friction(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
+    del unknown.points.table.attrs["initial_length"]
+    with pytest.raises(IdentificationError):
+        unknown.muscle()

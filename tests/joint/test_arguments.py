@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben import rig
+from mckibben import catalog, rig
 from mckibben.control import Sum
-from mckibben.errors import RangeError
+from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.muscle import ReynoldsLaw, SarosiLaw
 from mckibben.rig.bench import JointLimits, RigLimits
 from mckibben.rig.steps import Pressurise
@@ -150,3 +150,15 @@ def test_a_fit_can_be_validated_as_it_is():
 def test_pressures_are_a_pair(knee, wrong):
     with pytest.raises(RangeError, match="pair"):
         knee.torque(0.0, wrong)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda joint: joint.attainable_stiffness(10, 0.0),
+        lambda joint: joint.attainable_torque(np.array([0.1, -10.0])),
+    ],
+)
+def test_an_angle_in_degrees_is_noticed(call):
+    with pytest.warns(McKibbenWarning, match="10 rad"):
+        call(catalog.joint("knee-table-2"))

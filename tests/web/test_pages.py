@@ -323,7 +323,7 @@ def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):
     async def visit():
         async with visitor() as user:
             kept = await points_of_the_rig(user)
-            folder = kept.source.parent
+            folder = kept.sources[0].parent.parent
             user.find(marker="fit").click()
             await until(lambda: kept.fit is not None)
             before = (folder / "fit.yaml").read_bytes()
@@ -340,15 +340,39 @@ def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):
     assert law is ExponentialLaw
 
 
+def test_several_files_are_one_test_and_gone_when_others_replace_them():
+    lines = RIG.splitlines()
+    first = next(k for k, one in enumerate(lines) if not one.startswith("#")) + 1
+    parts = ["\n".join([*lines[:first], *some]) for some in (lines[first : first + 102], lines[first + 102 :])]
+
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            kept = state(identify.IdentificationState)
+            files = [SmallFileUpload(f"../{k} bar.csv", "", part.encode()) for k, part in enumerate(parts)]
+            await the(user, ui.upload).handle_uploads(files)
+            await until(lambda: kept.data is not None)
+            points, first = len(kept.data), kept.sources
+            folder = first[0].parent.parent
+            await paste(user, RIG)
+            await until(lambda: kept.data is not None)
+            return points, len(kept.data), first, list(folder.rglob("*.csv")), kept.sources
+
+    points, in_one_file, first, remaining, last = asyncio.run(visit())
+    assert points == in_one_file
+    assert [path.name for path in first] == ["data-0_bar.csv", "data-1_bar.csv"]
+    assert remaining == list(last)
+
+
 def test_data_of_two_tabs_are_two_files():
     async def visit():
         async with visitor() as user:
             await user.open("/identify")
             await paste(user, RIG)
-            first = state(identify.IdentificationState).source
+            (first,) = state(identify.IdentificationState).sources
             text = first.read_text(encoding="utf-8")
             await paste(user, "pressure_bar")
-            second = state(identify.IdentificationState).source
+            (second,) = state(identify.IdentificationState).sources
             return text, first, second, first.exists(), second.read_text(encoding="utf-8")
 
     text, first, second, remains, other = asyncio.run(visit())

@@ -38,6 +38,8 @@ def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
     assert float(after) < float(before)
     margins = {name: float(now) for name, _, now in found.metrics if name.startswith("least ")}
     assert margins["least disk margin"] == pytest.approx(found.scenario.margins().disk.min(), rel=0.01)
+    lost = margins["least disk margin"] < min(scenario.margins().disk.min(), 0.4)
+    assert any("disk margin" in one for one in found.remarks) == lost
     best = studies.best_so_far([1e6, 3.0, 5.0, 2.0])
     np.testing.assert_array_equal(best, [np.nan, 3, 3, 2])
 

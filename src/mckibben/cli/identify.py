@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -241,7 +242,9 @@ def _keep_muscle(
     from mckibben.scenario import muscle_text
 
     attrs = points.table.attrs
-    name, length = attrs["specimen"] or Path(data[0]).stem, attrs.get("initial_length")
+    alike = takewhile(lambda signs: len(set(signs)) == 1, zip(*(Path(one).stem for one in data), strict=False))
+    common = "".join(signs[0] for signs in alike).rstrip("_- ") or Path(data[0]).stem
+    name, length = attrs["specimen"] or common, attrs.get("initial_length")
     volume = inner.fill
     if volume is None and inner.diameter is not None and length:
         volume = math.pi / 4 * inner.diameter**2 * length

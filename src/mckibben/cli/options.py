@@ -178,7 +178,7 @@ def report_reading(attributes: Mapping[str, Any]) -> None:
         echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
 
 
-_BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+) \(command line: ([^)]*)\)")
+_BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+) \(command line: ((?:'[^']*'|[^)'])*)\)")
 
 
 def on_command_line(text: str) -> str:

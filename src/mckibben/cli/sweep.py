@@ -177,7 +177,6 @@ def _list(path: Path, json: bool) -> None:
 
 
 _LARGEST = 10.0  # factor on gains
-_DISK_MARGIN = 0.4  # below which a loss is reported: gains off by 1.5, phases by 23 deg
 _METHODS = ("gradient", "evolution", "cma")
 
 
@@ -294,7 +293,7 @@ def _show_tuned(
     json: bool,
 ) -> None:
     from mckibben import report
-    from mckibben.study.tune.margin import metrics_and_margins
+    from mckibben.study.tune.margin import DISK_MARGIN, lost_margin, metrics_and_margins
 
     runs: list[dict[str, Any]] = []
     for old, new in zip(before, tuned.scenarios, strict=True):
@@ -335,9 +334,8 @@ def _show_tuned(
             title = f"{run['scenario']}{', without the conditions' if drawn else ''}"
             table(title, ("metric", "before", "tuned", "unit"), rows)
             was, now = (run["least_margins"][when]["disk"] for when in ("before", "tuned"))
-            if now < min(was, _DISK_MARGIN):
-                lost = f"tuning reduced the least disk margin from {was:.2g} to {now:.2g}"
-                echo(f"{lost}; `--disk-margin {_DISK_MARGIN}` bounds it")
+            if lost := lost_margin(was, now):
+                echo(f"{lost}; `--disk-margin {DISK_MARGIN}` bounds it")
         if drawn:
             count = len(next(iter(drawn.values())))
             title = f"angle RMSE [deg] in the {count} conditions, and gain margin in all of them"

@@ -12,7 +12,7 @@ import numpy as np
 
 from mckibben import units
 from mckibben.dataset.sheet import RawColumn, RawTable
-from mckibben.errors import Problem, quoted
+from mckibben.errors import Problem, closest, quoted
 
 _PRESSURE = ("bar", "kPa", "MPa", "Pa", "mbar", "psi")
 
@@ -93,6 +93,8 @@ _NAMES: Mapping[str, str] = {
     for name in others
 }
 _SYMBOLS = frozenset(name for name in _NAMES if len(name) == 1)
+
+_PATTERNS = {"pressure": "{pressure_bar}bar", "contraction": "L{length_mm}"}  # of file names
 
 _SPELLED: Mapping[str, str] = {
     "%": "percent",
@@ -297,7 +299,8 @@ def find_columns(
             assigned[by_position] = name
             positions.add(by_position)
         else:
-            problem(f"columns has {given!r}, the file {shown}")
+            meant = closest(given, header)
+            problem(f"columns has {given!r}, the file {shown}", remedy=f"did you mean {meant!r}?" if meant else "")
         if column is None:
             problem(f"columns assigns the unknown name {name!r} to {given!r}", remedy=f"accepted are {_accepted()}")
         else:
@@ -352,8 +355,11 @@ def find_columns(
             others = f" (or {names('length')}), or displacement_mm"
             wanted = names(name) + (others if name == "contraction" else "")
             remedy = f"name it {wanted}, or assign it by {_BY_NAME}"
-            if name == "contraction":
-                remedy += "; if file names give it, read it with from_name (command line: --from-name 'L{length_mm}')"
+            if (unit := _unit_of(name, sheet, layout.ignored)) is not None:
+                remedy = f"if {unit[0]!r} is it, assign it: columns={{{unit[0]!r}: {unit[1]!r}}} (command line: "
+                remedy += f"--column '{unit[0]}={unit[1]}'); otherwise name it {wanted}"
+            if pattern := _PATTERNS.get(name):
+                remedy += f"; if file names give it, read it with from_name (command line: --from-name '{pattern}')"
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
     layout.suspect += [
         f"{name!r} may be the {quantity} as well; read is {header[layout.places[quantity][0]]!r}"
@@ -365,6 +371,18 @@ def find_columns(
     _same_length(sheet, layout)
     _same_clock(sheet, layout)
     return layout
+
+
+def _unit_of(quantity: str, sheet: RawTable, ignored: Collection[str]) -> tuple[str, str] | None:
+    """The only unread column with a unit of a quantity, and its name with that unit; None if there is none."""
+    found = []
+    for channel in sheet.channels:
+        spelled = _WITH_UNIT.fullmatch(channel.label)
+        unit = channel.unit or (next(filter(None, spelled.group(*"abcd"))) if spelled else "")
+        known = next((one for one in ACCEPTED[quantity] if unit and _same_unit(unit, one, quantity)), "")
+        if channel.name in ignored and known:
+            found.append((channel.name, f"{quantity}_{known}"))
+    return found[0] if len(found) == 1 else None
 
 
 def _compare_units(

@@ -37,6 +37,9 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "") -> Raw
     return _read(path, mapping, decimal)
 
 
+FILES_REMEDY = "name its files, several for one test: DIR/*.csv, in Python sorted(Path('DIR').glob('*.csv'))"
+
+
 def probe(path: Path) -> tuple[int, bytes]:
     """Size and first bytes of a file; raises a `DatasetError` unless it is a regular file that can be read."""
     try:
@@ -45,11 +48,12 @@ def probe(path: Path) -> tuple[int, bytes]:
             with path.open("rb") as file:
                 return found.st_size, file.read(520)
     except FileNotFoundError:
-        raise DatasetError(str(path), [Problem("there is no such file")]) from None
+        remedy = FILES_REMEDY if "*" in path.name else ""
+        raise DatasetError(str(path), [Problem("there is no such file", remedy=remedy)]) from None
     except (OSError, ValueError) as error:
         raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
     if stat.S_ISDIR(found.st_mode):
-        raise DatasetError(str(path), [Problem("is a directory", remedy="name a file in it")])
+        raise DatasetError(str(path), [Problem("is a directory", remedy=FILES_REMEDY)])
     raise DatasetError(str(path), [Problem("is a pipe or a device", remedy="save its content in a file")])
 
 

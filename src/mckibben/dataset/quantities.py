@@ -56,6 +56,7 @@ _LONGEST = 20.0  # m
 _MEASURED = frozenset(("pressure", "force", "contraction", "length", "displacement"))
 _LISTED = 10_000  # problems of an error
 _WARNED = 5  # omitted rows listed in a warning
+_ROWS = 3  # of impossible lengths that are listed
 
 _MEANINGS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -396,8 +397,10 @@ class ColumnConverter:
             return length
         with np.errstate(over="ignore"):
             contraction = 1 - length / initial
-        for row in np.flatnonzero((np.abs(contraction) >= 1) & ((length > 0) | ("displacement" in self.measured))):
+        rows = np.flatnonzero((np.abs(contraction) >= 1) & ((length > 0) | ("displacement" in self.measured)))
+        for row in rows if rows.size <= _ROWS else rows[:1]:  # more are one mistake of a unit or a setting
             times = f"{length[row]:g} m is {length[row] / initial:.3g} times the initial length"
+            times += f", {initial:g} m, as are {rows.size - 1} rows more" if rows.size > _ROWS else ""
             name = "displacement" if "displacement" in self.measured else "length"
             remedy = _ZERO_REMEDY if name == "displacement" else "check its unit and initial_length"
             self._problem(times, self.lines[int(row)], name, remedy)

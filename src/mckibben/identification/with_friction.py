@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from html import escape
+from typing import Any, NamedTuple
+
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
@@ -11,7 +14,8 @@ from mckibben.identification.fitting import identify
 from mckibben.identification.friction_forms import FrictionForm
 from mckibben.identification.hysteresis import HysteresisFit, identify_hysteresis
 from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
-from mckibben.muscle import ForceLaw, MaxwellSlip
+from mckibben.identification.uncertainty import Floats
+from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 
 
 class FitWithFriction(NamedTuple):
@@ -38,6 +42,34 @@ class FitWithFriction(NamedTuple):
     def friction(self) -> MaxwellSlip | None:
         """Friction of the muscle, None without it."""
         return self.hysteresis.friction if self.hysteresis else None
+
+    def __repr__(self) -> str:
+        return f"<FitWithFriction: {self.fit}, {self.hysteresis or 'without friction'}>"
+
+    def _repr_html_(self) -> str:
+        found = self.hysteresis
+        return self.fit._repr_html_() + (found._repr_html_() if found else "") + f"<p>{escape(self.note)}</p>"
+
+    def muscle(self, specimen: Specimen | None = None) -> Muscle:
+        """Return the muscle with this law and its friction, for joints.
+
+        Default specimen: name and initial length of the points. Raises `IdentificationError` without that length.
+        """
+        if specimen is None:
+            attrs = self.points.table.attrs
+            if (length := attrs.get("initial_length")) is None:
+                remedy = "give initial_length to read_dataset, or muscle(Specimen('my muscle', 0.3))"
+                raise IdentificationError("the points have no initial length", remedy=remedy)
+            specimen = Specimen(attrs["specimen"] or "my muscle", length)
+        return Muscle(specimen, self.fit.law, self.friction or NoFriction())
+
+    def predict(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
+        """Return the force without friction [N] at a contraction [-] and a pressure [Pa], as `Fit.predict`."""
+        return self.fit.predict(contraction, pressure)
+
+    def plot(self) -> Any:
+        """Return a figure of points, curves and residuals without friction, see `mckibben.report.isobaric`."""
+        return self.fit.plot(self.points)
 
 
 def identify_with_friction(

@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Num
 
 from mckibben.component.base import Component
-from mckibben.component.checks import check_number, check_positive, check_within
+from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
@@ -433,6 +433,7 @@ class AntagonisticJoint(Component):
         self, angle: ArrayLike, *, pressure_limits: tuple[float, float] | None = None, minimum_tension: float = 0.0
     ) -> Pair:
         """Return the range of static torque [N*m] at an angle; arguments as for `attainable_stiffness`."""
+        attainable.check_angle(angle)
         return attainable.torque_range(self, angle, pressure_limits, minimum_tension)
 
     def attainable_stiffness(
@@ -459,6 +460,7 @@ class AntagonisticJoint(Component):
         amplitude
             Amplitude [rad] of motion for `secant_stiffness`, evaluated at 33 tensions. Default: the isobaric stiffness.
         """
+        attainable.check_angle(angle)
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
 
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:
@@ -473,12 +475,13 @@ class AntagonisticJoint(Component):
         RangeError
             If a muscle would leave its domain, or a number is not finite.
         """
+        attainable.check_angle(angle)
         return attainable.pressures_for(self, angle, torque, stiffness)
 
 
 def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> None:
-    """Warn of concrete states outside a muscle's domain; `RangeError` for an angle that is text."""
-    check_number("joint", angle=angle)
+    """Warn of concrete states outside a muscle's domain, and of angles in degrees; `RangeError` for text."""
+    attainable.check_angle(angle)
     pressure1, pressure2 = pressure_pair(pressures)
     if not any(isinstance(value, Tracer) for value in (angle, pressure1, pressure2)):
         contraction1, contraction2 = joint.contractions(angle, pressures)

@@ -8,6 +8,7 @@ affine in pressure the stiffness is affine along that segment, so its extremes a
 from __future__ import annotations
 
 import math
+import warnings
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import jax
@@ -16,10 +17,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from mckibben.errors import RangeError, UnreachableError
+from mckibben.component.checks import known_numbers
+from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
+from mckibben.muscle.base import user_level
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled, compiled_alone
 from mckibben.numerics.elementary import floating
@@ -32,7 +35,15 @@ _SCANNED = 401
 _SCANNED_FRICTION = 33
 _TOLERANCE = 1e-6  # relative tolerance of a stiffness
 _ROUNDING = 1e-12  # relative tolerance of a tension
+_TURN = 2 * math.pi
 _INSIDE = 1e-9  # margin at the ends of a segment, as a fraction: at the end itself a muscle is slack
+
+
+def check_angle(angle: ArrayLike) -> None:
+    """Refuse text, and warn of an angle of more than a turn, in a direct call."""
+    if (largest := np.abs(known_numbers("joint", "angle", angle)).max(initial=0.0)) > _TURN:
+        text = f"an angle of {largest:.4g} rad is more than a turn: numbers are in SI, such as 10 * deg"
+        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
 
 @compiled_alone

@@ -215,6 +215,10 @@ class Scenario(RunSettings):
             return super().__getattr__(name)  # type: ignore[misc]  # defined by pydantic
         raise AttributeError(f"a Scenario has no {name!r}; did you mean {meant}()?", name=name, obj=self)
 
+    def __repr__(self) -> str:
+        parts = type(self.joint.geometry).__name__, type(self.load).__name__, type(self.controller).__name__
+        return f"<Scenario {self.name!r}: {', '.join(parts)}, {self.duration:g} s>"
+
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
 
@@ -231,12 +235,13 @@ class Scenario(RunSettings):
         """Return the scenario with a controller whose model does not follow changes of the plant."""
         return self.model_copy(update={"controller": independent(self.control())})
 
-    def simulate(self, controller: Controller | None = None) -> Result:
-        """Run the scenario, or another controller in it; warns if its reference is not statically feasible.
+    def simulate(self, controller: Controller | None = None, **changes: Any) -> Result:
+        """Run the scenario, with another controller or other changes as for `replace`; see `mckibben.simulate`.
 
-        See `mckibben.simulate`.
+        Warns if its reference is not statically feasible.
         """
-        result, feasibility = run_scenario(self if controller is None else self.replace(controller=controller))
+        changes |= {} if controller is None else {"controller": controller}
+        result, feasibility = run_scenario(self.replace(**changes) if changes else self)
         if not feasibility.feasible:
             warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=2)
         return result

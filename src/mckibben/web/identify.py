@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 import re
+import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,13 @@ from nicegui import events, ui
 from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
-from mckibben.errors import DatasetError, McKibbenError, ParameterError, printable
+from mckibben.errors import DatasetError, ParameterError, ScenarioError, printable
 from mckibben.identification import Fit, FitWithFriction, HysteresisFit, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
-from mckibben.units import Length, Quantity, bar, factor, percent
+from mckibben.units import bar, factor, percent
 from mckibben.web.layout import (
     PALETTE,
     JobPage,
@@ -50,14 +51,17 @@ from mckibben.web.session import JobState, session
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_CURVES = 12
-_LENGTHS = {
-    "initial length, such as 180 mm": "initial_length",
-    "zero length: at displacement 0, if another": "zero_length",
+_TEXTS = {  # those of a recipe
+    "initial_length": "initial length, such as 180 mm",
+    "zero_length": "zero length: at displacement 0, if another",
+    "from_name": "from file names, such as {pressure_bar}bar",
+    "slack_force": "slack force, such as 4 N, if not estimated",
+    "decimal": "decimal sign, if the file does not tell",
 }
 _DISPLACEMENTS = {"": "no displacement", "shortening": "shortens", "lengthening": "lengthens"}
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
-_LENGTH: Quantity = Length.__metadata__[0]  # type: ignore[attr-defined]
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
+_MOST_FILES = 64
 
 
 @dataclass
@@ -67,6 +71,9 @@ class ReadingFields:
     initial_length: str = ""
     displacement: str = ""
     zero_length: str = ""
+    from_name: str = ""
+    slack_force: str = ""
+    decimal: str = ""
     negative: bool = False
     columns: str = ""
 
@@ -76,7 +83,7 @@ class ReadingFields:
 
     def recipe(self) -> Recipe:
         """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
-        texts = {name: getattr(self, name).strip() for name in ("initial_length", "displacement", "zero_length")}
+        texts = {name: getattr(self, name).strip() for name in (*_TEXTS, "displacement")}
         given: dict[str, Any] = {name: text for name, text in texts.items() if text}
         given |= {"columns": names} if (names := column_names(self.columns)) else {}
         given |= {"force_sign": -1} if self.negative else {}
@@ -88,7 +95,7 @@ class IdentificationState(JobState):
     """State of the page."""
 
     name: str = ""
-    source: Path | None = None
+    sources: tuple[Path, ...] = ()
     data: IsobaricDataset | None = None
     law: str = "ExponentialLaw"
     reading: ReadingFields = field(default_factory=ReadingFields)
@@ -116,21 +123,22 @@ def column_names(text: str) -> dict[str, str]:
     return found
 
 
-def _refused_length(text: str | None) -> str | None:
-    """Reason why a text is not an initial length; None if it is valid or empty."""
+def _refused(name: str, text: str | None) -> str | None:
+    """Reason why a text is not a value of a recipe's field; None if it is valid or empty."""
     try:
-        _ = text and text.strip() and _LENGTH.read(text)
-    except McKibbenError as error:
-        return str(error)
+        given: dict[str, Any] = {name: text.strip()} if text and text.strip() else {}
+        Recipe(**given)
+    except ScenarioError as error:
+        return "; ".join(filter(None, (error.problems[0].message, error.problems[0].remedy)))
     return None
 
 
-def read(path: Path, fields: ReadingFields) -> IsobaricDataset:
-    """The points of a file, read as the fields say; errors name the file without its folder."""
+def read(paths: Sequence[Path], fields: ReadingFields) -> IsobaricDataset:
+    """The points of the files of a test, read as the fields say; errors name them without their folder."""
     try:
-        return fields.recipe().dataset(path)
+        return fields.recipe().dataset(paths)
     except DatasetError as error:
-        raise DatasetError(path.name, error.problems) from None
+        raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None
 
 
 def keep_muscle(fit: Fit, loops: HysteresisFit | None, data: IsobaricDataset, folder: Path) -> Muscle | None:
@@ -162,9 +170,9 @@ class _Page(JobPage[IdentificationState]):
         super().__init__(state, folder)
         with side():
             with panel("Measured points"):
-                upload("CSV, .xlsx, .mat, .tdms, .lvm or .nc", LARGEST, self.uploaded).on_rejected(
-                    lambda: ui.notify(f"larger than {LARGEST // 2**20} MiB", type="negative")
-                )
+                upload("CSV, .xlsx, .mat, .tdms, .lvm or .nc", LARGEST, self.uploaded, most=_MOST_FILES).on_rejected(
+                    lambda: ui.notify(f"more than {_MOST_FILES} files or {LARGEST // 2**20} MiB", type="negative")
+                ).tooltip("several files are those of one test")
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
                 select(examples, "or an example", value="", on_change=self.example)
                 with ui.expansion("or paste a table").props("dense").classes("w-full"):
@@ -172,8 +180,8 @@ class _Page(JobPage[IdentificationState]):
                     self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
                     button("Read", self.paste)
                 with ui.expansion("how the file is read").props("dense").classes("w-full") as self.options:
-                    for label, name in _LENGTHS.items():
-                        ui.input(label, validation=_refused_length).props("dense").classes("w-full").mark(
+                    for name, label in _TEXTS.items():
+                        ui.input(label, validation=partial(_refused, name)).props("dense").classes("w-full").mark(
                             name
                         ).bind_value(state.reading, name)
                     select(_DISPLACEMENTS, "displacement: positive if the muscle", "displacement").bind_value(
@@ -202,53 +210,61 @@ class _Page(JobPage[IdentificationState]):
             with self.results:
                 self.show()
 
-    async def uploaded(self, event: events.UploadEventArguments) -> None:
-        """Store an uploaded file under our own name, with its ending."""
-        path = self.new_file(Path(event.file.name).suffix.lower())
-        await event.file.save(path)
-        self.take(printable(event.file.name, 80), path)
+    async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
+        """Store the uploaded files of a test."""
+        paths = [self.new_file(one.name) for one in event.files]
+        for one, path in zip(event.files, paths, strict=True):
+            await one.save(path)
+        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+        self.take(printable(event.files[0].name, 80) + more, *paths)
 
-    def new_file(self, ending: str) -> Path:
-        """Path of a new empty file, as two tabs may send data at once."""
-        ending = ending if _READABLE.fullmatch(ending) else ".csv"
-        with tempfile.NamedTemporaryFile(dir=self.folder, prefix="data-", suffix=ending, delete=False) as made:
-            return Path(made.name)
+    def new_file(self, name: str) -> Path:
+        """Path of a new file in a folder of its own, as two tabs may send data at once, with our ending and prefix."""
+        given = Path(name)
+        ending = suffix if _READABLE.fullmatch(suffix := given.suffix.lower()) else ".csv"
+        stem = re.sub(r"[^A-Za-z0-9._+-]", "_", given.stem)[:80]
+        return Path(tempfile.mkdtemp(dir=self.folder, prefix="data-")) / f"data-{stem}{ending}"
 
     def paste(self) -> None:
         """Keep a pasted table."""
-        path = self.new_file(".csv")
+        path = self.new_file("pasted.csv")
         path.write_text((self.pasted.value or "")[:_LONGEST_PASTE], encoding="utf-8")
         self.take("pasted table", path)
 
     def example(self, event: events.ValueChangeEventArguments) -> None:
         """Use a dataset from the catalog."""
         if event.value:
-            self.take(event.value, None)
+            self.take(event.value)
 
-    def take(self, name: str, source: Path | None) -> None:
-        """Replace the data by a file or a dataset from the catalog."""
+    def take(self, name: str, *sources: Path) -> None:
+        """Replace the data by the files of a test, or without any, by a dataset from the catalog."""
         state = self.state
-        old = state.source
-        if old is not None and old != source and old.parent == self.folder:  # not that of the page Rig
-            with suppress(OSError):
-                old.unlink()
-        state.name, state.source = name, source
+        for old in state.sources:
+            if old not in sources and old.parent.parent == self.folder:  # not those of the page Rig and of projects
+                shutil.rmtree(old.parent, ignore_errors=True)
+        state.name, state.sources = name, sources
         fields = replace(state.reading)
 
         def load() -> IsobaricDataset:
-            return catalog.dataset(name) if source is None else read(source, fields)
+            return read(sources, fields) if sources else catalog.dataset(name)
 
         state.data = state.found = state.ranking = state.error = None
 
         def done(data: IsobaricDataset, heard: list[str]) -> None:
-            state.data, state.notes, state.read_by = data, heard, None if source is None else fields
+            state.data, state.notes, state.read_by = data, [*map(self.named, heard)], fields if sources else None
 
         self.start_job(lambda _: load(), done)
+
+    def named(self, text: str) -> str:
+        """A text with the names of our files without their folder."""
+        for one in self.state.sources:
+            text = text.replace(str(one), one.name.removeprefix("data-"))
+        return text
 
     def read(self) -> None:
         """Read the same file again, with other fields."""
         if self.state.name:
-            self.take(self.state.name, self.state.source)
+            self.take(self.state.name, *self.state.sources)
 
     def fit(self) -> None:
         """Fit the chosen law."""
@@ -317,7 +333,9 @@ class _Page(JobPage[IdentificationState]):
                 for low, high in [np.array([f(data.table[name].to_numpy()) for f in (np.min, np.max)]) / factor(unit)]
             ]
             if read := attrs.get("columns_read"):
-                ui.label(read).classes("quiet").style("white-space: pre; overflow-x: auto; font-family: monospace")
+                ui.label(self.named(read)).classes("quiet").style(
+                    "white-space: pre; overflow-x: auto; font-family: monospace"
+                )
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
             table(("column", "unit", "from", "to"), rows, left=2)
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []

@@ -32,7 +32,7 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-_ELSEWHERE = re.compile(r" \(command line: [^)]*\)")  # remedies name arguments, as fields do, and options
+_ELSEWHERE = re.compile(r" \(command line: (?:'[^']*'|[^)'])*\)")  # remedies name arguments, as fields do, and options
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -191,14 +191,23 @@ def text_area(label: str, longest: int, height: int, **options: Any) -> ui.texta
     return ui.textarea(**options).props(look).classes("w-full mono")
 
 
-def upload(label: str, largest: int, taken: Callable[[events.UploadEventArguments], Awaitable[None]]) -> ui.upload:
-    """An upload of one file, whose size [bytes] is limited; it lists no earlier files."""
+def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *, most: int = 1) -> ui.upload:
+    """An upload of one file, or of up to `most` at once, of a total size [bytes]; it lists no earlier files."""
 
-    async def uploaded(event: events.UploadEventArguments) -> None:
+    async def uploaded(event: events.UploadEventArguments | events.MultiUploadEventArguments) -> None:
         await taken(event)
         made.reset()
 
-    made = ui.upload(label=label, auto_upload=True, max_file_size=largest, on_upload=uploaded)
+    several = most > 1
+    made = ui.upload(
+        label=label,
+        auto_upload=True,
+        max_total_size=largest,
+        on_multi_upload=uploaded if several else None,
+        on_upload=None if several else uploaded,
+        multiple=several,
+        max_files=most if several else None,
+    )
     return made.props("flat bordered").classes("w-full")
 
 

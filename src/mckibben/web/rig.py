@@ -173,7 +173,8 @@ class _Page(JobPage[RigState]):
     def identify(self) -> None:
         """Use the points on the muscle page."""
         found = session().state(IdentificationState)
-        found.name, found.data, found.source = "test on the simulated rig", self.state.data, self.state.source
+        found.name, found.data = "test on the simulated rig", self.state.data
+        found.sources = (self.state.source,) if self.state.source else ()
         found.found = found.ranking = found.error = None
         found.jobs.version += 1
         ui.navigate.to("/identify")

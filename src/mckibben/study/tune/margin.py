@@ -17,6 +17,8 @@ from mckibben.study.parameters import Table
 from mckibben.units import deg
 
 SMALL_STEP = 0.2 * deg
+DISK_MARGIN = 0.4
+"""Disk margin below which a loss is reported: gains off by 1.5, phases by 23 deg."""
 _STEP_AT = 0.1  # of the duration
 _FACTORS = 64
 _OF_STEP = ("start", "reference", "disturbance")  # sections that `on_small_step` replaces
@@ -86,6 +88,12 @@ def stability_margin(
         raise ParameterError("the nominal run fails", remedy="simulate it to see why")
     unstable = (error > growth * error[:, :1]).any(axis=0)
     return float(factors[np.argmax(unstable) - 1]) if unstable.any() else np.inf
+
+
+def lost_margin(before: float, after: float) -> str:
+    """Note on a least disk margin that tuning reduced below `DISK_MARGIN`; empty without such a loss."""
+    lost = after < min(before, DISK_MARGIN)
+    return f"tuning reduced the least disk margin from {before:.2g} to {after:.2g}" if lost else ""
 
 
 class Robustness(NamedTuple):

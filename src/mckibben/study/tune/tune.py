@@ -302,7 +302,8 @@ def tune(
         def report(part: float) -> None:
             if progress:
                 found = past.trials and past.best.cost < FAILED_COST
-                progress(f"searching, lowest cost {past.best.cost:.4g}" if found else "searching", part)
+                step = "searching" if past.trials else "compiling"
+                progress(f"{step}, lowest cost {past.best.cost:.4g}" if found else step, part)
 
         report(0.0)
         first = problem.space.point(problem.space.nominal)
