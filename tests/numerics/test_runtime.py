@@ -123,9 +123,3 @@ def test_batches_fill_the_vector_unit_of_a_cpu_that_is_wide(monkeypatch, flags, 
     assert runtime.batch_options.__wrapped__() == options
     monkeypatch.setattr("jax.default_backend", lambda: "gpu")
     assert runtime.batch_options.__wrapped__() == {}
-
-
-@pytest.mark.parametrize(("flags", "bits"), [("sse avx2", 256), ("avx2 avx512f", 512), ("asimd", 512), ("", 512)])
-def test_vectors_of_batches_are_registers_of_avx2(monkeypatch, flags, bits):
-    monkeypatch.setattr(runtime, "_cpuinfo", lambda: {"flags": flags})
-    assert runtime.vector_bits.__wrapped__() == bits

@@ -246,5 +246,5 @@ class CudaFunction(NativeFunction):
     def _built(self, source: str, many: bool) -> bytes:
         return nvrtc().compile(source, device().architecture).image
 
-    def _loaded(self, program: bytes, leaves: Sequence[Any], tree: Any, single: bool) -> Compiled:
-        return _OnDevice(device().load(program), list(leaves), tree)
+    def _loaded(self, program: bytes, leaves: Sequence[Any], tree: Any) -> Compiled:
+        return _OnDevice(device().load(program), 1, list(leaves), tree)

@@ -31,7 +31,7 @@ from mckibben.codegen.graph import Graph, Kind, StoredArray
 from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
 from mckibben.codegen.source_module import inputs_of
-from mckibben.codegen.vectors import HEADERS, VectorWriter, prelude, width
+from mckibben.codegen.vectors import HEADERS, VectorWriter, prelude
 from mckibben.codegen.writer import Writer
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
@@ -132,29 +132,29 @@ class NativeFunction:
         """From the program cache, or compiled."""
         key = shared.key, lanes.key, single
         many = bool(lanes.arrays)
-        return self.cached(key, lambda: self.written(shared, lanes, single=single), many=many, single=single)
+        return self.cached(key, lambda: self.written(shared, lanes, single=single), many=many)
 
-    def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False, single: bool = False) -> Compiled:
+    def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False) -> Compiled:
         """Return the program of a key from the program cache, or write and compile it."""
         folder, path = programs_folder(), None
         if folder is not None:
             path = program_path(folder, self._function, key, *self._state())
-        if path is not None and (found := self._stored(path, single)) is not None:
+        if path is not None and (found := self._stored(path)) is not None:
             return found
         source, leaves, tree = written()
         program = self._built(source, many)
-        found = self._loaded(program, leaves, tree, single)
+        found = self._loaded(program, leaves, tree)
         if path is not None:
             write_program(path, pickle.dumps((program, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
         return found
 
-    def _stored(self, path: Path, single: bool) -> Compiled | None:
+    def _stored(self, path: Path) -> Compiled | None:
         """The program of a file of the cache; None if it is missing or cannot be loaded."""
         if (content := read_program(path)) is None:
             return None
         try:
             program, leaves, tree = pickle.loads(content)
-            return self._loaded(program, leaves, jax.tree.structure(tree), single)
+            return self._loaded(program, leaves, jax.tree.structure(tree))
         except Exception:  # another content, or a program that does not load here: it is compiled again and replaced
             return None
 
@@ -177,8 +177,8 @@ class NativeFunction:
         options = (*_FOR_LANES, *(_FOR_SHORT if len(source) < _SHORT else ())) if many else _ALONE
         return compile_library(source, (*options, *self._flags))
 
-    def _loaded(self, program: bytes, leaves: Any, tree: Any, single: bool) -> Compiled:
-        return Compiled(load_library(program), leaves, tree, width(single))
+    def _loaded(self, program: bytes, leaves: Any, tree: Any) -> Compiled:
+        return Compiled(*load_library(program), leaves, tree)
 
 
 @dataclass(frozen=True)
@@ -215,9 +215,9 @@ class Compiled:
     """A program, with shapes, types and tree of its results."""
 
     run: Any
+    width: int  # runs per vector
     leaves: list[tuple[tuple[int, ...], str]]
     tree: Any
-    width: int = 1  # runs per vector
 
     def bound(self, given: Sequence[Any], varying: Sequence[Any] = ()) -> Callable[[], Any]:
         """Arguments packed in 64-bit words, as a callable that computes the results of all runs."""
@@ -295,7 +295,8 @@ def write_native(
         writer, before = VectorWriter([graph.scope], values, single=single), prelude(single)
         head, first, step = _HEAD, "0", "W"
     else:
-        writer, before = Writer([graph.scope], native_language(), values), HEADERS + definitions()
+        writer = Writer([graph.scope], native_language(), values)
+        before = f"{HEADERS}const int64_t width = 1;\n{definitions()}"
         head, first, step = _HEAD, "0", "1"
     leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
     lines = [
@@ -435,19 +436,20 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def load_library(library: bytes) -> Any:
-    """The function of a shared library; raises `CompilerError` if it cannot be loaded."""
+def load_library(library: bytes) -> tuple[Any, int]:
+    """The function of a shared library, and its runs per vector; raises `CompilerError` if it cannot be loaded."""
     try:
         # accessible to this user only, with a unique name
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
             path = Path(folder, "library.so")
             path.write_bytes(library)
-            run = ctypes.CDLL(str(path)).run
-    except (OSError, AttributeError) as error:
+            loaded = ctypes.CDLL(str(path))
+            run, width = loaded.run, ctypes.c_int64.in_dll(loaded, "width").value
+    except (OSError, AttributeError, ValueError) as error:
         raise CompilerError(f"a compiled program cannot be loaded: {error}", remedy=_OTHER_FOLDER) from error
     run.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64]
     run.restype = None
-    return run
+    return run, width
 
 
 @functools.cache

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.writer import Text, Writer
-from mckibben.numerics.runtime import vector_bits
 
 _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
 _BROADCAST = {Kind.REAL: "real", Kind.INTEGER: "integer", Kind.BOOLEAN: "mask"}
@@ -22,6 +21,16 @@ _SCHEDULING = """#ifndef __clang__
 #pragma GCC optimize("schedule-insns", "sched-pressure", "ira-region=one", "no-gcse", "no-tree-pre")
 #endif
 """  # gcc options for long blocks: scheduling before register allocation, without passes that are slow to compile
+_WIDTH = """\
+#if defined(__AVX512F__)
+enum { W = 64 / sizeof(REAL) };
+#elif defined(__AVX2__)
+enum { W = 32 / sizeof(REAL) };
+#else
+enum { W = 16 / sizeof(REAL) };
+#endif
+const int64_t width = W;
+"""  # runs per vector, which is one register: with two, programs took 1.8 to 4 times as long, and far longer to compile
 _PRELUDE = """
 #define INLINE static inline __attribute__((always_inline, unused))
 INLINE V real(double x) { return (REAL)x - (V){0}; }
@@ -55,11 +64,6 @@ INLINE V v_from_bits_32(I x) { return __builtin_convertvector((F)__builtin_conve
 """
 
 
-def width(single: bool) -> int:
-    """Number of runs per vector."""
-    return vector_bits() // (32 if single else 64)
-
-
 def prelude(single: bool) -> str:
     """Definitions of vector types: `V` of W real numbers, `I` of integers, `D` and `L` of their 64-bit forms."""
     real, suffix, bits = ("float", "f", 32) if single else ("double", "", 64)
@@ -67,7 +71,7 @@ def prelude(single: bool) -> str:
     vectors = {"V": real, "I": f"int{bits}_t", "U": f"uint{bits}_t", "D": "double", "L": "int64_t"}
     lines = [
         f"{_SCHEDULING}{HEADERS}",
-        f"#define REAL {real}\n#define WHOLE int{bits}_t\nenum {{ W = {width(single)} }};",
+        f"#define REAL {real}\n#define WHOLE int{bits}_t\n{_WIDTH}",
         *(f"#define {name} __builtin_{function}{suffix}" for name, function in names.items()),
         *(f"typedef {kind} {name} __attribute__((vector_size(sizeof({kind}) * W)));" for name, kind in vectors.items()),
     ]

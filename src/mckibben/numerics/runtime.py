@@ -102,13 +102,6 @@ def _cpuinfo() -> dict[str, str]:
 
 
 @functools.cache
-def vector_bits() -> int:
-    """Bits of the vectors in compiled batches: a register of AVX2 without AVX-512, else 512."""
-    instructions = _instructions(_cpuinfo())
-    return 256 if "avx2" in instructions and "avx512f" not in instructions else 512
-
-
-@functools.cache
 def batch_options() -> dict[str, int]:
     """Compiler options for batches: by default, XLA's CPU backend uses half of a 512-bit vector unit."""
     import jax
