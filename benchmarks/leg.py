@@ -265,7 +265,8 @@ def errors() -> None:
             )
             true = traced(plain, FINER * SUBSTEPS)[0]
             found = (np.abs(traced(own, count)[0] - true).max() / deg for count in counts)
-            print(f"| {name}, {'implicit' if implicit else 'explicit'} |", *(f"{one:.1g} |" for one in found))
+            shown = ("refused" if np.isnan(one) else f"{one:.1g}" for one in found)
+            print(f"| {name}, {'implicit' if implicit else 'explicit'} |", *(f"{one} |" for one in shown))
 
 
 def main() -> None:

@@ -150,7 +150,7 @@ def test_lengths_alone_need_the_initial_length(file):
     data = read_dataset(path, initial_length=0.18)
     np.testing.assert_allclose(data.contraction, [0, 0.05], atol=1e-15)
     assert data.table.attrs["initial_length"] == 0.18
-    assert "line 2, length_mm: 0.18 m is 1000 times the initial length; check" in problems(
+    assert "line 2, length_mm: 0.18 m is 1000 times the initial length, 0.00018 m; check" in problems(
         path, initial_length=0.18e-3
     )[0].replace("1e+03", "1000")
     for bad in (0.0, -1.0, np.nan, np.inf):
@@ -501,4 +501,5 @@ def test_a_wrong_initial_length_is_not_a_problem_of_each_row(file):
     with pytest.raises(DatasetError) as caught:
         read_dataset(file(f"pressure_bar,length_mm,force_N\n{rows}"), initial_length=0.018)
     (problem,) = caught.value.problems
-    assert problem.line == 2 and "29 rows more" in problem.message
+    assert (problem.line, problem.field) == (2, "length_mm") and "29" in problem.message
+    assert "initial_length" in problem.remedy

@@ -70,7 +70,7 @@ def test_the_motion_is_that_of_a_stiff_solver(slip_speed: float) -> None:
         assert np.all(np.log2(np.array(errors[1:-1]) / errors[2:]) > 2.5)
 
 
-def test_friction_takes_energy_in_steps_of_any_length() -> None:
+def test_friction_takes_energy_in_stages_of_any_length() -> None:
     rng = np.random.default_rng(5)
     plant, start = with_ground(Ground(slip_speed=1 * mm, implicit_friction=True))
     free = dataclasses.replace(plant, ground=dataclasses.replace(plant.ground, friction=0.0))
@@ -102,6 +102,7 @@ def test_friction_does_not_limit_the_step() -> None:
     with pytest.raises(SimulationError) as caught:
         simulate_leg(plant, schedule, start, substeps=3, **given)
     assert (caught.value.field, caught.value.lower) == ("substeps", 8)
+    assert "implicit_friction" in caught.value.remedy
 
 
 @pytest.mark.slow

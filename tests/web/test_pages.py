@@ -349,7 +349,7 @@ def test_several_files_are_one_test_and_gone_when_others_replace_them():
         async with visitor() as user:
             await user.open("/identify")
             kept = state(identify.IdentificationState)
-            files = [SmallFileUpload(f"../{k} bar.csv", "", part.encode()) for k, part in enumerate(parts)]
+            files = [SmallFileUpload(f"../{k},5 bar.csv", "", part.encode()) for k, part in enumerate(parts)]
             await the(user, ui.upload).handle_uploads(files)
             await until(lambda: kept.data is not None)
             points, first = len(kept.data), kept.sources
@@ -360,7 +360,7 @@ def test_several_files_are_one_test_and_gone_when_others_replace_them():
 
     points, in_one_file, first, remaining, last = asyncio.run(visit())
     assert points == in_one_file
-    assert [path.name for path in first] == ["data-0_bar.csv", "data-1_bar.csv"]
+    assert [path.name for path in first] == ["data-0,5 bar.csv", "data-1,5 bar.csv"]
     assert remaining == list(last)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from itertools import takewhile
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -242,8 +242,8 @@ def _keep_muscle(
     from mckibben.scenario import muscle_text
 
     attrs = points.table.attrs
-    alike = takewhile(lambda signs: len(set(signs)) == 1, zip(*(Path(one).stem for one in data), strict=False))
-    common = "".join(signs[0] for signs in alike).rstrip("_- ") or Path(data[0]).stem
+    common = os.path.commonprefix([Path(one).stem for one in data])  # noqa: RUF071, of characters
+    common = common if len(data) == 1 else common.rstrip("0123456789.,+_- ")  # the numbers differ
     name, length = attrs["specimen"] or common, attrs.get("initial_length")
     volume = inner.fill
     if volume is None and inner.diameter is not None and length:

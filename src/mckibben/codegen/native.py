@@ -53,7 +53,8 @@ _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc opt
 _LONGEST = 3_000_000  # characters of a source
 _COMPILING = 60.0, 5000.0  # s of processor time for the compiler, plus a second per so many characters
 _TRYING = 20.0  # s of processor time for a first call
-_WALL = 6.0  # times the processor time: other programs may use the processors
+_SIGXCPU = 24  # signal of this limit
+_WAITING = 300.0  # s in addition: other programs may use the processors
 _TRIAL = "import ctypes; ctypes.CDLL('./library.so').run(None, None, None, ctypes.c_int64(0))"  # of no runs
 _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
 _OTHER_FOLDER = (
@@ -393,7 +394,8 @@ def compile_library(source: str, flags: Sequence[str]) -> bytes:
 
 def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> None:
     """Run a command in a folder; raises `CompilerError` if it fails or takes longer than a processor time."""
-    limited = ["sh", "-c", f'ulimit -S -t {math.ceil(seconds)} && exec "$@"', "sh"] if os.name == "posix" else []
+    limit = f'ulimit -S -t {math.ceil(seconds)} 2>/dev/null; exec "$@"'  # not above a smaller one of this machine
+    limited = ["sh", "-c", limit, "sh"] if os.name == "posix" else []
     with Path(folder, "messages.txt").open("w+b") as messages:  # not a pipe, which a hanging child would hold open
         process = subprocess.Popen(
             [*limited, *command],
@@ -404,7 +406,7 @@ def _call(command: Sequence[str], folder: str, seconds: float, failure: str, rem
             start_new_session=True,
         )
         try:
-            status = process.wait(_WALL * seconds)
+            status = process.wait(seconds + _WAITING)
         except subprocess.TimeoutExpired:
             status = None
         finally:
@@ -418,7 +420,9 @@ def _call(command: Sequence[str], folder: str, seconds: float, failure: str, rem
     if command[0] == sys.executable:
         reason = lines[-1]  # of a traceback
     if status is None:
-        reason = f"it takes longer than {_WALL * seconds:.0f} s"
+        reason = f"it takes longer than {seconds + _WAITING:.0f} s"
+    elif status == -_SIGXCPU or any("time limit exceeded" in line for line in lines):
+        reason = f"it takes more than {seconds:.0f} s of processor time"
     elif status < 0:
         reason = f"it ends by signal {-status}"
     error = CompilerError(f"{failure}: {reason}", value=command[0], remedy=remedy)

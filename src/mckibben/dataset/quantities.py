@@ -399,8 +399,9 @@ class ColumnConverter:
             contraction = 1 - length / initial
         rows = np.flatnonzero((np.abs(contraction) >= 1) & ((length > 0) | ("displacement" in self.measured)))
         for row in rows if rows.size <= _ROWS else rows[:1]:  # more are one mistake of a unit or a setting
-            times = f"{length[row]:g} m is {length[row] / initial:.3g} times the initial length"
-            times += f", {initial:g} m, as are {rows.size - 1} rows more" if rows.size > _ROWS else ""
+            times = f"{length[row]:g} m is {length[row] / initial:.3g} times the initial length, {initial:g} m"
+            if rows.size > _ROWS:
+                times += f"; the lengths of {rows.size - 1} more rows are impossible too"
             name = "displacement" if "displacement" in self.measured else "length"
             remedy = _ZERO_REMEDY if name == "displacement" else "check its unit and initial_length"
             self._problem(times, self.lines[int(row)], name, remedy)

@@ -13,6 +13,7 @@ and Artificial Intelligence 74 (2015) 9-28.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,7 +68,10 @@ class IntervalCalibration:
         kinds = np.full(len(points), "") if found is None else found.astype(str), contraction_blocks(points)
         pressure, contraction = (_left_out(regression, labels) for labels in kinds)
         levels, measured = points.levels, points.contraction
-        apart = _apart(points.pressure, levels, kinds[0]), _apart(measured, measured, kinds[1])
+        apart = (
+            _apart(points.pressure, levels, kinds[0], pressure.blocks),
+            _apart(measured, measured, kinds[1], contraction.blocks),
+        )
         misfit = _misfit(regression, pressure)
         return cls(pressure.scores, contraction.scores, np.unique(levels), np.unique(measured), misfit, apart)
 
@@ -98,10 +102,10 @@ def _distance(values: Floats, measured: Floats) -> Floats:
     return np.clip(2 * apart / np.maximum(high - low, np.finfo(float).eps), 0.0, 1.0)
 
 
-def _apart(values: Floats, measured: Floats, labels: NDArray[np.str_]) -> float:
-    """Smallest distance of the values of a block from the measured ones of the others."""
-    blocks = [labels == one for one in np.unique(labels).tolist() if one != ""]
-    least = [_distance(values[own], np.unique(measured[~own])).min() for own in blocks if not own.all()]
+def _apart(values: Floats, measured: Floats, labels: NDArray[np.str_], blocks: Sequence[str]) -> float:
+    """Smallest distance of the values of a left-out block from the measured ones of the others."""
+    each = [labels == one for one in blocks]
+    least = [_distance(values[own], np.unique(measured[~own])).min() for own in each if not own.all()]
     return max(min(least, default=1.0), _NEAREST)
 
 
@@ -109,14 +113,14 @@ def _apart(values: Floats, measured: Floats, labels: NDArray[np.str_]) -> float:
 class _LeftOut:
     scores: Floats  # ascending
     square: float  # mean square error [N^2], less the variance of the fit
-    blocks: int
+    blocks: list[str]
 
 
 def _left_out(regression: Regression, labels: NDArray[np.str_]) -> _LeftOut:
     """Scores at the blocks without which the law is determined."""
     scores: list[float] = []
     squares: list[float] = []
-    blocks = 0
+    blocks: list[str] = []
     for block in np.unique(labels).tolist():
         if block == "":
             continue
@@ -132,7 +136,7 @@ def _left_out(regression: Regression, labels: NDArray[np.str_]) -> _LeftOut:
         variance = found.law_variance[out] + found.scatter_variance[out] * regression.relative_variance(force)
         scores += (np.abs(found.residuals[out]) / np.sqrt(variance)).tolist()
         squares += (found.residuals[out] ** 2 - found.law_variance[out]).tolist()
-        blocks += 1
+        blocks.append(block)
     return _LeftOut(np.sort(scores), float(np.mean(squares)) if squares else 0.0, blocks)
 
 
@@ -149,7 +153,7 @@ def _misfit(regression: Regression, left_out: _LeftOut) -> tuple[float, float]:
     from scipy.special import fdtrc
 
     scatter, points = _surface_scatter(regression), regression.points
-    if scatter is None or left_out.blocks < 2:
+    if scatter is None or len(left_out.blocks) < 2:
         return 0.0, np.inf
     pure, freedom = scatter
     solution = regression.solution
@@ -161,7 +165,7 @@ def _misfit(regression: Regression, left_out: _LeftOut) -> tuple[float, float]:
     ratio = (squares - pure * freedom) / extra / pure
     if not ratio > 0 or fdtrc(extra, freedom, ratio) > _SIGNIFICANT:
         return 0.0, np.inf
-    return max(left_out.square - pure, 0.0), float(left_out.blocks)
+    return max(left_out.square - pure, 0.0), float(len(left_out.blocks))
 
 
 def _surface_scatter(regression: Regression) -> tuple[float, float] | None:

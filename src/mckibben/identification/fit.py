@@ -358,7 +358,7 @@ class Fit:
             f"domain: {self.law.domain}",
             "",
             *text_table(self._rows(level), (0, 3, 4, 5)),
-            *self._deviations(),
+            *self.deviations(),
             self._error_note(),
             "",
             f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
@@ -374,8 +374,8 @@ class Fit:
             needed = np.ceil(level / (1 - level) - _ROUNDING)  # fewer have no conformal quantile at this level
             if len(lopo.by_pressure) < needed:
                 lines.append(
-                    f"prediction intervals hold {100 * level:g} % of the points at new pressures if these err like the "
-                    f"{len(lopo.by_pressure)} measured ones, which takes {needed:.0f} or more to verify"
+                    f"{100 * level:g} % prediction intervals at new pressures assume errors like those at the "
+                    f"{len(lopo.by_pressure)} measured pressures; verifying this level takes at least {needed:.0f}"
                 )
         if pairs := self.strongest_correlations():
             lines.append("strongest correlations: " + ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs))
@@ -403,13 +403,13 @@ class Fit:
             )
         return rows
 
-    def _deviations(self) -> list[str]:
-        """Line on the penalised parameters, which have no meaning one by one; none without them."""
+    def deviations(self) -> list[str]:
+        """Return a line on the penalised parameters, which have no meaning one by one; none without them."""
         count = sum(p.penalised for p in type(self.law).parameters())
         if not count:
             return []
         solution = self.regression and self.regression.solution
-        effective = f"; all parameters are {solution.effective_parameters:.1f} effective ones" if solution else ""
+        effective = f"; {solution.effective_parameters:.1f} effective parameters in total" if solution else ""
         return [f"deviations from Eq. 2: {count} coefficients, in `estimates` and the file{effective}"]
 
     def _error_note(self) -> str:
@@ -434,7 +434,7 @@ class Fit:
 
     def _repr_html_(self) -> str:
         header, *rows = self._rows(0.95)
-        return html_table(repr(self), header, rows, (*self._deviations(), self._error_note(), *self.warnings))
+        return html_table(repr(self), header, rows, (*self.deviations(), self._error_note(), *self.warnings))
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a file that `from_yaml` reads back exactly, with the points if there are at most 5000."""

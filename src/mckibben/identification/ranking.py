@@ -220,12 +220,13 @@ def rank(
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
     blocks, missing = _blocks(points)
     progress, kinds, entries = progress or notebook_progress(), list(laws), []
+    found: dict[type[ForceLaw], RankedLaw] = {}
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))
         same = GaussianProcessLaw if kind is SmoothLaw else kind  # `identify` chooses among the same laws for both
-        found = next((one for one in entries if one.law == same.__name__), None) or _ranked(same, means, blocks)
-        entries.append(dataclasses.replace(found, law=kind.__name__))
+        found[same] = found.get(same) or _ranked(same, means, blocks)
+        entries.append(dataclasses.replace(found[same], law=kind.__name__))
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)

@@ -53,7 +53,8 @@ class FitWithFriction(NamedTuple):
     def muscle(self, specimen: Specimen | None = None) -> Muscle:
         """Return the muscle with this law and its friction, for joints.
 
-        Default specimen: name and initial length of the points. Raises `IdentificationError` without that length.
+        Default specimen: name and initial length of the points; one of the catalog, which has more, such as its rated
+        range, is given: ``muscle(catalog.specimen("DMSP-10-250"))``. Raises `IdentificationError` without that length.
         """
         if specimen is None:
             attrs = self.points.table.attrs

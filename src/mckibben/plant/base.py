@@ -32,6 +32,7 @@ MOST_SUBSTEPS = 1000
 
 _SLOWER = {
     "the motion": "less damping and stiffness, or more inertia",
+    "the friction of the ground": "a ground with `implicit_friction: true` or a higher slip speed",
     "the air": "a valve with less conductance, a wider band, a slower spool or regulator, or more dead volume",
 }
 _ROUNDING = 1e-9

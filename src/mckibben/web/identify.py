@@ -222,7 +222,7 @@ class _Page(JobPage[IdentificationState]):
         """Path of a new file in a folder of its own, as two tabs may send data at once, with our ending and prefix."""
         given = Path(name)
         ending = suffix if _READABLE.fullmatch(suffix := given.suffix.lower()) else ".csv"
-        stem = re.sub(r"[^A-Za-z0-9._+-]", "_", given.stem)[:80]
+        stem = re.sub(r'[\x00-\x1f/\\:*?"<>|]', "_", given.stem)[-60:]  # the characters that no system forbids
         return Path(tempfile.mkdtemp(dir=self.folder, prefix="data-")) / f"data-{stem}{ending}"
 
     def paste(self) -> None:
@@ -340,10 +340,10 @@ class _Page(JobPage[IdentificationState]):
             table(("column", "unit", "from", "to"), rows, left=2)
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
             if ignored := attrs.get("ignored_columns"):
-                lines.append(f"not read: {ignored}")
+                lines.append(f"not read: {self.named(ignored)}")
             if (length := attrs.get("initial_length")) is not None:
                 lines.append(f"initial length {length * 1e3:g} mm")
-            for text in [*lines, *attrs.get("preprocessing", "").splitlines()]:
+            for text in [*lines, *self.named(attrs.get("preprocessing", "")).splitlines()]:
                 quiet(printable(text, 500))
             show_warnings(self.state.notes)
 
@@ -372,11 +372,13 @@ class _Page(JobPage[IdentificationState]):
             draw(residuals, left)
             intervals = fit.intervals()
             rows = []
-            for p in type(fit.law).parameters():
+            for p in (one for one in type(fit.law).parameters() if not one.penalised):
                 scale, (low, high) = factor(p.shown), intervals[p.name]
                 shown = f"{low / scale:.4g} to {high / scale:.4g}" if np.isfinite(low + high) else "at its bound"
                 rows.append((p.name, p.meaning, f"{fit.estimates[p.name] / scale:.5g}", shown, p.shown))
             table(("parameter", "meaning", "estimate", "95 % interval", "unit"), rows, left=2)
+            for text in fit.deviations():
+                quiet(text)
             unseen = fit.leave_one_pressure_out
             held_out = f"; {unseen.rmse:.3g} N at left-out pressures" if unseen else ""
             ui.label(

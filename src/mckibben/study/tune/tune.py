@@ -298,11 +298,12 @@ def tune(
     }
     progress = progress or notebook_progress()
     with TuningHistory.open(history, about, resume=resume) as past:
+        known_trials = len(past.trials)
 
         def report(part: float) -> None:
             if progress:
                 found = past.trials and past.best.cost < FAILED_COST
-                step = "searching" if past.trials else "compiling"
+                step = "searching" if len(past.trials) > known_trials else "compiling"
                 progress(f"{step}, lowest cost {past.best.cost:.4g}" if found else step, part)
 
         report(0.0)
