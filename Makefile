@@ -10,7 +10,7 @@ WORKERS ?= 2
 COUNT  ?= 27
 SEED   ?= 0
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-# A core each; a worker that dies is not replaced; otherwise a test that hangs would be repeated until all are dead.
+# A core each. A worker that dies is not replaced; otherwise a test that hangs would be repeated until all are dead.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 .PHONY: reproduce test verify lint style types quick-tests all-tests format hooks mutants lock bench docs course wheel clean help

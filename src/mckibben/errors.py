@@ -10,6 +10,9 @@ from numbers import Number
 LONGEST_VALUE = 80
 """Maximum number of characters of a value in a message."""
 
+ON_COMMAND_LINE = r" \(command line: ((?:'[^']*'|[^)'])*)\)"
+"""Pattern of the part of a remedy with options of the command line; text in apostrophes may have parentheses."""
+
 _LONGEST_MESSAGE = 1000
 
 

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import mckibben as mk
 from mckibben.errors import SimulationError
-from mckibben.leg import Ground, LegPlant, LegStart, PressureSchedule, read_leg, simulate_leg, simulate_legs
+from mckibben.leg import Ground, LegPlant, LegStart, PressureSchedule, read_leg, simulate_leg
 from mckibben.leg.dynamics import motion
 from mckibben.leg.plant import LegState
 from mckibben.plant.base import Motion
@@ -106,16 +106,7 @@ def test_friction_does_not_limit_the_step() -> None:
 
 
 @pytest.mark.slow
-def test_batches_are_single_runs_in_both_engines() -> None:
+def test_batches_are_single_runs_in_both_engines(single_run_like_batches) -> None:
     plant, start = with_ground(Ground(side_slope=5 * deg, implicit_friction=True))
     schedule = PressureSchedule(tuple((one,) for one in start.pressures))
-    given = {"duration": 0.05, "control_period": 1 * ms, "substeps": 2}
-    speeds = [-0.5, -0.9]
-    tables = [
-        simulate_legs(plant, schedule, start, over={"start.upward_speed": speeds}, engine=engine, **given)
-        for engine in ("native", "xla")
-    ]
-    for name in tables[0].table:
-        np.testing.assert_allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, err_msg=name)
-    run = simulate_leg(plant, schedule, start, **given)
-    assert float(tables[0]["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-9)
+    single_run_like_batches(plant, schedule, start, duration=0.05, control_period=1 * ms, substeps=2)

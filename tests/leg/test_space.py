@@ -23,8 +23,6 @@ from mckibben.leg import (
     PressureSchedule,
     Trunk,
     read_leg,
-    simulate_leg,
-    simulate_legs,
 )
 from mckibben.leg.dynamics import Posture, Velocity, acceleration, at_rest, contact, frames, motion, posture_of
 from mckibben.numerics.calculus import rk4
@@ -135,18 +133,9 @@ def in_space() -> tuple[LegPlant, LegStart, PressureSchedule]:
 
 
 @pytest.mark.slow
-def test_batches_are_single_runs_in_both_engines(in_space) -> None:
+def test_batches_are_single_runs_in_both_engines(in_space, single_run_like_batches) -> None:
     plant, start, schedule = in_space
-    given = {"duration": 0.1, "control_period": 0.25e-3, "substeps": 2}
-    speeds = [-0.5, -1.0]
-    tables = [
-        simulate_legs(plant, schedule, start, over={"start.upward_speed": speeds}, engine=engine, **given)
-        for engine in ("native", "xla")
-    ]
-    for name in tables[0].table:
-        np.testing.assert_allclose(tables[0][name], tables[1][name], rtol=1e-9, atol=1e-12, err_msg=name)
-    run = simulate_leg(plant, schedule, start, **given)
-    assert float(tables[0]["peak_force"][1]) == pytest.approx(float(run["ground_up"].max()), rel=1e-9)
+    run = single_run_like_batches(plant, schedule, start, duration=0.1, control_period=0.25e-3, substeps=2)
     assert np.abs(run["ground_left"]).max() > 3
     assert np.ptp(run["angle"][0]) > 0.1 * deg
 

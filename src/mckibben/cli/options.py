@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 import typer
 from typer import Argument, Option
 
-from mckibben.errors import DatasetError, ParameterError, Problem, UnitError, printable
+from mckibben.errors import ON_COMMAND_LINE, DatasetError, ParameterError, Problem, UnitError, printable
 from mckibben.storage.files import check_free, explain_write_errors, make_folder, to_json, write_json
 from mckibben.units import parse_range, quantity
 
@@ -178,7 +178,7 @@ def report_reading(attributes: Mapping[str, Any]) -> None:
         echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
 
 
-_BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+) \(command line: ((?:'[^']*'|[^)'])*)\)")
+_BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+)" + ON_COMMAND_LINE)
 
 
 def on_command_line(text: str) -> str:

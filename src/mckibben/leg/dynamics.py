@@ -141,13 +141,15 @@ def _equations(
     gravity: ArrayLike,
     force: Vector = ZERO,
     normal: Vector = Z,
-    slip_mass: ArrayLike = 0.0,
+    slip_mass: ArrayLike | None = None,
 ) -> Equations:
     base, hinges, bodies = _chain(leg, posture, velocity)
     found = frames_of(base, hinges)
     slides = [SLIDES[name] for name in leg.trunk.motions if name in SLIDES]
     point = contact(leg, found, normal)
     made = equations(slides, hinges, bodies, found, gravity, force, point.arm)
+    if slip_mass is None:
+        return made
     pairs = zip(found[1:], hinges, strict=True)
     moved = [*slides, *(at.axis.cross(point.position - at.position) for at, hinge in pairs if hinge.free)]
     slips = [one - normal.scaled(one.dot(normal)) for one in moved]  # of the point, per rate of each motion
@@ -166,7 +168,7 @@ def acceleration(
     force: Vector,
     gravity: ArrayLike,
     normal: Vector = Z,
-    slip_mass: ArrayLike = 0.0,
+    slip_mass: ArrayLike | None = None,
 ) -> Velocity:
     """Return the accelerations under torques [N*m] of the joints and a force [N] at the foot's point of contact.
 

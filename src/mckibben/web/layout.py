@@ -17,7 +17,7 @@ import numpy as np
 from nicegui import events, ui
 from numpy.typing import ArrayLike
 
-from mckibben.errors import FileError, McKibbenError, printable
+from mckibben.errors import ON_COMMAND_LINE, FileError, McKibbenError, printable
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
 
@@ -32,7 +32,7 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-_ELSEWHERE = re.compile(r" \(command line: (?:'[^']*'|[^)'])*\)")  # remedies name arguments, as fields do, and options
+_ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
