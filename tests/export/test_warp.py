@@ -152,6 +152,9 @@ CASES = cases()
 def runs(tmp_path_factory):
     """Angles of all cases by MuJoCo Warp; in the second world each parameter is larger by 1 %."""
     pytest.importorskip("mujoco_warp", reason="the extra warp is not installed")
+    import warp
+
+    warp.config.optimization_level = 0  # to compile the kernels takes longer than to run them
     folder = tmp_path_factory.mktemp("warp")
     joints = {f"j{number}": made(plant, f"j{number}", folder) for number, plant in enumerate(CASES.values())}
     model, data = together(joints)

@@ -6,17 +6,25 @@ the package. The numbers are plausible for muscles of 10 mm, but not those of a 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array, lax
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
+
+from mckibben.numerics.calculus import rk4
 
 Floats = NDArray[np.float64]
 
 _ATMOSPHERE = 101325.0
 _GAS, _TEMPERATURE, _ISENTROPIC, _POLYTROPIC = 287.0, 293.15, 1.4, 1.25
+_STEPS = 100  # of the integration of a joint, in each period
 _CRITICAL = (2 / (_ISENTROPIC + 1)) ** (_ISENTROPIC / (_ISENTROPIC - 1))
 
 
@@ -62,9 +70,9 @@ class ForeignMuscle:
     creep_order: float = 0.4
     rated: float = 6e5  # Pa
 
-    def static_force(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
-        """Static force [N], at least 0, without hysteresis."""
-        shortening, pressure = np.asarray(contraction, float) * self.ends, np.asarray(pressure, float)
+    def static_force(self, contraction: ArrayLike, pressure: ArrayLike, xp: Any = np) -> Floats:
+        """Static force [N], at least 0, without hysteresis, computed by NumPy or `jax.numpy`."""
+        shortening, pressure = xp.asarray(contraction, float) * self.ends, xp.asarray(pressure, float)
         thread = self.length / np.cos(self.braid_angle)
         turns = thread * np.sin(self.braid_angle) / (np.pi * self.diameter)
         length = self.length * (1 - shortening)
@@ -72,34 +80,34 @@ class ForeignMuscle:
         stretched = thread * (1 + self.thread * pressure)
         braid = (3 * length**2 - stretched**2) / (4 * np.pi * turns**2)
         beyond = (pressure - self.contact - self.contact_slope * shortening) / self.contact_width
-        pressing = self.contact_width * np.logaddexp(0, beyond)
-        axial, hoop = length / self.length, np.sqrt(gap / (thread**2 - self.length**2))
+        pressing = self.contact_width * xp.logaddexp(0, beyond)
+        axial, hoop = length / self.length, xp.sqrt(gap / (thread**2 - self.length**2))
         radial = 1 / (axial * hoop)
         axial_slope = 1 / self.length
         hoop_slope = -hoop * length / gap
         radial_slope = -radial * (axial_slope / axial + hoop_slope / hoop)
         parts = ((axial, axial_slope), (hoop, hoop_slope), (radial, radial_slope))
         energy_slope = sum(2 * (self.first * one - self.second / one**3) * slope for one, slope in parts)
-        return np.maximum(pressing * braid + self.wall * energy_slope, 0.0)
+        return xp.maximum(pressing * braid + self.wall * energy_slope, 0.0)
 
-    def volume(self, contraction: ArrayLike) -> Floats:
+    def volume(self, contraction: ArrayLike, xp: Any = np) -> Floats:
         """Volume of the air [m^3]."""
         thread = self.length / np.cos(self.braid_angle)
         turns = thread * np.sin(self.braid_angle) / (np.pi * self.diameter)
-        length = self.length * (1 - np.asarray(contraction, float) * self.ends)
+        length = self.length * (1 - xp.asarray(contraction, float) * self.ends)
         return length * (thread**2 - length**2) / (4 * np.pi * turns**2) - self.wall
 
-    def sliding_rate(self, state: ArrayLike, rate: ArrayLike) -> Floats:
+    def sliding_rate(self, state: ArrayLike, rate: ArrayLike, xp: Any = np) -> Floats:
         """Rate of the hysteresis state, 0 where friction is relaxed, from the rate of the contraction [1/s]."""
-        state, rate = np.asarray(state, float), np.asarray(rate, float)
-        shape = 0.5 + 0.5 * np.sign(rate * state) + self.asymmetry * (np.sign(rate) + np.sign(state))
-        return rate / self.presliding * (1 - np.abs(state) ** 1.5 * shape)
+        state, rate = xp.asarray(state, float), xp.asarray(rate, float)
+        shape = 0.5 + 0.5 * xp.sign(rate * state) + self.asymmetry * (xp.sign(rate) + xp.sign(state))
+        return rate / self.presliding * (1 - xp.abs(state) ** 1.5 * shape)
 
-    def friction_force(self, state: ArrayLike, pressure: ArrayLike, rate: ArrayLike) -> Floats:
+    def friction_force(self, state: ArrayLike, pressure: ArrayLike, rate: ArrayLike, xp: Any = np) -> Floats:
         """Force lost to hysteresis and viscosity [N] at a state and a rate of the contraction [1/s]."""
-        pressure, rate = np.asarray(pressure, float), np.asarray(rate, float)
-        sliding = (self.friction + self.friction_slope * pressure) * np.asarray(state, float)
-        return sliding + self.viscosity * pressure / self.rated * np.sign(rate) * np.abs(rate) ** self.exponent
+        pressure, rate = xp.asarray(pressure, float), xp.asarray(rate, float)
+        sliding = (self.friction + self.friction_slope * pressure) * xp.asarray(state, float)
+        return sliding + self.viscosity * pressure / self.rated * xp.sign(rate) * xp.abs(rate) ** self.exponent
 
     def force(self, period: float, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
         """Force [N] along samples of contraction and pressure, between which both are linear; at rest before."""
@@ -157,41 +165,47 @@ class ForeignJoint:
 
     def angles(self, period: float, command1: ArrayLike, command2: ArrayLike) -> Floats:
         """Angles [rad], shape (samples,), from commands [Pa] held over each period; at rest at angle 0 before."""
-        commands = np.stack([command1, command2]).astype(float)
-        times = period * np.arange(commands.shape[1])
-        first = [0.0, 0.0, *commands[:, 0], 0.0, 0.0]
-        muscles = (self.muscle1, self.muscle2)
-        arms = np.array([-self.radius, self.radius])  # muscle 2 shortens with the angle
+        commands = jnp.stack([jnp.asarray(command1, float), jnp.asarray(command2, float)], axis=1)
+        first = jnp.zeros(6).at[2:4].set(commands[0])
+        later = _states(self, first, commands[:-1], period / _STEPS)
+        return np.asarray(jnp.concatenate([first[None], later])[:, 0])
 
-        def slope(time: float, state: Floats) -> list[float]:
-            angle, rate, pressures, sliding = state[0], state[1], state[2:4], state[4:6]
-            wanted = commands[:, min(int(time / period + 1e-9), commands.shape[1] - 1)]
-            torque, changes, slides = 0.0, [], []
-            for i, muscle in enumerate(muscles):
-                contraction = self.contraction + arms[i] * angle / muscle.length
-                speed = arms[i] * rate / muscle.length
-                lost = muscle.friction_force(sliding[i], pressures[i], speed)
-                force = max(float(muscle.static_force(contraction, pressures[i]) - lost), 0.0)
-                torque += arms[i] * force
-                here = float(muscle.volume(contraction)) + self.dead_volume
-                ahead = float(muscle.volume(contraction + 1e-6)) + self.dead_volume
-                flow = self._flow(pressures[i] + _ATMOSPHERE, np.tanh((wanted[i] - pressures[i]) / self.band))
-                absolute = pressures[i] + _ATMOSPHERE
-                volume_rate = (ahead - here) / 1e-6 * speed
-                changes.append(_POLYTROPIC / here * (flow * _GAS * _TEMPERATURE - absolute * volume_rate))
-                slides.append(float(muscle.sliding_rate(sliding[i], speed)))
-            friction = self.damping * rate + self.dry_friction * np.tanh(rate / self.dry_rate)
-            turning = (torque - friction - self.gravity_torque * np.sin(angle)) / self.inertia
-            return [rate, turning, *changes, *slides]
+    def rates(self, state: Array, wanted: Array) -> Array:
+        """Rates of angle, velocity, both pressures and both hysteresis states under two commands."""
+        angle, rate, pressures, sliding = state[0], state[1], state[2:4], state[4:6]
+        torque, changes, slides = -self.gravity_torque * jnp.sin(angle), [], []
+        for i, muscle in enumerate((self.muscle1, self.muscle2)):
+            arm = (-self.radius, self.radius)[i]  # muscle 2 shortens with the angle
+            contraction = self.contraction + arm * angle / muscle.length
+            speed = arm * rate / muscle.length
+            lost = muscle.friction_force(sliding[i], pressures[i], speed, jnp)
+            torque += arm * jnp.maximum(muscle.static_force(contraction, pressures[i], jnp) - lost, 0.0)
+            here = muscle.volume(contraction, jnp) + self.dead_volume
+            ahead = muscle.volume(contraction + 1e-6, jnp) + self.dead_volume
+            absolute = pressures[i] + _ATMOSPHERE
+            flow = self._flow(absolute, jnp.tanh((wanted[i] - pressures[i]) / self.band))
+            volume_rate = (ahead - here) / 1e-6 * speed
+            changes.append(_POLYTROPIC / here * (flow * _GAS * _TEMPERATURE - absolute * volume_rate))
+            slides.append(muscle.sliding_rate(sliding[i], speed, jnp))
+        torque -= self.damping * rate + self.dry_friction * jnp.tanh(rate / self.dry_rate)
+        return jnp.stack([rate, torque / self.inertia, *changes, *slides])
 
-        return solve_ivp(
-            slope, (0.0, times[-1]), first, t_eval=times, max_step=period, rtol=1e-8, atol=1e-10, method="LSODA"
-        ).y[0]
-
-    def _flow(self, pressure: float, opening: float) -> float:
+    def _flow(self, pressure: ArrayLike, opening: ArrayLike) -> Array:
         """Mass flow into a muscle [kg/s] at its absolute pressure [Pa]; negative while venting."""
-        up, down = (self.supply + _ATMOSPHERE, pressure) if opening > 0 else (pressure, _ATMOSPHERE)
-        ratio = min(max(down / up, _CRITICAL), 1.0)
+        up = jnp.where(opening > 0, self.supply + _ATMOSPHERE, pressure)
+        down = jnp.where(opening > 0, pressure, _ATMOSPHERE)
+        ratio = jnp.clip(down / up, _CRITICAL, 1.0)
         power = ratio ** (2 / _ISENTROPIC) - ratio ** ((_ISENTROPIC + 1) / _ISENTROPIC)
-        nozzle = np.sqrt(2 / (_GAS * _TEMPERATURE) * _ISENTROPIC / (_ISENTROPIC - 1) * max(power, 0.0))
-        return float(self.opening * opening * up * nozzle)
+        nozzle = jnp.sqrt(2 / (_GAS * _TEMPERATURE) * _ISENTROPIC / (_ISENTROPIC - 1) * jnp.maximum(power, 0.0))
+        return self.opening * opening * up * nozzle
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _states(joint: ForeignJoint, first: Array, commands: Array, step: ArrayLike) -> Array:
+    """States after each period, shape (periods, 6)."""
+
+    def period(state: Array, wanted: Array) -> tuple[Array, Array]:
+        after = lax.fori_loop(0, _STEPS, lambda _, x: rk4(lambda y: joint.rates(y, wanted), x, step), state)
+        return after, after
+
+    return lax.scan(period, first, commands)[1]
