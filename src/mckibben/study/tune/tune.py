@@ -275,10 +275,11 @@ def tune(
             message = f"the gradient method cannot use the engine {quoted(engine)}"
             remedy = "choose another method, or leave the engine out"
             raise ParameterError(message, field="engine", value=engine, remedy=remedy)
-        engine = "xla"
-    elif history is not None:
-        engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None, engine)
-    problem = replace(problem, engine=engine)
+        engine = "xla"  # of costs and gradients; whether a run is usable is found by the default engine
+    else:
+        if history is not None:
+            engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None, engine)
+        problem = replace(problem, engine=engine)
     about = {
         "software": software(engine),
         "scenarios": [scenario.dumps(folder=folder) for scenario in several],
