@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Number
@@ -57,8 +58,9 @@ def closest(name: str, known: Sequence[str]) -> str:
     """
     close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
     plain = _plain(name)
+    same = [one for one in known if _plain(one) == plain]
     begun = [one for one in known if len(plain) > 2 and _plain(one).startswith(plain)]
-    return next(iter([*close, *begun]), "")
+    return next(iter([*same, *close, *begun]), "")
 
 
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
@@ -80,6 +82,14 @@ def suggest(name: str, known: Sequence[str]) -> str:
     """Remedy for an unknown name: the closest known one, or all."""
     close = closest(name, known)
     return f"did you mean {close!r}?" if close else f"known are {', '.join(known)}"
+
+
+def user_level() -> int:
+    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 class McKibbenWarning(UserWarning):
@@ -137,6 +147,10 @@ class UnitError(McKibbenError, ValueError):
 
 class RangeError(McKibbenError, ValueError):
     """A number is outside its allowed range."""
+
+
+class CallError(McKibbenError, TypeError):
+    """A function or class is called with unknown, missing or surplus arguments, or with one of another kind."""
 
 
 class NotInCatalogError(McKibbenError, KeyError):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import (
@@ -43,6 +44,7 @@ _FRICTION = 1.0  # of the RMSE: a larger difference between the directions domin
 _CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
 
+@checked_call
 def identify(
     law_type: type[ForceLaw],
     dataset: IsobaricDataset | None = None,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit
@@ -74,6 +75,7 @@ class FitWithFriction(NamedTuple):
         return self.fit.plot(self.points)
 
 
+@checked_call
 def identify_with_friction(
     law: type[ForceLaw],
     dataset: IsobaricDataset,

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.errors import FileError, ParameterError, Problem, quoted
 from mckibben.notebook import Progress, draw, html_table, notebook_progress
 from mckibben.scenario import Known, Scenario, find_parameter, with_values
@@ -194,6 +195,7 @@ class TuningResult:
         return draw("tuning", self)
 
 
+@checked_call
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
     over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] = (),
