@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Number
@@ -82,14 +81,6 @@ def suggest(name: str, known: Sequence[str]) -> str:
     """Remedy for an unknown name: the closest known one, or all."""
     close = closest(name, known)
     return f"did you mean {close!r}?" if close else f"known are {', '.join(known)}"
-
-
-def user_level() -> int:
-    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
-        level, frame = level + 1, frame.f_back
-    return level
 
 
 class McKibbenWarning(UserWarning):

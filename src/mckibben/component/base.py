@@ -88,8 +88,7 @@ class Described:
         return None
 
 
-class _ComponentMeta(CheckedCalls, type(eqx.Module)):  # type: ignore[misc]  # the class of modules is not public
-    """Metaclass of components."""
+_ComponentMeta: Any = type("_ComponentMeta", (CheckedCalls, type(eqx.Module)), {})
 
 
 class Component(Described, eqx.Module, metaclass=_ComponentMeta):

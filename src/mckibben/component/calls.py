@@ -136,3 +136,11 @@ def _is_wrong(value: object, kinds: list[type]) -> bool:
     """Whether a value is certainly of none of these classes; numbers and arrays stand for each other."""
     certain = value is None or isinstance(value, str) or all(_is_ours(one) or one in _CERTAIN for one in kinds)
     return certain and not isinstance(value, tuple(kinds))
+
+
+def user_level() -> int:
+    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
+        level, frame = level + 1, frame.f_back
+    return level

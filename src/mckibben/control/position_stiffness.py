@@ -11,10 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Units
+from mckibben.component.calls import user_level
 from mckibben.component.columns import Label
 from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, JointModel, Loop, Measurement, Setpoint
-from mckibben.errors import McKibbenWarning, user_level
+from mckibben.errors import McKibbenWarning
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative
 from mckibben.units import AngleGain, AngleScale, Quantity, StiffnessScale, Tension

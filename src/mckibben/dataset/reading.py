@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mckibben.component.calls import checked_call
+from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_number
 from mckibben.dataset.consistency import contradictions
 from mckibben.dataset.file_names import add_from_name, check_pattern
@@ -23,7 +23,7 @@ from mckibben.dataset.preprocessing import preprocess, with_notes, without_offse
 from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
-from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError, user_level
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
 from mckibben.muscle import Specimen
 from mckibben.units import mm
 
@@ -247,9 +247,9 @@ def _joined(parts: Sequence[Kind], path: FilePaths, slack_known: Sequence[bool])
         return parts[0], names[0]
     source = f"{names[0]} and {len(names) - 1} more"
     tables = [part.table for part in parts]
-    known: dict[bytes, int] = {}
+    seen: dict[bytes, int] = {}
     for at, one in enumerate(tables):
-        first = known.setdefault(one["pressure"].to_numpy().tobytes() + one["force"].to_numpy().tobytes(), at)
+        first = seen.setdefault(one["pressure"].to_numpy().tobytes() + one["force"].to_numpy().tobytes(), at)
         if first != at and one["force"].size > 1:
             text = f"{names[first]} and {names[at]} have the same forces and pressures: the test counts twice"
             warnings.warn(text, McKibbenWarning, stacklevel=user_level())

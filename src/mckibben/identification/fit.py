@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mckibben.component.calls import checked_call
+from mckibben.component.calls import checked_call, user_level
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
-from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable, user_level
+from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable
 from mckibben.identification.intervals import (
     ForceIntervals,
     Interval,
@@ -234,7 +234,7 @@ class Fit:
 
         Warns outside the domain of the fit; `force_intervals` gives the uncertainty.
         """
-        contraction, pressure = map(np.asarray, check_point(contraction, pressure))
+        contraction, pressure = map(np.asarray, check_point(contraction, pressure))  # type: ignore[arg-type]
         if text := self.law.domain.describe_outside(contraction, pressure):
             warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=user_level())
         return np.maximum(forces(self.law, contraction, pressure), 0.0)

@@ -17,8 +17,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
+from mckibben.component.calls import user_level
 from mckibben.component.checks import known_numbers
-from mckibben.errors import McKibbenWarning, RangeError, UnreachableError, user_level
+from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw

@@ -12,11 +12,11 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
-from mckibben.component.calls import checked_call
+from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_positive, check_within, known_numbers
 from mckibben.component.classes import find_class
 from mckibben.component.extensions import is_foreign
-from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, quoted, user_level
+from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, quoted
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
 from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm, percent, show

@@ -16,7 +16,8 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
-from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, user_level
+from mckibben.component.calls import user_level
+from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
 from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, NoCreep

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
-from mckibben.component.calls import checked_call
+from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import whole_periods
 from mckibben.component.extensions import package_version, version_differences
 from mckibben.component.schema import Part, independent, inherit, write
@@ -30,7 +30,6 @@ from mckibben.errors import (
     ReachabilityWarning,
     ScenarioError,
     closest,
-    user_level,
 )
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import (

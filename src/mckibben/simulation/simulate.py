@@ -15,10 +15,10 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
-from mckibben.component.calls import checked_call
+from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
-from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError, user_level
+from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
