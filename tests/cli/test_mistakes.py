@@ -74,11 +74,3 @@ def test_a_wrong_command_names_the_one_that_is_meant(cli, words, meant):
     found = cli(*words)
     assert found.code == 2
     assert found.err.startswith("error: ") and meant in found.err
-
-
-def test_a_file_given_twice_is_named(cli, tmp_path):
-    rows = "".join(f"{p},{e},{p * (30 - e)}\n" for p in (1, 2, 3) for e in range(0, 25, 3))
-    for name in ("first.csv", "second.csv"):
-        (tmp_path / name).write_text(f"pressure_bar,contraction_percent,force_N\n{rows}", encoding="utf-8")
-    assert "first.csv and second.csv" in cli("identify", "first.csv", "second.csv").err
-    assert "counts twice" not in cli("identify", "first.csv").err

@@ -247,12 +247,6 @@ def _joined(parts: Sequence[Kind], path: FilePaths, slack_known: Sequence[bool])
         return parts[0], names[0]
     source = f"{names[0]} and {len(names) - 1} more"
     tables = [part.table for part in parts]
-    seen: dict[bytes, int] = {}
-    for at, one in enumerate(tables):
-        first = seen.setdefault(one["pressure"].to_numpy().tobytes() + one["force"].to_numpy().tobytes(), at)
-        if first != at and one["force"].size > 1:
-            text = f"{names[first]} and {names[at]} have the same forces and pressures: the test counts twice"
-            warnings.warn(text, McKibbenWarning, stacklevel=user_level())
     attrs = dict(tables[0].attrs)
     for name in ("specimen", "initial_length"):
         if len(values := list(dict.fromkeys(table.attrs.get(name) for table in tables))) > 1:
